@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import compare, residual_sums
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import Chosen
@@ -23,7 +22,7 @@ from machine_tool_calibration.reports.comparison import (
 )
 from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, measured_again, simulate
+from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
 PLANS = ["tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2"]
 
@@ -42,7 +41,7 @@ def moved(session: Session, change: np.ndarray) -> Session:
 def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
     found = compare(simulated(plan))
     fit, readings = found.fit, found.fit.model.observations.readings
-    np.testing.assert_allclose(found.measured, found.predicted + found.residual, atol=1e-15)
+    np.testing.assert_allclose(readings.displacement, fit.predicted + found.residual, atol=1e-15)
     assert found.overall.rms == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
     for shares in (found.setups, found.runs):
         assert sum(share.share for share in shares) == pytest.approx(1.0)
@@ -70,34 +69,10 @@ def test_every_reading_has_a_scatter_of_one_if_the_model_is_right(plan: str) -> 
     assert np.mean(squares) == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / free))
 
 
-def test_sums_of_residuals_have_the_stated_uncertainty() -> None:
-    """The residuals of a fit are smaller than the noise: the stated uncertainty allows for what the model took up."""
-    clean = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3, noise_factor=0.0))
-    rng = np.random.default_rng([12, 34])
-    weights = None
-    scaled, added = [], []
-    for seed in range(100):
-        session = measured_again(clean, seed)
-        fit = fit_models([build_model(session)[0]]).fits[0]
-        if weights is None:
-            smooth = np.sin(np.linspace(0.0, 7.0, len(fit.residuals)))
-            first = (fit.model.observations.readings.repeat == 0).astype(float)
-            weights = np.array([smooth, first, rng.normal(size=len(smooth))])
-        sums = residual_sums(fit, weights)
-        assert sums.value == pytest.approx(weights @ fit.residuals, abs=1e-4 * sums.uncertainty.min())
-        scaled.append(sums.value / sums.uncertainty)
-        added.append(sums.added / sums.added_uncertainty)
-    # To three relative standard errors of a variance from so many sets.
-    assert np.all(np.abs(np.mean(np.square(scaled), axis=0) - 1.0) < 3.0 * np.sqrt(2.0 / len(scaled)))
-    np.testing.assert_allclose(scaled, added, rtol=1e-6)
-
-
 def test_what_the_model_takes_up_is_no_number() -> None:
     """Every station has a free dead path: the mean of its residuals is zero whatever was read."""
     found = compare(simulated("tracking_2d"))
     assert all(share.mean is None and share.mean_u is None for share in found.setups)
-    sums = residual_sums(found.fit, np.ones((1, found.overall.readings)))
-    assert np.isnan(sums.value).all() and np.isnan(sums.added).all()
 
 
 def test_a_good_model_is_said_to_fit() -> None:

@@ -66,7 +66,7 @@ def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     assert done.diagnosis.verdict == "missing_effect"
     assert done.diagnosis.accepted == ("backlash_y",)
     assert 0.7 < done.diagnosis.fits[-1].reduced_chi_square < 1.3
-    before, after = (done.residual_volumetric_error(step) for step in (done.steps[0], done.steps[-1]))
+    before, after = (step.residual_volumetric_error(done.steps[-1]) for step in (done.steps[0], done.steps[-1]))
     assert before is not None
     assert after is not None
     assert after < 0.5 * before

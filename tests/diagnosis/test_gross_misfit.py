@@ -62,7 +62,7 @@ def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) ->
     assert bent.verdict == "adequate"
     undisturbed = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
     assert max(size.probability for size in bent.fits[-1].stated.sizes) > 0.99
-    clean, moved = identify(undisturbed).error_map, identify(bent.sessions[0]).error_map
+    clean, moved = identify(undisturbed).error_map, identify(bent.chosen.sessions[0]).error_map
     shift = np.sqrt(np.nanmean((moved.error - clean.error) ** 2))
     uncertainty = [np.sqrt(np.nanmean(one.uncertainty**2)) for one in (clean, moved)]
     assert uncertainty[1] > 1.5 * uncertainty[0]

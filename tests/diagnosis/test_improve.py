@@ -11,7 +11,8 @@ import pytest
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import consequences
-from machine_tool_calibration.diagnosis.improve import Improvement, entries, improve
+from machine_tool_calibration.diagnosis.history import Entry
+from machine_tool_calibration.diagnosis.improve import Improvement, Step, entry_of, improve
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
@@ -49,17 +50,17 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     first, last = done.steps
     assert last.result.rms_residual < 0.4 * first.result.rms_residual
     assert last.reduced_chi_square == pytest.approx(1.0, abs=0.3)
-    assert first.residual_volumetric_error is not None
-    assert last.residual_volumetric_error is not None
-    assert last.residual_volumetric_error < 0.4 * first.residual_volumetric_error
+    assert first.left_at_tool is not None
+    assert last.left_at_tool is not None
+    assert last.left_at_tool < 0.4 * first.left_at_tool
     assert last.map_uncertainty is not None
-    assert last.map_uncertainty <= last.residual_volumetric_error < 1.2 * last.map_uncertainty
+    assert last.map_uncertainty <= last.left_at_tool < 1.2 * last.map_uncertainty
     assert last.map_change is not None
     truth = simulated.truth.document()
     before, after = map_error(done, 0, truth), map_error(done, 1, truth)
     assert after < 0.6 * before
     # What the table calls left at the tool point is of the size of what is really left.
-    assert after < 2 * last.residual_volumetric_error
+    assert after < 2 * last.left_at_tool
     (size,) = last.parameters
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
 
@@ -76,11 +77,11 @@ def test_what_is_left_can_be_compared_between_models() -> None:
     effects = (FlawSpec(id="probe_pretravel", amplitude=4e-6),)
     done = improve(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=7, effects=effects)).session, sets=19)
     first, last = done.steps
-    assert last.map_change is not None and first.residual_volumetric_error is not None
-    before, after = done.residual_volumetric_error(first), done.residual_volumetric_error(last)
+    assert last.map_change is not None and first.left_at_tool is not None
+    before, after = first.residual_volumetric_error(done.steps[-1]), last.residual_volumetric_error(done.steps[-1])
     assert before is not None and after is not None
-    assert before >= max(last.map_change, 2 * first.residual_volumetric_error)
-    assert after == pytest.approx(2 * last.residual_volumetric_error)  # type: ignore[operator]
+    assert before >= max(last.map_change, 2 * first.left_at_tool)
+    assert after == pytest.approx(2 * last.left_at_tool)  # type: ignore[operator]
 
 
 def test_nothing_is_added_where_nothing_is_missing() -> None:
@@ -121,23 +122,27 @@ def test_direct_readings_see_the_tool_point_itself() -> None:
     # One axis, both directions of approach: all of the backlash is unexplained first, and nothing of it in the end.
     assert first.unexplained_at_tool == pytest.approx(2e-6, rel=0.1)
     assert last.unexplained_at_tool < 1e-7
-    assert first.residual_volumetric_error is not None
-    assert first.residual_volumetric_error >= first.unexplained_at_tool
+    assert first.left_at_tool is not None
+    assert first.left_at_tool >= first.unexplained_at_tool
     assert last.map_change == pytest.approx(2e-6, rel=0.1)
 
 
 def test_steps_become_entries_of_a_history() -> None:
     done, _ = improved(77, 2e-6)
-    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00")
+
+    def entry(step: Step) -> Entry:
+        return entry_of(step, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00", "improve", number=1)
+
+    first, last = map(entry, done.steps)
     assert (first.effects, last.effects) == ((), ("backlash_y",))
     assert last.rms_residual == done.steps[1].result.rms_residual
     assert [p.name for p in last.parameters] == ["backlash_y.b"]
     assert last.map_change_rms == done.steps[1].map_change
     # A record without what a method does not map.
     bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
-    assert bare.residual_volumetric_error is None
-    assert done.residual_volumetric_error(bare) is None
-    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026")[0].map_rms is None
+    assert bare.left_at_tool is None
+    assert bare.residual_volumetric_error(done.steps[-1]) is None
+    assert entry(bare).map_rms is None
 
 
 def test_progress_rises_to_one() -> None:

@@ -7,13 +7,8 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from machine_tool_calibration.estimation.variance_components import (
-    DECLARED_WORTH,
-    components,
-    fold,
-    log_prior,
-    ratio_grid,
-)
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, log_prior
+from machine_tool_calibration.estimation.variance_components import components
 
 GROUPS, EACH = 6, 6
 N = GROUPS * EACH
@@ -120,31 +115,3 @@ def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
             value = found.quantile(family, p)
             assert found.weights[column < value / step].sum() <= p
             assert found.weights[column <= value * step].sum() >= p
-
-
-@pytest.mark.parametrize("families", [0, 1, 2])
-def test_prior_is_a_distribution_with_half_at_none(families: int) -> None:
-    ratios = ratio_grid(families)
-    weight = np.exp(log_prior(ratios))
-    assert weight.sum() == pytest.approx(1.0)
-    for family in range(families):
-        none = np.array([ratio[family] == 0.0 for ratio in ratios])
-        assert weight[none].sum() == pytest.approx(0.5)
-
-
-def test_folding_is_the_inverse_of_the_covariance() -> None:
-    _, spread, place, _ = problem(4, (1.0, 1.0))
-    others = np.random.default_rng(4).normal(size=(N, 3))
-    ratio = (0.7, 2.5)
-    folded = fold(spread.T @ spread, spread.T @ others, place, ratio)
-    covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
-    direct = others.T @ np.linalg.solve(covariance, others)
-    assert others.T @ others - folded.half.T @ folded.half == pytest.approx(direct)
-    assert folded.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1])
-
-
-def test_no_spread_folds_to_nothing() -> None:
-    _, spread, place, _ = problem(4, (1.0,))
-    folded = fold(spread.T @ spread, spread.T @ spread, place, (0.0,))
-    assert folded.log_determinant == 0.0
-    assert folded.half.shape == (0, spread.shape[1])

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation import variance_components
+from machine_tool_calibration.estimation import marginal
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, log_prior
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
-from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
@@ -117,7 +117,7 @@ def generalised(model: Array, spread: Array, readings: Array, ratio: float) -> G
 
 
 def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> None:
-    monkeypatch.setattr(variance_components, "ratio_grid", lambda families: [(ratio,) for ratio in ratios])
+    monkeypatch.setattr(marginal, "ratio_grid", lambda *families: [(ratio,) for ratio in ratios])
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 2.0, 20.0])

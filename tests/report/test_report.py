@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
-from machine_tool_calibration.diagnosis.history import Measured
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
@@ -28,6 +27,7 @@ from machine_tool_calibration.report.figures import Picture
 from machine_tool_calibration.report.page import html, write_report
 from machine_tool_calibration.report.sections import Section, Turnable, sections
 from machine_tool_calibration.report.words import LANGUAGES, Words, words
+from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import data_hash
 from machine_tool_calibration.simulation.simulate import simulate

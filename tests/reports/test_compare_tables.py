@@ -9,8 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, mark_not_determined
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus, probability
 from machine_tool_calibration.reports.tables import TextTable

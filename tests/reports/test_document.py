@@ -148,8 +148,8 @@ def test_the_effect_that_was_hidden_stands_first_with_its_size() -> None:
 def test_parameters_and_map_change_are_those_of_an_identification() -> None:
     diagnosis, document = found("missing_effect")
     first = document["candidates"][0]
-    without = identify(diagnosis.sessions[0])
-    with_it = identify(diagnosis.sessions[0], effects=["backlash_y"])
+    without = identify(diagnosis.chosen.sessions[0])
+    with_it = identify(diagnosis.chosen.sessions[0], effects=["backlash_y"])
     expected = {p.name: p for p in with_it.parameters}
     for parameter in first["parameters"]:
         assert parameter["value"] == pytest.approx(expected[parameter["name"]].value, rel=1e-6)

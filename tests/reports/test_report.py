@@ -138,8 +138,8 @@ def test_too_small_a_declared_uncertainty_is_not_blamed_on_an_effect() -> None:
 
 def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
     found, _ = report("too noisy")
-    look = replace(found.look, noise=(replace(found.noise, from_repeats=None),))
-    bare = replace(found, look=look)
+    noise = replace(found.noise, from_repeats=None)
+    bare = replace(found, noise=noise)
     words = diagnosis_report(bare, what_to_measure(bare), {}).words
     assert "model or the reproducibility of the setups is not determined" in words[1]
 

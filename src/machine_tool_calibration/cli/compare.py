@@ -19,7 +19,7 @@ from machine_tool_calibration.cli.output import console, json_option, progress_b
 from machine_tool_calibration.reports.documents import write_table
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
+    from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 
 __all__ = ["command"]
 
@@ -59,8 +59,7 @@ def command(
     mtcal compare measurements/cube --against temperature_x --against path -o pictures
     mtcal compare measurements/cube measurements/grid_plate
     """
-    from machine_tool_calibration.diagnosis.compare import compare
-    from machine_tool_calibration.diagnosis.comparison import Comparison
+    from machine_tool_calibration.diagnosis.compare import Comparison, compare
     from machine_tool_calibration.reports.comparison import comparison_document
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 

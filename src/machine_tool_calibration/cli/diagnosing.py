@@ -16,8 +16,8 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.history import Measured
     from machine_tool_calibration.model.fit import JointFit
+    from machine_tool_calibration.reports.measured import Measured
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -64,10 +64,10 @@ class Wanted:
             UsageError: effects or a model were asked for beside those of the history.
             CalibrationError: a measurement cannot be read, `--keep` names no reading of it, or no model was tried yet.
         """
-        from machine_tool_calibration.diagnosis.history import Measured
         from machine_tool_calibration.effects.catalogue import own_effects
         from machine_tool_calibration.methods.fitted import Chosen
         from machine_tool_calibration.recording.open import open_measurement
+        from machine_tool_calibration.reports.measured import Measured
         from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)

@@ -34,12 +34,13 @@ def _keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> 
     Raises:
         SessionError: it cannot be written.
     """
-    from machine_tool_calibration.diagnosis.improve import entries
+    from machine_tool_calibration.diagnosis.improve import entry_of
     from machine_tool_calibration.reports.history_file import fingerprint, update_history
 
     prints = [fingerprint(session) for session in sessions]
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    made = entries(done, fingerprint(*sessions), prints, now)
+    data = fingerprint(*sessions)
+    made = [entry_of(step, data, prints, now, "improve", number=k) for k, step in enumerate(done.steps, 1)]
     before: list[History] = []
 
     def grown(old: History) -> History:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -20,62 +20,16 @@ from machine_tool_calibration.diagnosis.search.structure import structure_candid
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
-from machine_tool_calibration.model.fit import Fit, JointFit
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
-from machine_tool_calibration.residuals.noise import Noise, noise_of, same_place
+from machine_tool_calibration.residuals.averaged import mean_places
+from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.outliers import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.pool import Pool
-from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Diagnosis", "diagnose", "mean_places"]
-
-
-# Chance from which places differ more than their repeats do.
-_DIFFER = 1e-3
-_STILL = 1e-6  # m
-
-
-def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
-    """The session with the mean of the readings of each place, and what its repeats say of the noise.
-
-    A hole that was drilled once and measured five times shows the machine once. Averaged are direct deviations whose
-    places differ along at least two axes and by more than their repeats do; the readings of a single axis are the
-    machine's own, run after run.
-
-    Args:
-        fit: of the model without further effects.
-
-    Returns:
-        None where nothing is to be averaged.
-    """
-    observations = fit.model.observations
-    session, readings = observations.session, observations.readings
-    if not session.spec.reads_machine or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
-        return None
-    place = same_place(observations)
-    count = np.bincount(place)
-    if count.max() < 2:
-        return None
-    noise = noise_of(fit)
-    if noise.lack_of_fit_p is None or noise.lack_of_fit_p > _DIFFER:
-        return None
-    first = np.unique(place, return_index=True)[1]
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        # Differences from the first: what is the same for all stays the same to the last bit.
-        return np.asarray(values[first] + (np.bincount(place, values - values[first][place]) / count)[place[first]])
-
-    averaged = readings.select(first)
-    averaged = replace(
-        averaged,
-        displacement=mean(readings.displacement),
-        columns={name: mean(values) for name, values in readings.columns.items()},
-    )
-    order = np.argsort(averaged.row, kind="stable")
-    return session.with_readings(averaged.select(order)), noise
-
+__all__ = ["Diagnosis", "diagnose"]
 
 # Growth of the map's uncertainty from which it is no longer determined for any purpose.
 _SPOILT = 30.0
@@ -100,6 +54,7 @@ class Diagnosis:
         verdict: adequate, missing_effect, unexplained or outliers.
         accepted: effects found, the surest first.
         look: at the model without them.
+        noise: what is known of the readings' noise, with the first model.
         fitted: of the first model and after every effect found.
         predicted: for every effect that was probable enough, how it does on readings that were left out.
         refused: effects that are probable and yet not added, with the reason.
@@ -112,26 +67,12 @@ class Diagnosis:
     verdict: str
     accepted: tuple[str, ...]
     look: Look
+    noise: Noise
     fitted: tuple[FittedSessions, ...]
     predicted: dict[str, tuple[Prediction, ...]]
     refused: dict[str, str]
     excluded: dict[str, str]
     set_aside: tuple[tuple[Outlier, ...], ...]
-
-    @property
-    def sessions(self) -> tuple[Session, ...]:
-        """The measurements, without outliers."""
-        return self.chosen.sessions
-
-    @property
-    def labels(self) -> tuple[str, ...] | None:
-        """Their names; None for a single one."""
-        return self.chosen.labels
-
-    @property
-    def provenance(self) -> Provenance:
-        """What it was made from, with the model in which something is looked for."""
-        return self.fitted[0].provenance
 
     @property
     def fits(self) -> tuple[JointFit, ...]:
@@ -142,11 +83,6 @@ class Diagnosis:
     def outliers(self) -> tuple[Outlier, ...]:
         """Readings of all sessions that were set aside."""
         return tuple(outlier for own in self.set_aside for outlier in own)
-
-    @property
-    def noise(self) -> Noise:
-        """What is known of the readings' noise, with the first model."""
-        return self.look.noise[0]
 
     @property
     def ranked(self) -> tuple[Finding, ...]:
@@ -171,12 +107,24 @@ class Diagnosis:
     @property
     def noisy(self) -> bool:
         """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
-        return _noisy(self.look, self.fits[-1])
+        scatter = float(np.sqrt(self.fits[-1].reduced_chi_square)) * self.noise.declared
+        return self.noise.from_repeats is not None and self.noise.from_repeats > _AS_MUCH * scatter
 
     @property
     def contradicted(self) -> bool:
-        """Whether the readings contradict the model by far, with the accepted effects in it."""
-        return _contradicted(self.look, self.fits)
+        """Whether the model fails by far, and what was found hardly changes that.
+
+        Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead.
+        Deviations that are read directly scatter as the part or the axis does, which nobody declares. What does not
+        reproduce from run to run is no contradiction.
+        """
+        first, last = self.fits[0], self.fits[-1]
+        if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
+            return False
+        if not last.stated.contradicts(GROSS, CONTRADICTED):
+            return False
+        excess = first.solution.chi_square - first.solution.degrees_of_freedom
+        return first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
 
 
 def diagnose(
@@ -198,54 +146,55 @@ def diagnose(
         ModelError: the data does not allow the model.
     """
     chosen = Chosen.of(subject)
+
+    def beside(added: Sequence[str], known: Diagnosis | None = None) -> Diagnosis:
+        """Without the outliers beside these effects; what is known if that is without the same."""
+        build = _alone(chosen, added)
+        each = [find_outliers(session, build) for session in chosen.sessions]
+        aside = tuple(tuple(outliers) for outliers, _ in each)
+        kept = replace(chosen, sessions=tuple(session for _, session in each))
+        if known is not None and _rows(known.set_aside) == _rows(aside):
+            return replace(known, chosen=kept, set_aside=aside)
+        return _search(kept, aside, seed, sets, progress)
+
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for outliers", 0.0)
-        aside, kept = _outliers_beside(chosen, ())
-        found = _search(kept, seed, sets, progress)
-        probable = _probable(found)
-        if probable:
+        found = beside(())
+        if _probable(found):
             # With the effects in the model some of them belong to the rest again, and others stand out that were lost
             # in what the effects left: then the search begins anew.
-            again, kept = _outliers_beside(chosen, probable)
-            if _rows(again) != _rows(aside):
-                found = _search(kept, seed, sets, progress)
-            aside = again
-        probable = _probable_without_suspects(kept, found.accepted, seed, sets, progress)
+            found = beside(_probable(found), found)
+        probable = _probable_without_suspects(found, lambda kept: _search(kept, (), seed, sets, progress))
         if probable:
-            again, without = _outliers_beside(chosen, probable)
-            if _rows(again) != _rows(aside):
-                other = _search(without, seed, sets, progress)
-                if other.accepted:
-                    found, aside, kept = other, again, without
+            other = beside(probable, found)
+            if other.accepted and _rows(other.set_aside) != _rows(found.set_aside):
+                found = other
         progress("done", 1.0)
-    verdict = "outliers" if found.verdict == "adequate" and any(aside) else found.verdict
-    return replace(found, chosen=kept, verdict=verdict, set_aside=aside)
+    return found
 
 
-def _outliers_beside(chosen: Chosen, added: Sequence[str]) -> tuple[tuple[tuple[Outlier, ...], ...], Chosen]:
-    """Outliers of each session, judged by itself beside further effects, and the sessions without them."""
-    build = _alone(chosen, added)
-    found = [find_outliers(session, build) for session in chosen.sessions]
-    without = replace(chosen, sessions=tuple(kept for _, kept in found))
-    return tuple(tuple(outliers) for outliers, _ in found), without
+def _probable(found: Diagnosis) -> tuple[str, ...]:
+    return found.accepted or found.look.accepted
 
 
-def _probable_without_suspects(
-    chosen: Chosen, added: Sequence[str], seed: int, sets: int, progress: Callable[[str, float], None]
-) -> tuple[str, ...]:
+def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:
+    return [{outlier.row for outlier in own} for own in outliers]
+
+
+def _probable_without_suspects(found: Diagnosis, search: Callable[[Chosen], Diagnosis]) -> tuple[str, ...]:
     """Effects that are found without what may be wrong beside those that were; none where nothing lies far out.
 
     Gross errors that an effect hides may in turn hide the effect, which shows among the other readings.
     """
-    build = _alone(chosen, added)
-    suspected = [suspected_rows(session, build) for session in chosen.sessions]
+    build = _alone(found.chosen, found.accepted)
+    suspected = [suspected_rows(session, build) for session in found.chosen.sessions]
     if not any(map(len, suspected)):
         return ()
-    sessions = zip(chosen.sessions, suspected, strict=True)
-    without = replace(chosen, sessions=tuple(s.without(np.isin(s.readings.row, rows)) for s, rows in sessions))
+    each = zip(found.chosen.sessions, suspected, strict=True)
+    sessions = tuple(session.without(np.isin(session.readings.row, rows)) for session, rows in each)
     try:
-        return _probable(_search(without, seed, sets, progress))
+        return _probable(search(replace(found.chosen, sessions=sessions)))
     except ModelError:
         # What is left does not allow the model: then it says nothing of what is missing.
         return ()
@@ -264,28 +213,20 @@ def _alone(chosen: Chosen, added: Sequence[str]) -> Callable[[Session], MethodMo
     return build
 
 
-def _probable(found: Diagnosis) -> tuple[str, ...]:
-    return found.accepted or found.look.accepted
-
-
-def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:
-    return [{outlier.row for outlier in own} for own in outliers]
-
-
-def _search(chosen: Chosen, seed: int, sets: int, progress: Callable[[str, float], None]) -> Diagnosis:
-    searched, known = chosen, chosen.absent
-    first = fit_sessions(searched)
-    averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None
-    if averaged is not None:
-        searched = replace(chosen, sessions=(averaged[0],))
-        first = fit_sessions(searched)
-    # Error motions that the model holds as random functions, under names of their own.
-    held = {
-        term.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for term in model.terms if "." in term.name
-    }
+def _search(
+    chosen: Chosen,
+    aside: tuple[tuple[Outlier, ...], ...],
+    seed: int,
+    sets: int,
+    progress: Callable[[str, float], None],
+) -> Diagnosis:
+    """The diagnosis of sessions without what was set aside."""
+    searched, first, repeated = _first_model(chosen)
     pool = Pool(first.joint)
-    candidates, excluded = effect_candidates(pool, [e for e in known if e.id not in held])
-    excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
+    # Error motions that the model holds as random functions, under names of their own.
+    held = {t.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for t in model.terms if "." in t.name}
+    candidates, excluded = effect_candidates(pool, [e for e in chosen.absent if e.id not in held])
+    excluded |= {e.id: "the model has it already, as a random function" for e in chosen.absent if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
     side_by_side = all(session.spec.reads_machine for session in chosen.sessions)
     structures = structure_candidates(pool)
@@ -298,53 +239,46 @@ def _search(chosen: Chosen, seed: int, sets: int, progress: Callable[[str, float
         return look_at(first.joint, tried, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
 
     look = look_for(candidates)
-    fine = _resolved(pool, candidates, look, lambda ids: fit_with(ids).joint)
+    fine = _resolved(pool, candidates, look, fit_with)
     if fine is not None:
         look = look_for(fine)
-    if averaged is not None:
-        told = averaged[1]
-        noise = replace(look.noise[0], from_repeats=told.from_repeats, repeats=told.repeats)
-        look = replace(look, noise=(noise,))
     progress("readings that are left out", 0.7)
     predicted = predictions(searched.sessions, look, lambda left: fit_sessions(replace(searched, sessions=left)).joint)
-    fitted, accepted, refused = [first], list[str](), dict[str, str]()
-    for name in look.accepted:
-        if not look.of(name).plausible:
-            what = "such a size" if look.of(name).possible else "it with this sign"
-            refused[name] = f"no machine or instrument has {what}"
-            continue
-        against = [p for p in predicted.get(name, ()) if p.speaks_against]
-        if against:
-            refused[name] = f"it does not predict {against[0].what} that are left out"
-            continue
-        try:
-            wider = fit_with((*accepted, name))
-            _settled(wider.joint)
-            if not side_by_side:
-                _hold(fitted[-1].error_map, wider.error_map)
-        except ModelError as error:
-            refused[name] = str(error)
-            continue
-        fitted.append(wider)
-        accepted.append(name)
-    verdict = _verdict(look, [f.joint for f in fitted], bool(accepted))
-    names = tuple(accepted) if verdict == "missing_effect" else ()
-    return Diagnosis(
+    noise = look.noise[0]
+    if repeated is not None:
+        noise = replace(noise, from_repeats=repeated.from_repeats, repeats=repeated.repeats)
+    fitted, refused = _added(look, predicted, first, fit_with, side_by_side=side_by_side)
+    found = Diagnosis(
         chosen=chosen,
         searched=searched,
-        verdict=verdict,
-        accepted=names,
+        verdict="",
+        accepted=tuple(name for name in look.accepted if name not in refused),
         look=look,
-        fitted=tuple(fitted[: len(names) + 1]),
+        noise=noise,
+        fitted=fitted,
         predicted=predicted,
         refused=refused,
         excluded=excluded,
-        set_aside=tuple(() for _ in chosen.sessions),
+        set_aside=aside,
     )
+    verdict = _verdict(found)
+    if verdict == "missing_effect":
+        return replace(found, verdict=verdict)
+    return replace(found, verdict=verdict, accepted=(), fitted=fitted[:1])
+
+
+def _first_model(chosen: Chosen) -> tuple[Chosen, FittedSessions, Noise | None]:
+    """What is searched, its fit, and where places that were measured repeatedly have their means, what repeats say."""
+    first = fit_sessions(chosen)
+    averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None
+    if averaged is None:
+        return chosen, first, None
+    searched = replace(chosen, sessions=averaged[:1])
+    return searched, fit_sessions(searched), averaged[1]
 
 
 def _resolved(
-    pool: Pool, candidates: Sequence[Candidate], look: Look, fit_with: Callable[[tuple[str, ...]], JointFit]
+    pool: Pool, candidates: Sequence[Candidate], look: Look, fit_with: Callable[[tuple[str, ...]], FittedSessions]
 ) -> list[Candidate] | None:
     """The candidates with finer nonlinear coefficients of the accepted effects; None where the grid does."""
     used = {
@@ -355,48 +289,59 @@ def _resolved(
     if not used:
         return None
     try:
-        fit = fit_with(look.accepted)
+        fit = fit_with(look.accepted).joint
     except ModelError:
         return None
     return between_the_grid(pool, candidates, used, fit)
 
 
-def _verdict(look: Look, fits: Sequence[JointFit], accepted: bool) -> str:
+def _added(
+    look: Look,
+    predicted: Mapping[str, Sequence[Prediction]],
+    first: FittedSessions,
+    fit_with: Callable[[tuple[str, ...]], FittedSessions],
+    *,
+    side_by_side: bool,
+) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
+    """The first model and one after every effect that can be added, and why the other probable ones cannot."""
+    fitted, accepted, refused = [first], list[str](), dict[str, str]()
+    for name in look.accepted:
+        against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
+        if not look.of(name).plausible:
+            what = "such a size" if look.of(name).possible else "it with this sign"
+            refused[name] = f"no machine or instrument has {what}"
+        elif against:
+            refused[name] = f"it does not predict {against[0]} that are left out"
+        else:
+            try:
+                wider = fit_with((*accepted, name))
+                _settled(wider.joint)
+                if not side_by_side:
+                    _hold(fitted[-1].error_map, wider.error_map)
+            except ModelError as error:
+                refused[name] = str(error)
+                continue
+            fitted.append(wider)
+            accepted.append(name)
+    return tuple(fitted), refused
+
+
+def _verdict(found: Diagnosis) -> str:
     """From the probabilities and the absolute misfit alone."""
-    if _contradicted(look, fits):
+    look, first, last = found.look, found.fits[0].solution, found.fits[-1].solution
+    if found.contradicted:
         return "unexplained"
     if look.unknown > ACCEPTED:
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
-        taken = fits[0].solution.chi_square - fits[-1].solution.chi_square
-        left = max((s.share for s in look.left), default=0.0) * fits[-1].solution.chi_square
-        if not accepted or left > taken:
+        left = max((s.share for s in look.left), default=0.0) * last.chi_square
+        if not found.accepted or left > first.chi_square - last.chi_square:
             return "unexplained"
-    if accepted:
+    if found.accepted:
         return "missing_effect"
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
-    return "unexplained" if look.unknown > ACCEPTED or look.nothing < 1.0 - SURE else "adequate"
-
-
-def _contradicted(look: Look, fits: Sequence[JointFit]) -> bool:
-    """Whether the model fails by far, and what was found hardly changes that.
-
-    Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead. Deviations
-    that are read directly scatter as the part or the axis does, which nobody declares. What does not reproduce from run
-    to run is no contradiction.
-    """
-    first, last = fits[0], fits[-1]
-    if any(model.observations.session.spec.reads_machine for model in last.assembly.models) or _noisy(look, last):
-        return False
-    if not last.stated.contradicts(GROSS, CONTRADICTED):
-        return False
-    excess = first.solution.chi_square - first.solution.degrees_of_freedom
-    return first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
-
-
-def _noisy(look: Look, last: JointFit) -> bool:
-    noise = look.noise[0]
-    scatter = float(np.sqrt(last.reduced_chi_square)) * noise.declared
-    return noise.from_repeats is not None and noise.from_repeats > _AS_MUCH * scatter
+    if look.nothing < 1.0 - SURE:
+        return "unexplained"
+    return "outliers" if found.outliers else "adequate"
 
 
 def _settled(fit: JointFit) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -15,12 +14,10 @@ from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.methods.fitted import Chosen
-    from machine_tool_calibration.methods.identify import JointResult
-    from machine_tool_calibration.model.result import EffectSet, Estimate, Result
+    from machine_tool_calibration.model.result import EffectSet
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Alternative", "Coefficient", "Entry", "History", "Measured", "Part"]
+__all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
 
 
 class Coefficient(Record):
@@ -114,12 +111,6 @@ class Entry(Record):
         from machine_tool_calibration.model.result import EffectSet
 
         return [EffectSet(one.effects, one.probability) for one in self.alternatives]
-
-    def estimates(self) -> list[Estimate]:
-        """The coefficients as an identification gives them."""
-        from machine_tool_calibration.model.result import Estimate
-
-        return [Estimate(p.name, p.value, p.standard_uncertainty, p.unit) for p in self.parameters]
 
     def of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
         """What it says of each session: itself of a single one, of several the part of the same readings or name.
@@ -271,30 +262,3 @@ class History(Record):
             ModelError: there is none.
         """
         return self.model_copy(update={"current": self.entry(number).number})
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Measurements as they were recorded, and what is to be fitted to them.
-
-    Attributes:
-        recorded: the measurements, with all their readings.
-        chosen: those to fit, without what the history's model sets aside, and the model: one that was asked for, or
-            one of the history.
-        history: the models from the first to the one in use, where it is the history's.
-    """
-
-    recorded: tuple[Session, ...]
-    chosen: Chosen
-    history: tuple[Entry, ...] = ()
-
-    def document(self, result: Result | JointResult) -> dict[str, Any]:
-        """The result as a JSON document, with the readings that the history's model set aside among the rejected."""
-        document = result.document()
-        last = f"model {self.history[-1].number} of the history" if self.history else "the history"
-        for label, session, kept in zip(self.chosen.labels or ("",), self.recorded, self.chosen.sessions, strict=True):
-            gone = sorted(set(session.readings.row.tolist()) - set(kept.readings.row.tolist()))
-            named = {"session": label} if label else {}
-            document["rejected"] += [{**named, "row": row, "reason": f"set aside by {last}"} for row in gone]
-            document["observations"] += len(gone)
-        return document

@@ -3,35 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import effect_estimates, map_change, map_rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.model.result import Estimate, Result
+from machine_tool_calibration.model.result import Estimate, Result, effect_estimates, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "Improvement",
-    "Step",
-    "accepting",
-    "entries",
-    "entry_of",
-    "improve",
-    "residual_volumetric_error",
-    "step_after",
-    "words_set_aside",
-]
-
-Tried = TypeVar("Tried")
+__all__ = ["Improvement", "Step", "accepted_models", "entry_of", "improve", "step_after", "words_set_aside"]
 
 
 @dataclass(frozen=True)
@@ -87,8 +73,8 @@ class Step:
         return float(np.sqrt(beyond * np.sum(seen > 1e-3)))
 
     @property
-    def residual_volumetric_error(self) -> float | None:
-        """Standard uncertainty (RMS length) left at the tool point, m.
+    def left_at_tool(self) -> float | None:
+        """Standard uncertainty (RMS length) left at the tool point, m; None where the method maps no position errors.
 
         That of the map, times the factor by which the readings scatter more than declared, as what the model does not
         explain is taken to act on the map as noise does (an effect that the model lacks may act more); and what is
@@ -99,6 +85,17 @@ class Step:
             return None
         more = np.sqrt(max(chi, 1.0)) / self.result.joint.stated.scatter
         return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
+
+    def residual_volumetric_error(self, last: Step) -> float | None:
+        """RMS length left at the tool point on the way to a last model, so that steps can be compared, m.
+
+        The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
+        step: what a model lacks moves its map by more than its own residuals show.
+        """
+        if self.left_at_tool is None:
+            return None
+        off = map_change(self.result.error_map, last.result.error_map)
+        return float(np.hypot(2.0 * self.left_at_tool, off or 0.0))
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -122,22 +119,6 @@ class Improvement:
     def provenance(self) -> Provenance:
         """What it was made from, with the last model."""
         return self.steps[-1].result.provenance
-
-    def residual_volumetric_error(self, step: Step) -> float | None:
-        """RMS length left at the tool point with the model of a step, so that steps can be compared, m.
-
-        The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
-        step: what a model lacks moves its map by more than its own residuals show.
-        """
-        return residual_volumetric_error(step, self.steps[-1])
-
-
-def residual_volumetric_error(step: Step, last: Step) -> float | None:
-    """That of one step on the way to a last one, m; None where the method maps no position errors."""
-    if step.residual_volumetric_error is None:
-        return None
-    off = map_change(step.result.error_map, last.result.error_map)
-    return float(np.hypot(2.0 * step.residual_volumetric_error, off or 0.0))
 
 
 def improve(
@@ -164,41 +145,29 @@ def improve(
     found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
     first = step_after(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
-    steps = accepting(
-        found,
-        first,
-        lambda before, change, wider: step_after(before, change, wider, identify_sessions(wider), aside),
-        lambda what, share: progress(what, 0.9 + 0.1 * share),
-    )
+    steps = [first]
+    for change, wider in accepted_models(found, lambda what, share: progress(what, 0.9 + 0.1 * share)):
+        steps.append(step_after(steps[-1], change, wider, identify_sessions(wider), aside))
     progress("done", 1.0)
-    return Improvement(found, (first, *steps))
+    return Improvement(found, tuple(steps))
 
 
-def accepting(
-    found: Diagnosis,
-    first: Tried,
-    tried: Callable[[Tried, str, Chosen], Tried],
-    progress: Callable[[str, float], None],
-) -> list[Tried]:
-    """Set aside and add what a diagnosis names, one after the other.
+def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) -> Iterator[tuple[str, Chosen]]:
+    """The models that a diagnosis names, each made from the one before, with what it has and that one has not.
+
+    Without the readings that were set aside, if any; then with the effects found, one after the other.
 
     Args:
         found: the diagnosis.
-        first: the model of which it is.
-        tried: fits a model, given the one before, what is new (an effect's id, or words), and it.
         progress: called with what is being done and the share that is finished.
-
-    Returns:
-        The models after the first one, each made from the one before.
     """
-    models, start = [first], replace(found.chosen, sets=())
+    start = replace(found.chosen, sets=())
     if found.outliers:
-        models.append(tried(models[-1], words_set_aside(len(found.outliers)), start))
+        yield words_set_aside(len(found.outliers)), start
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
         over = found.sets if k + 1 == len(found.accepted) else ()
-        models.append(tried(models[-1], name, start.adding(found.accepted[: k + 1], over)))
-    return models[1:]
+        yield name, start.adding(found.accepted[: k + 1], over)
 
 
 def words_set_aside(count: int) -> str:
@@ -231,18 +200,6 @@ def step_after(
         map_change=None if before is None else map_change(before.result.alone, result.alone),
         set_aside=aside,
     )
-
-
-def entries(improvement: Improvement, data: str, each: Sequence[str], made: str) -> list[Entry]:
-    """The steps as entries of a history.
-
-    Args:
-        improvement: what was done.
-        data: fingerprint of all readings.
-        each: fingerprints of the readings of each session.
-        made: date and time, ISO 8601.
-    """
-    return [entry_of(step, data, each, made, "improve", number=k) for k, step in enumerate(improvement.steps, start=1)]
 
 
 def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, number: int) -> Entry:

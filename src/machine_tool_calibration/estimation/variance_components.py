@@ -1,127 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """How large what does not reproduce is: variance components, and random functions of runs as unknowns of a part.
 
-y = J theta + sum over families f of tau_f U_f a_f + noise, a_f ~ N(0, sigma^2): the columns U_f are smooth functions of
-time of every run and of every mounting, tau_f their size in units of the noise. J has been projected off (restricted
-likelihood, Patterson and Thompson 1971), so that what remains is a small matrix, whatever the number of readings. The
-sizes are not chosen but averaged over: a grid carries their posterior, and the variance of the noise is integrated out.
+The sizes tau_f (`estimation.marginal`) are not chosen but averaged over: a grid carries their posterior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
-from scipy.linalg import lapack
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
+from machine_tool_calibration.estimation.marginal import Gram, metrics
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
-__all__ = [
-    "DECLARED_WORTH",
-    "Components",
-    "Folded",
-    "Functions",
-    "WidenedPart",
-    "below",
-    "components",
-    "factor_of_sum",
-    "fold",
-    "log_prior",
-    "ratio_grid",
-]
-
-
-DECLARED_WORTH = 20.0
-"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
-
-# Half of the prior of a size is at zero: that keeps the power to find effects. The other half is half-Cauchy with this
-# scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
-_NONE = 0.5
-_SCALE = 0.2
-# Sizes tried, in units of the noise, where there are three families, two, or one.
-_COARSEST, _COARSE = (0.3, 1.2, 5.0), (0.15, 0.4, 1.0, 2.5, 6.0)
-_FINE = tuple(np.geomspace(0.05, 16.0, 16).tolist())
-
-
-def ratio_grid(families: int, further: int = 0) -> list[tuple[float, ...]]:
-    """Sizes that are tried: every combination of a few for each family.
-
-    Args:
-        families: how many.
-        further: those whose sizes are given: the more there are, the fewer sizes of the others.
-    """
-    if families == 0:
-        return [()]
-    values = {1: _FINE, 2: _COARSE}.get(families + further, _COARSEST)
-    return list(product((0.0, *values), repeat=families))
-
-
-def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:
-    """(t,) logarithm of the prior weight of each combination of sizes of a grid."""
-    if not ratios or not ratios[0]:
-        return np.zeros(len(ratios))
-    out = np.zeros(len(ratios))
-    for column in np.array(ratios).T:
-        values = np.unique(column[column > 0])
-        # A half-Cauchy density on a logarithmic grid.
-        density = values / (1.0 + (values / _SCALE) ** 2)
-        weight = dict(zip(values.tolist(), ((1.0 - _NONE) * density / density.sum()).tolist(), strict=True))
-        weight[0.0] = _NONE
-        out += np.log([weight[value] for value in column.tolist()])
-    return out
-
-
-@dataclass(frozen=True)
-class Folded:
-    """What one combination of sizes makes of the inner products.
-
-    Attributes:
-        log_determinant: of I + tau^2 U^T U.
-        half: (u', k) such that X^T V^-1 y = X^T y - half_X^T half_y.
-    """
-
-    log_determinant: float
-    half: Array
-
-
-def fold(inner: Array, cross: Array, family: IntArray, ratio: tuple[float, ...]) -> Folded:
-    """Take spread of given sizes into the metric.
-
-    Args:
-        inner: (u, u) inner products of the spread's columns.
-        cross: (u, k) their inner products with anything else.
-        family: (u,) family of each column.
-        ratio: size of each family, in units of the noise.
-    """
-    tau = np.array(ratio)[family] if len(ratio) else np.zeros(len(family))
-    used = np.flatnonzero(tau > 0)
-    if not len(used):
-        return Folded(0.0, np.zeros((0, cross.shape[1])))
-    s = tau[used]
-    lower = factor_of_sum(inner[np.ix_(used, used)] * np.outer(s, s))
-    return Folded(2.0 * float(np.log(np.diag(lower)).sum()), below(lower, s[:, None] * cross[used]))
-
-
-def below(lower: Array, right: Array) -> Array:
-    """(n, k) the inverse of a lower factor (n, n) with a regular diagonal times (n, k): by substitution alone."""
-    if not right.size:
-        return right
-    return np.asarray(lapack.dtrtrs(lower.T, right, lower=0, trans=1)[0], dtype=np.float64)
-
-
-def factor_of_sum(matrix: Array) -> Array:
-    """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
-    try:
-        return np.asarray(np.linalg.cholesky(np.eye(len(matrix)) + matrix), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(matrix)
-        clean = np.eye(len(matrix)) + (vectors * np.maximum(values, 0.0)) @ vectors.T
-        return np.asarray(np.linalg.cholesky(clean), dtype=np.float64)
+__all__ = ["Components", "Functions", "WidenedPart", "components"]
 
 
 @dataclass(frozen=True)
@@ -176,15 +72,10 @@ def components(gram: Array, family: IntArray, freedom: int) -> Components:
         family: (u,) family of each column, from 0; at most three.
         freedom: degrees of freedom of the readings beside the model's unknowns.
     """
-    ratios = ratio_grid(int(family.max(initial=-1)) + 1)
-    logs, squares = np.empty(len(ratios)), np.empty(len(ratios))
-    for k, ratio in enumerate(ratios):
-        folded = fold(gram[:-1, :-1], gram[:-1, -1:], family, ratio)
-        squares[k] = max(float(gram[-1, -1] - np.sum(folded.half**2)), 0.0)
-        logs[k] = -0.5 * folded.log_determinant
-    logs -= 0.5 * (freedom + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares)
-    logs += log_prior(ratios)
-    return Components(tuple(ratios), logs - logsumexp(logs), squares, freedom)
+    tried = metrics(Gram(gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1], family, freedom))
+    logs = np.array([metric.log_null[0] for metric in tried])
+    squares = np.array([metric.squares[0] for metric in tried])
+    return Components(tuple(metric.ratio for metric in tried), logs - logsumexp(logs), squares, freedom)
 
 
 Functions = tuple[IntArray, Array]

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.comparison import Comparison as OneComparison
-from machine_tool_calibration.diagnosis.comparison import JointComparison
+from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
+from machine_tool_calibration.diagnosis.compare import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
@@ -211,7 +211,7 @@ class Diagnosis(Shown):
 
         Columns: `row` of the recording, `studentized`, `deviation` (m); of several sessions `session` first.
         """
-        labels = self.found.labels
+        labels = self.found.chosen.labels
         rows = [
             {
                 **({} if labels is None else {"session": labels[k]}),

@@ -14,18 +14,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import chndtrinc, logsumexp
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.model.model import Kind, Parameter
 
-__all__ = ["SCALE_STEP", "SMALLEST_SIGNAL", "EffectSize", "effect_sizes", "with_sizes"]
+__all__ = ["SCALE_STEP", "SMALLEST_SIGNAL", "EffectSize", "effect_sizes", "smallest_signal", "with_sizes"]
 
 SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
 """The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
 steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
 spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
 
+# Chance with which the smallest signal is found, and most steps to it.
+_POWER, _STEPS = 0.8, 60
 # That an effect is beyond what is plausible, and the scale that it then has: what the readings say clearly holds.
 _RARE, _BEYOND = 0.01, SCALE_STEP**2
 
@@ -105,3 +107,33 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
         mean = mean - cross @ middle
         covariance = covariance - cross @ (gain - between) @ cross.T
     return mean, covariance
+
+
+def smallest_signal(values: Array, along: float, needed: float, power: float = _POWER) -> float:
+    """Norm of a signal, in standard uncertainties, whose Bayes factor reaches a limit with a given power.
+
+    Args:
+        values: (k,) eigenvalues of a candidate's inner products at half its largest plausible size.
+        along: that of the direction in which the signal lies.
+        needed: logarithm of the Bayes factor.
+        power: chance to reach it.
+    """
+    largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
+    steps = max(int(np.floor(np.log(max(largest / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))) + 1, 1)
+    s2 = SCALE_STEP ** (-2.0 * np.arange(steps))
+    cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(steps)
+    share = s2 * along / (1.0 + s2 * along)
+
+    if float(np.logaddexp.reduce(-cost)) >= needed:
+        return 0.0
+    limit = max(4.0 * (needed + float(cost.min()) + 10.0) / max(float(share.max()), 1e-3), 1.0)
+    # The logarithm is convex in the statistic and grows: Newton's steps come down to where it is reached.
+    for _ in range(_STEPS):
+        terms = 0.5 * limit * share - cost
+        reached = float(np.logaddexp.reduce(terms))
+        step = (reached - needed) / (0.5 * float(share @ np.exp(terms - reached)))
+        if step <= 1e-9 * limit:
+            break
+        limit -= step
+    # The square of a normal value around the signal exceeds it with this power.
+    return float(np.sqrt(chndtrinc(limit, 1.0, 1.0 - power)))

@@ -17,10 +17,10 @@ from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import Projected, gram, project
 from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
-from machine_tool_calibration.model.model import Assembly, MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.model.model import POINTS, Assembly, MethodModel, Parameter, Term, assemble
 from machine_tool_calibration.model.stated import RandomUnknowns, Stated, state
 
-__all__ = ["Fit", "JointFit", "fit_models", "screen", "screen_joint"]
+__all__ = ["Fit", "JointFit", "absorbed_by", "fit_models", "screen", "screen_joint"]
 
 # Before the name of a column that is screened: it must not be taken for an unknown of the model.
 _FURTHER = "\0further "
@@ -238,3 +238,25 @@ def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
 def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """Unknowns under names that no model has, and whether they are shared: all that putting them together asks for."""
     return tuple(Parameter(f"{_FURTHER}{p.name}", p.unit, shared=p.shared) for p in parameters)
+
+
+def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Parameter, ...]:
+    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings.
+
+    Args:
+        fit: of the model.
+        projected: with the effect's columns.
+        columns: which they are.
+    """
+    raw = np.maximum(projected.squares[columns], 1e-300)
+    left = projected.after_points[columns]
+    if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):
+        return (POINTS,)
+    change = np.abs(projected.response[:, columns]) / np.sqrt(raw)
+    weight = (change / np.sqrt(np.maximum(np.diag(fit.solution.covariance), 1e-300))[:, None]).max(axis=1)
+    first: dict[str, Parameter] = {}
+    most: dict[str, float] = {}
+    for parameter, value in zip(fit.assembly.parameters, weight, strict=True):
+        first.setdefault(parameter.family, parameter)
+        most[parameter.family] = max(most.get(parameter.family, 0.0), float(value))
+    return tuple(first[family] for family in sorted(most, key=lambda family: -most[family])[:3])

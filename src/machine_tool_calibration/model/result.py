@@ -16,7 +16,20 @@ from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
 
-__all__ = ["EffectSet", "ErrorMap", "Estimate", "Identified", "Rejected", "Result", "correlated_with", "plain"]
+__all__ = [
+    "EffectSet",
+    "ErrorMap",
+    "Estimate",
+    "Identified",
+    "Rejected",
+    "Result",
+    "correlated_with",
+    "effect_estimates",
+    "effect_signal",
+    "map_change",
+    "map_rms",
+    "plain",
+]
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,37 @@ class Estimate:
             "unit": self.unit,
             **({} if self.position is None else {"error_motion": self.owner, "position": self.position}),
         }
+
+
+def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, ...]:
+    """Coefficients of effects in a fit that the data determines, as `identify` publishes them."""
+    published = fit.published
+    uncertainty = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
+    found = zip(fit.assembly.parameters, published.theta, uncertainty, published.determined, strict=True)
+    return tuple(
+        Estimate.of(p, value, u) for p, value, u, good in found if good and p.kind is Kind.EFFECT and p.owner in effects
+    )
+
+
+def effect_signal(joint: JointFit, name: str) -> tuple[Array, Array]:
+    """(n,) what an effect of the model changes in the readings, and its standard uncertainty, m."""
+    value, variance = [], []
+    for fit in joint.fits:
+        own, square = np.zeros(len(fit.model.observations)), np.zeros(len(fit.model.observations))
+        first = len(fit.model.own)
+        for term in fit.model.terms:
+            place = slice(first, first + len(term.parameters))
+            first += len(term.parameters)
+            if term.name != name or term.parameters[0].kind is not Kind.EFFECT:
+                continue
+            # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold.
+            linear = np.array([p.reference == 0.0 for p in term.parameters])
+            columns = term.columns[linear]
+            inner = fit.covariance[place, place][np.ix_(linear, linear)]
+            own, square = fit.theta[place][linear] @ columns, np.einsum("kn,kl,ln->n", columns, inner, columns)
+        value.append(own)
+        variance.append(square)
+    return np.concatenate(value), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
 
 
 @dataclass(frozen=True)
@@ -109,6 +153,32 @@ class ErrorMap:
     covariance: Array | None = None
     not_determined: tuple[NotDetermined, ...] = ()
     in_datum: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
+    """RMS length of the change of the position errors that both maps determine, m.
+
+    A map may hold a point several times, once for every state of an effect there (approached from either side); each is
+    compared with what the other map says of the same place.
+    """
+    old = before.error
+    if not np.array_equal(before.points, after.points):
+        places, number = np.unique(np.round(before.points * 1e9), axis=0, return_inverse=True)
+        count = np.bincount(number.reshape(-1))
+        mean = np.stack([np.bincount(number.reshape(-1), e) for e in before.error.T], axis=1) / count[:, None]
+        at = {tuple(place): value for place, value in zip(places.tolist(), mean, strict=True)}
+        nothing = np.full(3, np.nan)
+        old = np.array([at.get(tuple(p), nothing) for p in np.round(after.points * 1e9).tolist()]).reshape(-1, 3)
+    return map_rms(after.error - old)
+
+
+def map_rms(values: Array) -> float | None:
+    """RMS length of (n, 3) vectors at the points where any of their coordinates is determined."""
+    known = np.isfinite(values)
+    points = known.any(axis=1)
+    if not points.any():
+        return None
+    return float(np.sqrt(np.sum(np.where(known, values, 0.0) ** 2) / points.sum()))
 
 
 @dataclass(frozen=True, kw_only=True)

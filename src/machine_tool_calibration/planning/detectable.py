@@ -10,9 +10,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, effect_candidates
-from machine_tool_calibration.diagnosis.search.findings import smallest_signal
 from machine_tool_calibration.diagnosis.search.priors import EFFECT
 from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
 

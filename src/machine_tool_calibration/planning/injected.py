@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.search.look import absorbed_by
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.fit import Fit, absorbed_by, fit_models, screen
 from machine_tool_calibration.model.model import MethodModel, Parameter
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, MachineSpec, SimulationSpec, simulate
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.search.findings import smallest_signal
 from machine_tool_calibration.diagnosis.search.priors import EFFECT
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, Visibility, alias_groups_of
@@ -144,7 +144,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
     present = present_effects(diagnosis)
-    chosen, sessions, labels = diagnosis.chosen, diagnosis.sessions, diagnosis.labels
+    chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
     single = len(sessions) == 1
     limits = limits_of(sessions[0], chosen.model) if single else None
 

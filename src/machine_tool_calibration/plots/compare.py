@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
+from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import (
     color,
     draw_arrows,
@@ -102,7 +102,8 @@ def _draw_fit(comparison: Comparison) -> Figure:
     figure = new_figure(13, 4.4)
     left, middle, right = figure.subplots(1, 3)
     setup, ids = _setups(comparison)
-    predicted, measured = 1e6 * comparison.predicted, 1e6 * comparison.measured
+    fit = comparison.fit
+    predicted, measured = 1e6 * fit.predicted, 1e6 * fit.model.observations.readings.displacement
     factor, unit = (1e-3, "mm") if np.ptp(predicted) > 1e4 else (1.0, "µm")
     for k, name in enumerate(ids):
         mine = setup == k

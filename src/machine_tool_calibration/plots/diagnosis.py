@@ -56,7 +56,7 @@ def _title(diagnosis: Diagnosis) -> str:
         "unexplained": "structure that no effect explains",
         "outliers": f"{len(diagnosis.outliers)} readings do not belong to the rest",
     }
-    method = " + ".join(dict.fromkeys(session.method.replace("_", " ") for session in diagnosis.sessions))
+    method = " + ".join(dict.fromkeys(session.method.replace("_", " ") for session in diagnosis.chosen.sessions))
     pool = Pool(diagnosis.fits[0])
     residual = f"residual {quantity(rms(pool.residuals), 'm')} RMS"
     return f"{method}, {len(pool.residuals)} readings used, {residual}: {what[diagnosis.verdict]}"
@@ -170,6 +170,6 @@ def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) ->
 
 def save_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence], folder: Path) -> list[Path]:
     """Write `diagnosis.png` and `candidates.csv` into a folder, which is made where it is missing."""
-    origin = diagnosis.provenance
+    origin = diagnosis.fitted[0].provenance
     (picture,) = save({"diagnosis": draw_diagnosis(diagnosis, changes)}, folder, origin)
     return [picture, write_table(candidate_table(diagnosis, changes), folder / "candidates.csv", origin)]

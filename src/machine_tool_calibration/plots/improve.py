@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
+from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
 from machine_tool_calibration.plots.style import new_figure, save
@@ -37,7 +37,7 @@ _LETTERS = 56
 def draw_improvement(improvement: Improvement) -> Figure:
     """The residual and the uncertainty of the map after every change, and maps of the residuals, to the same scale."""
     diagnosis = improvement.diagnosis
-    return draw_steps(improvement.steps, diagnosis.sessions, diagnosis.noise.declared)
+    return draw_steps(improvement.steps, diagnosis.chosen.sessions, diagnosis.noise.declared)
 
 
 def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: float) -> Figure:
@@ -77,7 +77,7 @@ def _along(step: Step) -> str | None:
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     at = np.arange(len(steps))
     panel.plot(at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label="residual, RMS")
-    left = [residual_volumetric_error(step, steps[-1]) for step in steps]
+    left = [step.residual_volumetric_error(steps[-1]) for step in steps]
     tool = [np.nan if value is None else 1e6 * value for value in left]
     if np.isfinite(tool).any():
         panel.plot(at, tool, "s-", color="tab:blue", label="residual volumetric error (k = 2), RMS")

@@ -11,13 +11,12 @@ from typing import Any
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.propagate import Budget, propagate
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.history import Measured
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.reports.measured import Measured
 
 __all__ = ["Evaluation", "evaluate"]
 

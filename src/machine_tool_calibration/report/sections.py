@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import effect_estimates
+from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison, Overall
+from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
 from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
@@ -169,8 +169,8 @@ def _own_columns(comparison: Comparison) -> dict[str, np.ndarray]:
         **{name: np.asarray(values) for name, values in readings.labels.items()},
         **{f"position_{axis}": observations.position[:, j] for j, axis in enumerate("xyz")},
         **{f"direction_{axis}": observations.direction[:, j] for j, axis in enumerate("xyz")},
-        "measured": comparison.measured,
-        "predicted": comparison.predicted,
+        "measured": readings.displacement,
+        "predicted": comparison.fit.predicted,
         "residual": comparison.residual,
         "studentized": comparison.studentized,
     }

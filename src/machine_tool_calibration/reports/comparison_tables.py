@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
+from machine_tool_calibration.diagnosis.compare import Approach, Comparison, JointComparison, Share, Trend
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,

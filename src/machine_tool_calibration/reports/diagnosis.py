@@ -110,7 +110,7 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
-    known, surface = _effects(diagnosis), diagnosis.sessions[0].spec.probes_surface
+    known, surface = _effects(diagnosis), diagnosis.chosen.sessions[0].spec.probes_surface
     return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
 
 
@@ -129,7 +129,7 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
     if absorbed.effect in absorbed.families:
         return "unknowns of this model themselves"
     chosen = [unknown for unknown in absorbed.by if unknown.in_map or not of_map]
-    if chosen == [POINTS] and diagnosis.sessions[0].spec.probes_surface:
+    if chosen == [POINTS] and diagnosis.chosen.sessions[0].spec.probes_surface:
         return "form of the workpiece: each probed point has an error of its own"
     return unknowns_in_words(chosen) or "the model"
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, effect_estimates
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.residuals.pool import Pool
@@ -44,13 +44,13 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
     look, noise = diagnosis.look, diagnosis.noise
     document = {
         "format": "mtcal-diagnosis/1",
-        "method": diagnosis.sessions[0].method if len(diagnosis.sessions) == 1 else "joint",
-        "sessions": [] if diagnosis.labels is None else list(diagnosis.labels),
+        "method": diagnosis.chosen.sessions[0].method if len(diagnosis.chosen.sessions) == 1 else "joint",
+        "sessions": [] if diagnosis.chosen.labels is None else list(diagnosis.chosen.labels),
         "verdict": diagnosis.verdict,
-        "suspicious": suspicions(diagnosis.sessions, diagnosis.labels),
-        "provenance": diagnosis.provenance.document(),
+        "suspicious": suspicions(diagnosis.chosen.sessions, diagnosis.chosen.labels),
+        "provenance": diagnosis.fitted[0].provenance.document(),
         "accepted": list(diagnosis.accepted),
-        "observations": sum(len(session.readings) for session in diagnosis.sessions) + len(diagnosis.outliers),
+        "observations": sum(len(session.readings) for session in diagnosis.chosen.sessions) + len(diagnosis.outliers),
         "noise": {
             "declared": noise.declared,
             "from_repeats": noise.from_repeats,
@@ -81,7 +81,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
                 "studentized": o.studentized,
                 "deviation": o.deviation,
             }
-            for label, own in zip(diagnosis.labels or ("",), diagnosis.set_aside, strict=True)
+            for label, own in zip(diagnosis.chosen.labels or ("",), diagnosis.set_aside, strict=True)
             for o in sorted(own, key=lambda o: o.row)
         ],
         "detectable": list(_detectable(diagnosis)),

@@ -55,7 +55,7 @@ def compared_models(one: Entry, other: Entry) -> TextTable:
     """Two models side by side: figures first, then each coefficient with its expanded uncertainty."""
     both = (one, other)
     rows = [(name, *map(shown, both)) for name, shown in _FIGURES.items()]
-    known = [{p.name: p for p in entry.estimates()} for entry in both]
+    known = [{p.name: p for p in entry.parameters} for entry in both]
     for name in dict.fromkeys([*known[0], *known[1]]):
         texts = [
             quantity(k[name].value, k[name].unit, k[name].standard_uncertainty) if name in k else "–" for k in known

@@ -52,7 +52,7 @@ def step_document(step: Step) -> dict[str, Any]:
         "map_rms": step.map_rms,
         "map_change_rms": step.map_change,
         "map_uncertainty_rms": step.map_uncertainty,
-        "left_at_tool_rms": step.residual_volumetric_error,
+        "left_at_tool_rms": step.left_at_tool,
         "parameters": [estimate.document() for estimate in step.parameters],
     }
 
@@ -60,7 +60,7 @@ def step_document(step: Step) -> dict[str, Any]:
 def show_improvement(screen: Console, done: Improvement) -> None:
     """In words first, then a row for every step and before and after side by side."""
     screen.print(_words(done), markup=False)
-    show_suspicions(screen, suspicions(done.diagnosis.sessions, done.diagnosis.labels))
+    show_suspicions(screen, suspicions(done.diagnosis.chosen.sessions, done.diagnosis.chosen.labels))
     show_table(screen, _steps(done))
     if len(done.steps) > 1:
         show_table(screen, _side_by_side(done))
@@ -86,7 +86,7 @@ def _what_falls(done: Improvement) -> str:
     first, last = done.steps[0], done.steps[-1]
     declared = f"declared uncertainty {quantity(done.diagnosis.noise.declared, 'm')}"
     residual = residual_change(first.result.rms_residual, last.result.rms_residual)
-    before, after = (done.residual_volumetric_error(step) for step in (first, last))
+    before, after = (step.residual_volumetric_error(last) for step in (first, last))
     if last.result.rms_residual < first.result.rms_residual or before is None or after is None or after >= before:
         return f"{residual} ({declared})."
     return (
@@ -110,7 +110,7 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(step.map_change),
                 micrometres(step.map_rms),
                 micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
-                micrometres(done.residual_volumetric_error(step)),
+                micrometres(step.residual_volumetric_error(done.steps[-1])),
             )
         )
     heads = (
@@ -133,6 +133,7 @@ def _steps(done: Improvement) -> TextTable:
 
 
 def _side_by_side(done: Improvement) -> TextTable:
+    both = (done.steps[0], done.steps[-1])
     figures: dict[str, Callable[[Step], str]] = {
         "effects added": lambda step: ", ".join(step.result.effects) or "none",
         "readings used": lambda step: str(step.result.joint.assembly.problem.n_readings),
@@ -140,8 +141,7 @@ def _side_by_side(done: Improvement) -> TextTable:
         "reduced chi-square": lambda step: rounded(step.reduced_chi_square),
         "p-value": lambda step: probability(step.result.joint.p_value),
         "position error of the map, µm RMS": lambda step: micrometres(step.map_rms),
-        "residual volumetric error, µm RMS (k = 2)": lambda step: micrometres(done.residual_volumetric_error(step)),
+        "residual volumetric error, µm RMS (k = 2)": lambda step: micrometres(step.residual_volumetric_error(both[1])),
     }
-    both = (done.steps[0], done.steps[-1])
     rows = tuple((name, *map(shown, both)) for name, shown in figures.items())
     return TextTable("Before and after", ("", "before", "after"), rows)

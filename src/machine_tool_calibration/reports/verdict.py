@@ -39,7 +39,7 @@ _SHARED = 0.7
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
     """Paragraphs: the verdict, every effect found, and what the data does not determine."""
     yield _verdict(diagnosis)
-    yield from (f"Suspicious: {words}" for words in suspicions(diagnosis.sessions, diagnosis.labels))
+    yield from (f"Suspicious: {words}" for words in suspicions(diagnosis.chosen.sessions, diagnosis.chosen.labels))
     for name in diagnosis.accepted:
         yield _found(diagnosis, name, changes.get(name), advice)
     for name, why in diagnosis.refused.items():
@@ -90,7 +90,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.likely:
         return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
-    if diagnosis.sessions[0].spec.reads_machine and look.fit.p_value < _TOO_LARGE:
+    if diagnosis.chosen.sessions[0].spec.reads_machine and look.fit.p_value < _TOO_LARGE:
         return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
     return (
         f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
@@ -117,10 +117,10 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
             words.append(f"Its size is {sizes_in_words(change.parameters)} (k = 2).")
         elif change.parameters:
             words.append(f"Its size is that of {len(change.parameters)} coefficients, listed below.")
-        if change.signal_rms is not None and change.signal_largest is not None:
+        if change.signal is not None:
             words.append(
-                f"It changes the readings by {quantity(change.signal_rms, 'm')} RMS, "
-                f"{quantity(change.signal_largest, 'm')} at most."
+                f"It changes the readings by {quantity(rms(change.signal), 'm')} RMS, "
+                f"{quantity(float(np.abs(change.signal).max(initial=0.0)), 'm')} at most."
             )
         moved = ""
         if change.map_change_rms is not None:
@@ -178,8 +178,8 @@ def _covariate(structure: Structure) -> str:
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, joint = diagnosis.noise, diagnosis.fits[-1]
     ratio = float(np.sqrt(joint.reduced_chi_square))
-    again = mounted_more_than_once(diagnosis.sessions[0])
-    if diagnosis.sessions[0].spec.reads_machine:
+    again = mounted_more_than_once(diagnosis.chosen.sessions[0])
+    if diagnosis.chosen.sessions[0].spec.reads_machine:
         yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:

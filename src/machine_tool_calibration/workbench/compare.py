@@ -12,7 +12,7 @@ import numpy as np
 import panel as pn
 from bokeh.models import FactorRange, Span
 
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables

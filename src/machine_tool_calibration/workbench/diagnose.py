@@ -10,7 +10,7 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
-from machine_tool_calibration.diagnosis.consequence import effect_estimates
+from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
 from machine_tool_calibration.workbench.look import (

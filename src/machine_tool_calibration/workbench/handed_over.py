@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.history import Entry, Measured
+from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.export.compensation import Exported, compensation
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots.compensation import draw_compensation
@@ -19,6 +19,7 @@ from machine_tool_calibration.report.page import write_report
 from machine_tool_calibration.report.words import words
 from machine_tool_calibration.reports.comparison import comparison_columns
 from machine_tool_calibration.reports.documents import to_json, write_table
+from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.result_tables import tidy
 from machine_tool_calibration.workbench.models import Model, Progress, Subject
 

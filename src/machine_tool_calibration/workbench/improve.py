@@ -11,7 +11,6 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.improve import residual_volumetric_error
 from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
@@ -127,7 +126,7 @@ class ImprovePage:
     def _draw_fall(self) -> None:
         steps = [model.step for model in self._state.models]
         labels = self._names()
-        left = [residual_volumetric_error(step, steps[-1]) for step in steps]
+        left = [step.residual_volumetric_error(steps[-1]) for step in steps]
         self._fall.x_range.factors = labels
         self._steps.data = {
             "step": labels,

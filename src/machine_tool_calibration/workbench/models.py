@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
+from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.diagnosis.improve import Step, accepting, entry_of, step_after, words_set_aside
+from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of, step_after, words_set_aside
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
@@ -284,11 +283,10 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     """
     more = {int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own}
     aside = model.aside | more
-
-    def tried(before: Model, change: str, chosen: Chosen) -> Model:
-        return subject.tried(before, change, chosen, aside, model.kept)
-
-    return accepting(found, model, tried, progress)
+    models = [model]
+    for change, chosen in accepted_models(found, progress):
+        models.append(subject.tried(models[-1], change, chosen, aside, model.kept))
+    return models[1:]
 
 
 def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:

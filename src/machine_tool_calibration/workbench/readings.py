@@ -12,7 +12,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.style import round_down
@@ -304,13 +304,13 @@ class Readings:
 
 
 def _value(found: Comparison, what: str) -> Array | None:
-    """An attribute of a comparison, `position.0` to `direction.2`, or a covariate by its column, such as `c:time`."""
+    """What is predicted, an attribute of a comparison, `position.0` to `direction.2`, or a covariate (`c:time`)."""
     if what.startswith("c:"):
         return found.covariates.get(what[2:])
     name, _, axis = what.partition(".")
     if axis:
         return np.asarray(getattr(found.fit.model.observations, name)[:, int(axis)])
-    return np.asarray(getattr(found, name))
+    return found.fit.predicted if what == "predicted" else np.asarray(getattr(found, name))
 
 
 def _same(one: Any, other: Any) -> bool:

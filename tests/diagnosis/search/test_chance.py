@@ -6,9 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of, null_sets
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metrics
+from machine_tool_calibration.diagnosis.search.evidence import Block, table
+from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import EFFECT
+from machine_tool_calibration.estimation.marginal import Gram, metrics
 
 N, FREE = 30, 26
 
@@ -21,11 +24,7 @@ def gram_of(seed: int, candidates: int, spread: int) -> tuple[Gram, np.ndarray, 
     before = np.sum(columns**2, axis=0)
     columns = columns - q @ (q.T @ columns)
     inner = columns.T @ columns
-    k, u = slice(0, candidates), slice(candidates, candidates + spread)
-    gram = Gram(
-        inner[k, k], inner[u, u], inner[u, k], inner[k, -1:], inner[u, -1:], inner[-1:, -1],
-        np.zeros(spread, dtype=np.int64), FREE,
-    )  # fmt: skip
+    gram = Gram(inner[:-1, :-1], inner[:-1, -1:], inner[-1:, -1], np.zeros(spread, dtype=np.int64), FREE)
     return gram, before[:-1], columns[:, :-1]
 
 
@@ -34,8 +33,8 @@ def test_null_sets_have_the_covariance_of_the_fitted_model(ratio: float) -> None
     gram, before, columns = gram_of(1, 3, 2)
     metric = min(metrics(gram), key=lambda one: abs(one.ratio[0] - ratio))
     sets, variance = 20000, 1.7
-    null = null_sets(gram, before, np.arange(3), metric, variance, sets, np.random.default_rng(2))
-    products = np.concatenate([null.data, null.spread_data])
+    null = null_sets(before, np.arange(3), metric, variance, sets, np.random.default_rng(2))
+    products = null.data
     spread = columns[:, 3:]
     covariance = np.eye(N) + metric.ratio[0] ** 2 * spread @ spread.T
     # The readings' noise outside the model: columns are projected already.
@@ -56,7 +55,7 @@ def test_null_sets_have_the_covariance_of_the_fitted_model(ratio: float) -> None
 def test_columns_that_are_not_used_have_no_products() -> None:
     gram, before, _ = gram_of(3, 4, 0)
     (metric,) = metrics(gram)
-    null = null_sets(gram, before, np.array([0, 2]), metric, 1.0, 50, np.random.default_rng(1))
+    null = null_sets(before, np.array([0, 2]), metric, 1.0, 50, np.random.default_rng(1))
     assert not null.data[[1, 3]].any()
     assert null.data[[0, 2]].all()
 
@@ -64,10 +63,13 @@ def test_columns_that_are_not_used_have_no_products() -> None:
 def test_a_bayes_factor_bounds_its_chance() -> None:
     """A factor of B comes up with a chance of 1 / B at most where nothing is missing: for every candidate and B."""
     gram, before, _ = gram_of(4, 4, 2)
-    blocks = [Block(k, slice(k, k + 1), np.array([2.0]), np.array([-4.0]), np.array([4.0]), 0.0) for k in range(4)]
+    shaped, unit = Shaped((), np.zeros((1, 0))), np.array([2.0])
+    blocks = [Block(k, slice(k, k + 1), shaped, unit, -2.0 * unit, 2.0 * unit, 0.0) for k in range(4)]
     odds = np.full(4, np.log(EFFECT / (1.0 - EFFECT)))
-    sets = 2000
-    found = chance_of(gram, before, blocks, odds, metrics(gram)[:1], 1.0, sets, np.random.default_rng(5))
+    sets, tried = 2000, metrics(gram)[:1]
+    single = table(blocks, tried, len(odds))
+    nothing = Posterior(blocks, odds, ({},), {frozenset(): 0.0}, single, tuple(tried), np.ones(1), variance=1.0)
+    found = chance_of(nothing, before, sets, np.random.default_rng(5))
     for factor in (3.0, 10.0, 30.0):
         for share in np.mean(found.log_factors >= np.log(factor), axis=1):
             assert share <= 1.0 / factor + 3.0 / np.sqrt(factor * sets)

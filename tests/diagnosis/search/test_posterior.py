@@ -6,9 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram
+from machine_tool_calibration.diagnosis.search.candidates import Shaped
+from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT
+from machine_tool_calibration.estimation.marginal import Gram
 
 N = 60
 
@@ -20,17 +22,13 @@ def searched(
     count = columns.shape[1]
     gram = Gram(
         inner=columns.T @ columns,
-        spread=np.zeros((0, 0)),
-        cross=np.zeros((0, count)),
         data=(columns.T @ readings)[:, None],
-        spread_data=np.zeros((0, 1)),
         squares=np.array([readings @ readings]),
         family=np.zeros(0, dtype=np.int64),
         freedom=N,
     )
-    blocks = [
-        Block(k, slice(k, k + 1), np.array([5.0]), np.array([low]), np.array([np.inf]), 0.0) for k in range(count)
-    ]
+    shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
+    blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, 0.0) for k in range(count)]
     odds = np.full(count, np.log(EFFECT / (1.0 - EFFECT)))
     return search(gram, blocks, odds, side_by_side=side_by_side, pairs_among=range(count))
 
@@ -51,7 +49,7 @@ def test_probabilities_of_all_sets_sum_to_one() -> None:
         for k in range(5):
             alone = sum(p for members, p in zip(found.sets, found.probability, strict=True) if k in members)
             assert found.of(k) == pytest.approx(alone)
-        assert found.of_any(range(5)) + found.without(0, 0) == pytest.approx(
+        assert found.of(*range(5)) + found.without(0, 0) == pytest.approx(
             1.0 - next(p for members, p in zip(found.sets, found.probability, strict=True) if not members)
         )
 
@@ -68,7 +66,7 @@ def test_columns_nearly_alike_share_the_probability() -> None:
     columns, noise = made(2, 4)
     columns[:, 1] = 8.0 * (0.999 * columns[:, 0] / 8.0 + np.sqrt(1.0 - 0.999**2) * columns[:, 1] / 8.0)
     found = searched(columns, noise + 1.2 * columns[:, 0])
-    assert found.of_any([0, 1]) > 0.99
+    assert found.of(0, 1) > 0.99
     assert min(found.of(0), found.of(1)) > 0.2
     # One or the other, not both.
     assert found.of(0) + found.of(1) < 1.2

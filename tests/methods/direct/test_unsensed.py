@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.budget.conformity import conformity
-from machine_tool_calibration.diagnosis.consequence import map_change
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct.map import sensed_axes
 from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
+from machine_tool_calibration.model.result import map_change
 from machine_tool_calibration.plots import direct as pictures
 from machine_tool_calibration.plots.error_map import draw_map
 from machine_tool_calibration.plots.pictures import draw_common

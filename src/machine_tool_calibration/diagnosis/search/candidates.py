@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "opposites", "shaped_at"]
@@ -36,6 +37,10 @@ class Shaped:
     shape: tuple[float, ...]
     columns: Array
     coefficients: tuple[Coefficient, ...] = ()
+
+    def leading(self, count: int) -> Shaped:
+        """Its first columns alone."""
+        return replace(self, columns=self.columns[:count], coefficients=self.coefficients[:count])
 
 
 @dataclass(frozen=True)
@@ -81,15 +86,13 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
     found, excluded = [], {}
     for effect in effects:
         reasons = [effect.why_not(o) for o in pool.observations]
-        if all(reason is not None for reason in reasons):
-            excluded[effect.id] = str(reasons[0])
-            continue
-        shaped = tuple(s for s in _shaped(pool, effect, reasons) if _acts(pool, s))
-        if shaped:
-            acting = next(o for o, reason in zip(pool.observations, reasons, strict=True) if reason is None)
-            found.append(Candidate(effect.id, shaped, effect, effect.shapes_for(acting)))
+        acting = [o for o, reason in zip(pool.observations, reasons, strict=True) if reason is None]
+        shaped = [shaped_at(pool, effect, shape) for shape in _grid(effect, acting)]
+        showing = tuple(s for s in shaped if _acts(pool, s))
+        if showing:
+            found.append(Candidate(effect.id, showing, effect, effect.shapes_for(acting[0])))
         else:
-            excluded[effect.id] = "no reading depends on it"
+            excluded[effect.id] = "no reading depends on it" if acting else str(reasons[0])
     return found, excluded
 
 
@@ -145,12 +148,12 @@ def opposites(candidates: Sequence[Candidate]) -> list[Candidate]:
     return found
 
 
-def _shaped(pool: Pool, effect: Effect, reasons: Sequence[str | None]) -> list[Shaped]:
-    acting = [k for k, reason in enumerate(reasons) if reason is None]
-    grid = sorted({shape for k in acting for shape in effect.shape_grid(pool.observations[k])})
+def _grid(effect: Effect, acting: Sequence[Observations]) -> list[tuple[float, ...]]:
+    """Nonlinear coefficients that are tried for an effect in the sessions in which it can act."""
+    grid = sorted({shape for observations in acting for shape in effect.shape_grid(observations)})
     if len(acting) > 1 and len(grid) > _MOST_SHAPES:
         grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, _MOST_SHAPES).round().astype(int))]
-    return [shaped_at(pool, effect, shape) for shape in grid]
+    return grid
 
 
 def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:

@@ -7,7 +7,6 @@ the space of the candidates' columns: all factorisations are shared.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +14,15 @@ from scipy.linalg import lapack
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, columns_of, metric_at, table
+from machine_tool_calibration.diagnosis.search.evidence import columns_of, table
+from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
+from machine_tool_calibration.estimation.marginal import Gram, Metric, metric_at
 
 __all__ = ["Chance", "chance_of", "null_sets"]
 
+# Share of the evidence from which a size of what does not reproduce counts.
+_MATTERS = 0.01
 # Share of a squared norm below which what is left of it is rounding.
 _ROUNDING = 1e-8
 
@@ -59,18 +62,11 @@ def _told(as_large: Array, log_bound: float) -> float:
 
 
 def null_sets(
-    gram: Gram,
-    before: Array,
-    used: IntArray,
-    metric: Metric,
-    variance: float,
-    sets: int,
-    rng: np.random.Generator,
+    before: Array, used: IntArray, metric: Metric, variance: float, sets: int, rng: np.random.Generator
 ) -> Gram:
     """The same columns with simulated data sets.
 
     Args:
-        gram: inner products with the measured data.
         before: (K + u,) squared norms of candidates' and spread columns before the model was projected off.
         used: columns of which something lies outside the model; the products with all others are left at zero.
         metric: that of the size of what does not reproduce in them.
@@ -78,9 +74,9 @@ def null_sets(
         sets: how many.
         rng: source of random numbers.
     """
-    k = len(used)
-    whole = np.block([[gram.inner[np.ix_(used, used)], gram.cross[:, used].T], [gram.cross[:, used], gram.spread]])
-    scale = np.sqrt(np.append(before[used], before[len(gram.inner) :]))
+    gram, tau, k = metric.gram, metric.tau, len(used)
+    own = np.append(used, gram.spread)
+    whole, scale = gram.inner[np.ix_(own, own)], np.sqrt(before[own])
     scale[scale == 0.0] = 1.0  # a spread that these readings do not show: its products are zero, too
     factor, order, rank, _ = lapack.dpstrf(whole / np.outer(scale, scale), tol=_ROUNDING, lower=1)
     rank = min(int(rank), gram.freedom)
@@ -91,41 +87,27 @@ def null_sets(
     squares = np.sum(draws**2, axis=0)
     if gram.freedom > rank:
         squares += rng.chisquare(gram.freedom - rank, sets)
-    tau = np.array(metric.ratio)[gram.family] if len(metric.ratio) else np.zeros(len(gram.spread))
     size = tau[:, None] * rng.standard_normal((len(tau), sets))
     moved = whole[:, k:] @ size
     squares = squares + 2.0 * np.sum(size * products[k:], axis=0) + np.sum(size * moved[k:], axis=0)
-    drawn = (products + moved) * np.sqrt(variance)
     data = np.zeros((len(gram.inner), sets))
-    data[used] = drawn[:k]
-    return gram.with_data(data, drawn[k:], squares * variance)
+    data[own] = (products + moved) * np.sqrt(variance)
+    return replace(gram, data=data, squares=squares * variance)
 
 
-def chance_of(
-    gram: Gram,
-    before: Array,
-    blocks: Sequence[Block],
-    log_odds: Array,
-    tried: Sequence[Metric],
-    variance: float,
-    sets: int,
-    rng: np.random.Generator,
-) -> Chance:
-    """Simulate and search.
+def chance_of(found: Posterior, before: Array, sets: int, rng: np.random.Generator) -> Chance:
+    """Simulate with the noise and the spread beside the most probable set, and look at every candidate again.
 
     Args:
-        gram: inner products with the measured data.
+        found: in the measured data.
         before: squared norms before the model was projected off, as in `null_sets`.
-        blocks: of all candidates.
-        log_odds: (candidates,) logarithm of the prior odds of each.
-        tried: metrics of the measured data, that of the size of what does not reproduce first.
-        variance: of the noise over that declared.
         sets: simulated data sets.
         rng: source of random numbers.
     """
-    null = null_sets(gram, before, np.unique(columns_of(blocks)), tried[0], variance, sets, rng)
-    folded = [replace(m, half_data=metric_at(null, m.ratio).half_data) for m in tried]
-    factors = table(null, blocks, folded, len(log_odds)).log_factors
-    weights = log_odds[:, None] + factors
+    tried = [metric for metric, share in zip(found.metrics, found.shares, strict=True) if share > _MATTERS]
+    null = null_sets(before, np.unique(columns_of(found.blocks)), tried[0], found.variance, sets, rng)
+    folded = [replace(m, gram=null, half_data=metric_at(null, m.ratio).half_data) for m in tried]
+    factors = table(found.blocks, folded, len(found.log_odds)).log_factors
+    weights = found.log_odds[:, None] + factors
     share = weights.max(axis=0, initial=-np.inf) - np.logaddexp(0.0, logsumexp(weights, axis=0))
-    return Chance(factors, log_odds, float(np.mean(np.exp(share) > ACCEPTED)))
+    return Chance(factors, found.log_odds, float(np.mean(np.exp(share) > ACCEPTED)))

@@ -11,26 +11,19 @@ out, with what was declared as knowledge worth a number of readings.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.effects.effect import Coefficient
-from machine_tool_calibration.estimation.solve import Solution
-from machine_tool_calibration.estimation.variance_components import (
-    DECLARED_WORTH,
-    below,
-    factor_of_sum,
-    fold,
-    log_prior,
-    ratio_grid,
-)
+from machine_tool_calibration.diagnosis.search.candidates import Shaped
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
+from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Block", "Gram", "Metric", "Point", "Table", "columns_of", "metric_at", "metrics", "rounding", "table"]
+__all__ = ["Block", "Point", "Table", "columns_of", "gram_of", "table"]
 
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
@@ -41,6 +34,8 @@ _AT_ONCE = 4e5
 _ABSORBED = 1e-9
 # Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
 _ROUNDED = 1e-7
+# Half the size that a structure without a cause may have, in standard uncertainties of a reading.
+_ANY_SIZE = 50.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +45,7 @@ class Block:
     Attributes:
         candidate: index of the candidate.
         place: where its columns are among all.
+        shaped: these columns.
         unit: (k,) largest plausible size of each coefficient over two: what scales count from.
         low: (k,) smallest plausible value of each.
         high: (k,) largest.
@@ -59,6 +55,7 @@ class Block:
 
     candidate: int
     place: slice
+    shaped: Shaped
     unit: Array
     low: Array
     high: Array
@@ -66,32 +63,24 @@ class Block:
     floor: float = 0.0
 
     @classmethod
-    def of(
-        cls,
-        candidate: int,
-        place: slice,
-        coefficients: Sequence[Coefficient],
-        log_share: float = 0.0,
-        squares: Array | None = None,
-    ) -> Block:
-        """That of an effect, within the limits of its coefficients.
+    def of(cls, candidate: int, place: slice, shaped: Shaped, squares: Array, log_share: float = 0.0) -> Block:
+        """That of an effect, within the limits of its coefficients, or of a structure, whose size is hardly limited.
 
         Args:
             candidate: index of the candidate.
             place: where its columns are among all.
-            coefficients: as many as it has columns.
+            shaped: the columns.
+            squares: (k,) their squared norms before the model was projected off; if zero, no combination is rounding.
             log_share: logarithm of the probability of its nonlinear coefficients.
-            squares: (k,) squared norms of the columns before the model was projected off; without them no combination
-                counts as rounding.
         """
-        low, high = np.array([c.low for c in coefficients]), np.array([c.high for c in coefficients])
-        unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
-        return cls(candidate, place, unit, low, high, log_share, 0.0 if squares is None else rounding(squares, unit))
-
-
-def rounding(squares: Array, unit: Array) -> float:
-    """Squared norm, per unit, below which what a model leaves of columns of such squared norms is rounding."""
-    return _ROUNDED * float((squares * unit**2).max())
+        if shaped.coefficients:
+            low, high = np.array([(c.low, c.high) for c in shaped.coefficients]).T
+            unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+        else:
+            unit = _ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
+            low, high = np.full(len(unit), -np.inf), np.full(len(unit), np.inf)
+        floor = _ROUNDED * float((squares * unit**2).max())
+        return cls(candidate, place, shaped, unit, low, high, log_share, floor)
 
 
 def columns_of(blocks: Iterable[Block]) -> IntArray:
@@ -100,157 +89,32 @@ def columns_of(blocks: Iterable[Block]) -> IntArray:
     return np.concatenate([np.zeros(0, dtype=np.int64), *ranges])
 
 
-@dataclass(frozen=True)
-class Gram:
-    """Inner products outside the model, weighted by the declared uncertainty.
+def gram_of(pool: Pool, projected: Projected) -> Gram:
+    """Inner products of candidates' columns, with the measured data.
 
-    Attributes:
-        inner: (K, K) of all candidates' columns.
-        spread: (u, u) of the columns of what does not reproduce.
-        cross: (u, K) between them.
-        data: (K, B) with each of B data sets; the first is the measured one.
-        spread_data: (u, B).
-        squares: (B,) squared norm of each data set.
-        family: (u,) family of each spread column.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
-        sizes: of the last families, where they are known in their own unit: with their prior probabilities.
-        worth: readings that what is known of the noise is worth; infinite where it is known.
+    Args:
+        pool: the readings.
+        projected: what the model leaves of the columns and, below them, those of the pool's spread.
     """
-
-    inner: Array
-    spread: Array
-    cross: Array
-    data: Array
-    spread_data: Array
-    squares: Array
-    family: IntArray
-    freedom: int
-    sizes: tuple[dict[float, float], ...] = ()
-    worth: float = DECLARED_WORTH
-
-    @classmethod
-    def of(
-        cls, projected: Array, family: IntArray, fitted: Solution, sizes: tuple[dict[float, float], ...] = ()
-    ) -> Gram:
-        """Of the measured data.
-
-        Args:
-            projected: (K + u + 1, K + u + 1) inner products of candidates' columns, spread columns and the residual.
-            family: (u,) family of each spread column.
-            fitted: the model that was projected off.
-            sizes: see there.
-        """
-        k = len(projected) - 1 - len(family)
-        return cls(
-            inner=projected[:k, :k],
-            spread=projected[k:-1, k:-1],
-            cross=projected[k:-1, :k],
-            data=projected[:k, -1:].copy(),
-            spread_data=projected[k:-1, -1:].copy(),
-            squares=np.array([fitted.chi_square]),
-            family=family,
-            freedom=fitted.degrees_of_freedom,
-            sizes=sizes,
-        )
-
-    def with_data(self, data: Array, spread_data: Array, squares: Array) -> Gram:
-        """The same columns with other data sets."""
-        return replace(self, data=data, spread_data=spread_data, squares=squares)
-
-    def with_noise(self, variance: float) -> Gram:
-        """With noise whose variance over that declared is known."""
-        root = np.sqrt(variance)
-        known = replace(self, worth=np.inf)
-        return known.with_data(self.data / root, self.spread_data / root, self.squares / variance)
-
-    def log_likelihood(self, left: Array) -> Array:
-        """Logarithm of the evidence by the squares that are left, up to what all models share.
-
-        That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
-        half of chi-square.
-        """
-        if np.isinf(self.worth):
-            return -0.5 * left
-        return np.asarray(-0.5 * (self.freedom + self.worth) * np.log(self.worth + left))
-
-    def noise(self, left: Array) -> Array:
-        """Variance of the noise by the squares that are left, over that declared, or over the known one."""
-        if np.isinf(self.worth):
-            return np.ones_like(left)
-        return np.asarray((self.worth + left) / (self.worth + self.freedom))
+    fitted, gram = pool.fit.released.solution, projected.gram
+    squares, family = np.array([fitted.chi_square]), pool.spread[1]
+    return Gram(gram[:-1, :-1], gram[:-1, -1:].copy(), squares, family, fitted.degrees_of_freedom, pool.sizes)
 
 
 @dataclass(frozen=True)
 class Point:
-    """A candidate at one set of nonlinear coefficients and one scale."""
+    """A candidate at one set of nonlinear coefficients and one scale.
+
+    Attributes:
+        block: index of the block.
+        scale: of its coefficients, over their units.
+        log_rest: logarithm of the candidate's evidence over that at this point, if signs and sizes that do not occur
+            were not cut off there: as columns that are folded into the metric are not.
+    """
 
     block: int
     scale: float
-
-
-@dataclass(frozen=True)
-class Metric:
-    """The metric for one size of what does not reproduce.
-
-    Attributes:
-        ratio: these sizes, in units of the noise; of the last families, whose sizes are given, in their own.
-        log_prior: of these sizes, and the determinant that they cost.
-        half: (u', K) and half_data (u', B): X^T V^-1 Y = X^T Y - half_X^T half_Y.
-        half_data: see there.
-    """
-
-    ratio: tuple[float, ...]
-    log_prior: float
-    half: Array
-    half_data: Array
-
-    def inner(self, gram: Gram, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
-        """Inner products of columns."""
-        return np.asarray(gram.inner[left][:, right] - self.half[:, left].T @ self.half[:, right])
-
-    def data(self, gram: Gram) -> Array:
-        """(K, B) inner products of all columns with the data."""
-        return np.asarray(gram.data - self.half.T @ self.half_data)
-
-    def squares(self, gram: Gram) -> Array:
-        """(B,) squared norms of the data."""
-        return np.asarray(np.maximum(gram.squares - np.sum(self.half_data**2, axis=0), 1e-12 * gram.squares))
-
-    def log_null(self, gram: Gram) -> Array:
-        """(B,) logarithm of the evidence without any candidate."""
-        return self.log_prior + gram.log_likelihood(self.squares(gram))
-
-    def beside(self, gram: Gram, columns: IntArray, scale: Array) -> Metric:
-        """With columns of given scales (standard deviations of their coefficients) folded in as well."""
-        inner, data = self.inner(gram, columns, slice(None)), self.data(gram)[columns]
-        core = inner[:, columns] * np.outer(scale, scale)
-        lower = factor_of_sum(core)
-        half = below(lower, scale[:, None] * np.column_stack([inner, data]))
-        k = inner.shape[1]
-        return Metric(
-            self.ratio,
-            self.log_prior - float(np.log(np.diag(lower)).sum()),
-            np.concatenate([self.half, half[:, :k]]),
-            np.concatenate([self.half_data, half[:, k:]]),
-        )
-
-
-def metrics(gram: Gram) -> list[Metric]:
-    """One for every size of what does not reproduce."""
-    further = list(product(*(own.items() for own in gram.sizes)))
-    ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1 - len(gram.sizes), len(gram.sizes))
-    return [
-        metric_at(gram, (*ratio, *(size for size, _ in own)), float(prior + sum(np.log(p) for _, p in own)))
-        for ratio, prior in zip(ratios, log_prior(ratios), strict=True)
-        for own in further
-    ]
-
-
-def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:
-    """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    folded = fold(gram.spread, np.column_stack([gram.cross, gram.spread_data]), gram.family, ratio)
-    k = gram.cross.shape[1]
-    return Metric(ratio, prior - 0.5 * folded.log_determinant, folded.half[:, :k], folded.half[:, k:])
+    log_rest: float = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -261,15 +125,12 @@ class Table:
         log_evidence: (candidates, B) logarithm of each candidate's evidence, over all its nonlinear coefficients and
             scales; -inf for one that the model absorbs.
         log_null: (B,) without any.
-        best: the point of each candidate that has most of it in the first data set; None where there is none.
-        log_rest: (candidates,) logarithm of the candidate's evidence over that at this point, if signs and sizes that
-            do not occur were not cut off there: as columns that are folded into the metric are not.
+        best: the point of each candidate that has most of it in the first data set; without absorbed ones.
     """
 
     log_evidence: Array
     log_null: Array
-    best: tuple[Point | None, ...]
-    log_rest: Array
+    best: dict[int, Point]
 
     @property
     def log_factors(self) -> Array:
@@ -277,50 +138,46 @@ class Table:
         return self.log_evidence - self.log_null
 
 
-def table(
-    gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, only: int | None = None
-) -> Table:
+def table(blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, only: int | None = None) -> Table:
     """Evidence of every candidate.
 
     Args:
-        gram: inner products.
         blocks: of all candidates.
         tried: metrics, over which the evidence is summed.
         candidates: how many there are.
         only: the one that is asked for; the others count as absorbed.
     """
-    b = len(gram.squares)
+    gram = tried[0].gram
+    sets = len(gram.squares)
     alike: dict[tuple[int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
         if only is None or block.candidate == only:
             alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
-    data = np.array([metric.data(gram) for metric in tried])
-    squares = np.array([metric.squares(gram) for metric in tried])
-    points: list[list[tuple[float, float, Point]]] = [[] for _ in range(candidates)]
-    evidence = [[np.full(b, -np.inf)] for _ in range(candidates)]
+    # Of each block: its evidence, and that at its best scale, in the first data set with and without the cut.
+    total = np.full((len(blocks), sets), -np.inf)
+    most, uncut, scale = np.full((3, len(blocks)), -np.inf)
     for (size, _), every in alike.items():
         scales = _scales(gram, [blocks[k] for k in every])
-        showing = [(k, own) for k, own in zip(every, scales, strict=True) if len(own)]
-        step = max(int(_AT_ONCE / (len(tried) * size * b)), 1)
-        for mine in (showing[first : first + step] for first in range(0, len(showing), step)):
-            padded = np.full((len(mine), max(len(own) for _, own in mine)), np.nan)
-            for row, (_, own) in enumerate(mine):
-                padded[row, : len(own)] = own
-            logs, uncut = _evidence(gram, [blocks[k] for k, _ in mine], padded, tried, data, squares)
-            share = np.array([blocks[k].log_share - np.log(len(own)) for k, own in mine])
-            logs = np.where(np.isnan(padded)[..., None], -np.inf, logs + share[:, None, None])
-            for (k, own), each, whole, total in zip(mine, logs, uncut, _log_sum(logs.swapaxes(0, 1)), strict=True):
-                at = int(np.argmax(each[:, 0]))
-                evidence[blocks[k].candidate].append(total)
-                points[blocks[k].candidate].append((float(each[at, 0]), float(whole[at]), Point(k, float(own[at]))))
-    total = np.array([_log_sum(np.array(own)) for own in evidence]).reshape(candidates, b)
-    found = [max(own, key=lambda entry: entry[0]) if own else None for own in points]
-    return Table(
-        total,
-        _log_sum(np.array([metric.log_null(gram) for metric in tried])),
-        tuple(None if entry is None else entry[2] for entry in found),
-        np.array([0.0 if f is None else total[k, 0] - f[1] for k, f in enumerate(found)]),
-    )
+        count = np.isfinite(scales).sum(axis=1)
+        showing = np.flatnonzero(count)
+        step = max(int(_AT_ONCE / (len(tried) * size * sets)), 1)
+        for rows in (showing[first : first + step] for first in range(0, len(showing), step)):
+            mine = [every[row] for row in rows]
+            own = scales[rows, : count[rows].max()]
+            logs, whole = _evidence([blocks[k] for k in mine], own, tried)
+            share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
+            logs = np.where(np.isnan(own)[..., None], -np.inf, logs + share[:, None, None])
+            total[mine] = _log_sum(logs.swapaxes(0, 1))
+            at = np.arange(len(mine)), np.argmax(logs[:, :, 0], axis=1)
+            most[mine], uncut[mine], scale[mine] = logs[..., 0][at], whole[at], own[at]
+    log_evidence, best = np.full((candidates, sets), -np.inf), dict[int, Point]()
+    owner = np.array([block.candidate for block in blocks])
+    for candidate in np.unique(owner[most > -np.inf]).tolist():
+        places = np.flatnonzero(owner == candidate)
+        log_evidence[candidate] = _log_sum(total[places])
+        k = int(places[np.argmax(most[places])])
+        best[candidate] = Point(k, float(scale[k]), float(log_evidence[candidate, 0] - uncut[k]))
+    return Table(log_evidence, _log_sum(np.array([metric.log_null for metric in tried])), best)
 
 
 def _log_sum(logs: Array) -> Array:
@@ -336,42 +193,36 @@ def _is_bounded(block: Block) -> bool:
     return bool(np.isfinite(block.low).any() or np.isfinite(block.high).any())
 
 
-def _scales(gram: Gram, blocks: Sequence[Block]) -> list[Array]:
-    """Scales of blocks of as many columns each, from half the plausible size down to where nothing would show.
-
-    None where nothing shows at all.
-    """
+def _scales(gram: Gram, blocks: Sequence[Block]) -> Array:
+    """(blocks, scales) of blocks of as many columns each, from half the plausible size down; NaN where none shows."""
     unit = np.array([block.unit for block in blocks])
     columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
     signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
     steps = np.floor(np.log(np.maximum(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
-    every = SCALE_STEP ** -np.arange(float(_MOST_SCALES))
-    return [every[: int(n) + 1] if shows else every[:0] for n, shows in zip(steps, signal > 0, strict=True)]
+    every = np.arange(float(_MOST_SCALES))
+    shows = (every <= steps[:, None]) & (signal[:, None] > 0)
+    return np.where(shows, SCALE_STEP**-every, np.nan)
 
 
-def _evidence(
-    gram: Gram, blocks: Sequence[Block], scales: Array, tried: Sequence[Metric], data: Array, squares: Array
-) -> tuple[Array, Array]:
+def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Metric]) -> tuple[Array, Array]:
     """Logarithm of the evidence of blocks of as many columns each, summed over the metrics.
 
     Args:
-        gram: inner products.
         blocks: with k columns each.
         scales: (blocks, scales), NaN beyond those of a block.
         tried: metrics.
-        data: (T, K, B) inner products of all columns with the data in each.
-        squares: (T, B).
 
     Returns:
         (blocks, scales, B), and (blocks, scales) of the first data set with signs and sizes that do not occur.
     """
+    gram = tried[0].gram
     unit = np.array([block.unit for block in blocks])
     columns = columns_of(blocks).reshape(unit.shape)
-    inner = np.array([_own(gram, metric, columns) for metric in tried]) * unit[:, :, None] * unit[:, None, :]
+    inner = np.array([_own(metric, columns) for metric in tried]) * unit[:, :, None] * unit[:, None, :]
     values, vectors = np.linalg.eigh((inner + inner.swapaxes(2, 3)) / 2.0)
     values = np.maximum(values, 0.0)
-    along = vectors.swapaxes(2, 3) @ (data[:, columns] * unit[:, :, None])
+    along = vectors.swapaxes(2, 3) @ np.array([metric.data[columns] * unit[:, :, None] for metric in tried])
     # What lies in the model's span has rounding only.
     floor = np.array([block.floor for block in blocks])[None, :, None]
     absorbed = values <= np.maximum(floor, _ABSORBED * values[..., -1:])
@@ -379,8 +230,8 @@ def _evidence(
     s2 = scales[None, :, :, None] ** 2
     grown = 1.0 + s2 * values[:, :, None, :]
     gain = s2 / grown
-    left = squares[:, None, None] - gain @ along**2
-    left = np.maximum(left, 1e-12 * squares[:, None, None])
+    squares = np.array([metric.squares for metric in tried])[:, None, None]
+    left = np.maximum(squares - gain @ along**2, NOTHING * squares)
     prior = np.array([metric.log_prior for metric in tried])[:, None, None]
     value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] + gram.log_likelihood(left)
     uncut = _log_sum(value[..., 0])
@@ -418,7 +269,7 @@ def _log_between(low: Array, high: Array) -> Array:
     return np.asarray(out)
 
 
-def _own(gram: Gram, metric: Metric, columns: IntArray) -> Array:
+def _own(metric: Metric, columns: IntArray) -> Array:
     """(blocks, k, k) inner products of each block's own columns."""
     half = metric.half[:, columns.reshape(-1)].reshape(len(metric.half), *columns.shape).transpose(1, 2, 0)
-    return np.asarray(gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))
+    return np.asarray(metric.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))

@@ -3,55 +3,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, opposites
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, opposites
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metric_at, rounding
-from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of
+from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
+from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of, fitted_in
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
+from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
-from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.model import POINTS, Parameter
+from machine_tool_calibration.model.fit import JointFit, absorbed_by
+from machine_tool_calibration.model.model import Parameter
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Absorbed", "Look", "Structure", "absorbed_by", "look_at"]
-
-
-def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Parameter, ...]:
-    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings.
-
-    Args:
-        fit: of the model.
-        projected: with the effect's columns.
-        columns: which they are.
-    """
-    raw = np.maximum(projected.squares[columns], 1e-300)
-    left = projected.after_points[columns]
-    if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):
-        return (POINTS,)
-    change = np.abs(projected.response[:, columns]) / np.sqrt(raw)
-    weight = (change / np.sqrt(np.maximum(np.diag(fit.solution.covariance), 1e-300))[:, None]).max(axis=1)
-    first: dict[str, Parameter] = {}
-    most: dict[str, float] = {}
-    for parameter, value in zip(fit.assembly.parameters, weight, strict=True):
-        first.setdefault(parameter.family, parameter)
-        most[parameter.family] = max(most.get(parameter.family, 0.0), float(value))
-    return tuple(first[family] for family in sorted(most, key=lambda family: -most[family])[:3])
+__all__ = ["Absorbed", "Look", "Structure", "look_at"]
 
 
 # Chance below which a structure is named, and below which places that differ more than their repeats are.
 _TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
-# Share of the evidence from which a size of what does not reproduce counts in simulated data sets.
-_MATTERS = 0.01
 # Numbers of first coefficients of an effect that are tried alone.
 _LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
@@ -138,21 +115,6 @@ class Look:
         return next(f for f in self.findings if f.name == effect)
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Everything that is looked for, outside the model."""
-
-    pool: Pool
-    candidates: list[Candidate]
-    effects: int
-    gram: Gram
-    blocks: list[Block]
-    shaped: list[tuple[int, int]]
-    projected: Projected
-    before: Array
-    seen: list[bool]
-
-
 def look_at(
     fit: JointFit,
     candidates: Sequence[Candidate],
@@ -173,30 +135,23 @@ def look_at(
         side_by_side: whether many effects are expected at once.
     """
     columns = _columns(Pool(fit), candidates, structures)
-    visible = max(sum(columns.seen[: columns.effects]), 1)
-    prior = np.full(len(columns.candidates), STRUCTURE)
-    prior[: columns.effects] = min(EFFECT, 1.0 / visible)
-    log_odds = np.log(prior / (1.0 - prior))
-    among = [k for k, seen in enumerate(columns.seen) if seen and k < columns.effects]
-    found = search(
-        columns.gram,
-        columns.blocks,
-        log_odds,
-        side_by_side=side_by_side,
-        pairs_among=among,
-        apart=_apart(columns.candidates),
-    )
-    odds = np.where(columns.seen, log_odds, -np.inf)
-    tried = [metric for share, metric in sorted(found.weights, key=lambda entry: -entry[0]) if share > _MATTERS]
-    chance = chance_of(columns.gram, columns.before, columns.blocks, odds, tried, found.variance, sets, rng)
+    effects = [k for k in columns.seen if k < len(candidates)]
+    log_odds = np.full(len(columns.candidates), -np.inf)
+    for k in columns.seen:
+        prior = min(EFFECT, 1.0 / len(effects)) if k in effects else STRUCTURE
+        log_odds[k] = np.log(prior / (1.0 - prior))
+    apart = _apart(columns)
+    found = search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
+    chance = chance_of(found, columns.before, sets, rng)
     findings = _findings(columns, found, chance)
-    groups = alias_groups(findings, columns.gram, found, {c.name: k for k, c in enumerate(columns.candidates)})
-    unknown = range(columns.effects, len(columns.candidates))
+    groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
-    accepted = _accepted(findings, groups, found, columns) if still else ()
+    accepted = _accepted(findings, groups, found, columns.place) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
-    structure = _structure(columns, found, chance, (), noise) if still else ()
-    without_cause, expected = _without_cause(columns, found)
+    structure = (_structure(columns, found, chance, ()) or _of_places(fit, noise)) if still else ()
+    without_cause = [point for k, point in found.best.items() if k >= len(candidates)]
+    further = [columns.blocks[point.block].shaped.columns for point in without_cause]
+    expected = [columns.blocks[point.block].unit * point.scale for point in without_cause]
     return Look(
         fit=fit,
         noise=noise,
@@ -204,193 +159,176 @@ def look_at(
         groups=groups,
         absorbed=_absorbed(columns),
         structure=structure,
-        unknown=found.of_any(unknown) if still else 0.0,
+        unknown=found.of(*range(len(candidates), len(columns.candidates))) if still else 0.0,
         accepted=accepted,
-        left=_structure(columns, found, chance, accepted, noise) if accepted else structure,
+        left=_structure(columns, found, chance, accepted) if accepted else structure,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
-        spread=dict(zip(columns.pool.spread[2], found.metric.ratio, strict=True)),
+        spread=dict(zip(columns.pool.spread[2], found.metrics[0].ratio, strict=True)),
         variance=found.variance,
-        without_cause=without_cause,
-        expected=expected,
+        without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *further]),
+        expected=np.concatenate([np.zeros(0), *expected]),
     )
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Everything that is looked for, outside the model.
+
+    Attributes:
+        pool: the readings.
+        candidates: effects, then what has no cause.
+        effects: how many effects there are.
+        projected: what the model leaves of all columns of all candidates, and of those of what does not reproduce.
+        before: squared norms of the same before that.
+        gram: inner products.
+        blocks: of what the model does not absorb.
+    """
+
+    pool: Pool
+    candidates: list[Candidate]
+    effects: int
+    projected: Projected
+    before: Array
+    gram: Gram
+    blocks: list[Block]
+
+    @property
+    def place(self) -> dict[str, int]:
+        """Number of each candidate, by name."""
+        return {candidate.name: k for k, candidate in enumerate(self.candidates)}
+
+    @property
+    def seen(self) -> list[int]:
+        """Numbers of the candidates that the model does not absorb."""
+        return sorted({block.candidate for block in self.blocks})
 
 
 def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
     every = [*candidates, *opposites(candidates), *structures]
-    spread, family, _ = pool.spread
-    stacked = [s.columns for c in every for s in c.shapes]
-    columns = np.concatenate([np.zeros((0, len(pool))), *stacked, spread])
-    projected = pool.screen(columns)
-    k = len(columns) - len(spread)
-    gram = Gram.of(projected.gram, family, pool.fit.released.solution, pool.sizes)
+    columns = np.concatenate([np.zeros((0, len(pool))), *(s.columns for c in every for s in c.shapes)])
+    projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
+    gram, k = gram_of(pool, projected), len(columns)
     # What does not vary within the runs has rounding there.
-    before = np.maximum(pool.within_runs(columns[:k]), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
-    blocks, shaped, seen, first = [], [], [], 0
+    before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
+    blocks, first = [], 0
     for c, candidate in enumerate(every):
-        own, least = [], _least(candidate, candidates)
-        for j, s in enumerate(candidate.shapes):
-            place = slice(first, first + len(s.columns))
-            scale = np.sqrt(before[place])
-            outside = gram.inner[place, place] / np.outer(scale, scale)
-            leading = _leading(candidate, place, least)
-            for part in leading:
-                # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
-                # their share of the probability, and nothing shows them.
-                ahead = slice(0, part.stop - first)
-                if np.linalg.eigvalsh(outside[ahead, ahead])[-1] > _ABSORBED:
-                    own.append((_block(c, candidate, j, part, before[part], len(leading)), (c, j)))
-            first = place.stop
-        seen.append(bool(own))
-        blocks += [block for block, _ in own]
-        shaped += [at for _, at in own]
-    whole = _Columns(
-        pool, every, len(candidates), gram, blocks, shaped, projected, np.append(before, projected.squares[k:-1]), seen
-    )
-    return _without_repeated(whole)
+        for shaped in candidate.shapes:
+            # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
+            # their share of the probability, and nothing shows them.
+            leading = _leading(candidate, len(shaped.columns), candidates)
+            for count in leading:
+                place = slice(first, first + count)
+                squares = before[place]
+                if np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1] > _ABSORBED:
+                    share = -float(np.log(candidate.count * len(leading)))
+                    blocks.append(Block.of(c, place, shaped.leading(count), squares, share))
+            first += len(shaped.columns)
+    blocks = _without_repeated(blocks, gram.inner, len(candidates))
+    return _Columns(pool, every, len(candidates), projected, np.append(before, projected.squares[k:-1]), gram, blocks)
 
 
-def _apart(candidates: Sequence[Candidate]) -> list[frozenset[int]]:
+def _apart(columns: _Columns) -> list[frozenset[int]]:
     """Pairs of effects of which one contains the other."""
-    place = {candidate.name: k for k, candidate in enumerate(candidates)}
-    return [frozenset((k, place[name])) for k, c in enumerate(candidates) for name in c.contains if name in place]
+    place = columns.place
+    every = enumerate(columns.candidates)
+    return [frozenset((k, place[name])) for k, c in every for name in c.contains if name in place]
 
 
-def _least(candidate: Candidate, others: Sequence[Candidate]) -> int:
-    """Columns from which on an effect is more than those that it contains: fewer would be one of these again."""
-    least = 1
-    for other in others:
-        if other.name in candidate.contains:
-            own = other.shapes[0].columns
-            if np.allclose(candidate.shapes[0].columns[: len(own)], own, atol=1e-12):
-                least = max(least, len(own) + 1)
-    return least
+def _leading(candidate: Candidate, count: int, others: Sequence[Candidate]) -> list[int]:
+    """Numbers of columns that are tried: all, and the first few alone, as of a series the others are often nothing.
 
-
-def _leading(candidate: Candidate, place: slice, least: int) -> list[slice]:
-    """All columns of an effect, and the first few alone: of a series, the further coefficients are often nothing."""
-    count = place.stop - place.start
+    So few that it is one of the effects that it contains are left out.
+    """
     if candidate.effect is None or candidate.effect.setup_level:
-        return [place]
-    return [slice(place.start, place.start + k) for k in (*(k for k in _LEADING if least <= k < count), count)]
+        return [count]
+    least, first = 1, candidate.shapes[0].columns
+    for own in (other.shapes[0].columns for other in others if other.name in candidate.contains):
+        if np.allclose(first[: len(own)], own, atol=1e-12):
+            least = max(least, len(own) + 1)
+    return [*(k for k in _LEADING if least <= k < count), count]
 
 
-def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: Array, parts: int) -> Block:
-    """Limits are those of the effect's coefficients; a structure's may be a hundred standard uncertainties."""
-    whole = candidate.shapes[shape]
-    share = -float(np.log(candidate.count * parts))
-    if not whole.coefficients:
-        unit = 50.0 / np.sqrt(squares / max(whole.columns.shape[1], 1))
-        never = np.full(len(unit), np.inf)
-        return Block(index, place, unit, -never, never, share, rounding(squares, unit))
-    return Block.of(index, place, whole.coefficients[: place.stop - place.start], share, squares)
+def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:
+    """Without structures that lie in the span of an effect: they are that effect.
 
-
-def _without_repeated(columns: _Columns) -> _Columns:
-    """Without structures that lie in the span of an effect: they are that effect."""
-    gram, effects = columns.gram.inner, columns.effects
-    bases = [basis_of(gram, block.place) for block in columns.blocks]
-    mine = [k for k, block in enumerate(columns.blocks) if block.candidate < effects]
-    free = [not candidate.shapes[0].coefficients for candidate in columns.candidates]
-    others = [k for k, block in enumerate(columns.blocks) if free[block.candidate]]
-    if not mine or not others:
-        return columns
+    Args:
+        blocks: of all candidates.
+        inner: (K, K) inner products of all columns.
+        effects: how many of the candidates are effects: the first ones.
+    """
+    mine = [block for block in blocks if block.candidate < effects]
+    free = [block for block in blocks if not block.shaped.coefficients]
+    if not mine or not free:
+        return blocks
     # Columns of all structures in their own orthonormal directions, side by side.
-    rank = np.array([bases[k].shape[1] for k in others])
+    bases = [basis_of(inner[block.place, block.place]) for block in free]
+    rank = np.array([basis.shape[1] for basis in bases])
     ends = np.append(0, np.cumsum(rank))
-    joined = np.concatenate([gram[:, columns.blocks[k].place] @ bases[k] for k in others], axis=1)
-    repeated = np.zeros(len(others), dtype=bool)
-    for k in mine:
-        squares = np.sum((bases[k].T @ joined[columns.blocks[k].place]) ** 2, axis=0)
+    joined = np.concatenate([inner[:, b.place] @ basis for b, basis in zip(free, bases, strict=True)], axis=1)
+    repeated = np.zeros(len(free), dtype=bool)
+    for block in mine:
+        basis = basis_of(inner[block.place, block.place])
+        squares = np.sum((basis.T @ joined[block.place]) ** 2, axis=0)
         taken = np.diff(np.append(0.0, np.cumsum(squares))[ends])
-        repeated |= (bases[k].shape[1] >= rank) & (taken >= THE_SAME**2 * rank)
-    gone = {o for j, o in enumerate(others) if repeated[j]}
-    kept = [k for k in range(len(columns.blocks)) if k not in gone]
-    alive = {columns.blocks[k].candidate for k in kept}
-    return replace(
-        columns,
-        blocks=[columns.blocks[k] for k in kept],
-        shaped=[columns.shaped[k] for k in kept],
-        seen=[k in alive for k in range(len(columns.candidates))],
-    )
-
-
-def _without_cause(columns: _Columns, found: Posterior) -> tuple[Array, Array]:
-    """Columns of the structures in the most probable set, and what is expected of their coefficients."""
-    stacked, expected = [np.zeros((0, len(columns.pool)))], [np.zeros(0)]
-    for k, member in found.best.items():
-        if k >= columns.effects:
-            stacked.append(columns.candidates[k].shapes[columns.shaped[member.point.block][1]].columns)
-            expected.append(columns.blocks[member.point.block].unit * member.point.scale)
-    return np.concatenate(stacked), np.concatenate(expected)
+        repeated |= (basis.shape[1] >= rank) & (taken >= THE_SAME**2 * rank)
+    others = [block for block in blocks if block.shaped.coefficients]
+    return others + [block for block, known in zip(free, repeated, strict=True) if not known]
 
 
 def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:
-    out = []
-    families = len(found.metric.ratio) - len(columns.gram.sizes)
-    plain = metric_at(columns.gram, (0.0,) * families + found.metric.ratio[families:])
-    for k, candidate in enumerate(columns.candidates[: columns.effects]):
-        point = found.best[k].point if k in found.best else found.single.best[k]
-        place, shape = None, candidate.shapes[0]
-        if point is not None:
-            place, shape = columns.blocks[point.block].place, candidate.shapes[columns.shaped[point.block][1]]
-            count = place.stop - place.start
-            shape = Shaped(shape.shape, shape.columns[:count], shape.coefficients[:count])
-        out.append(finding_of(k, candidate, shape, place, columns.pool, columns.gram, plain, found, chance))
+    ratio, families = found.metrics[0].ratio, len(found.metrics[0].ratio) - len(columns.gram.sizes)
+    plain = metric_at(columns.gram, (0.0,) * families + ratio[families:])
+    effects = enumerate(columns.candidates[: columns.effects])
+    out = [finding_of(k, candidate, columns.pool, plain, found, chance) for k, candidate in effects]
     # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
     return tuple(sorted(out, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
 
 
 def _accepted(
-    findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, columns: _Columns
+    findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, place: Mapping[str, int]
 ) -> tuple[str, ...]:
     """Effects that are in more likely than not; of a group of which some member is, its most probable one."""
-    place = {candidate.name: k for k, candidate in enumerate(columns.candidates[: columns.effects])}
     sure = [f.name for f in findings if f.probability > ACCEPTED]
     for group in groups:
-        if not set(group) & set(sure) and found.of_any([place[name] for name in group]) > ACCEPTED:
+        if not set(group) & set(sure) and found.of(*(place[name] for name in group)) > ACCEPTED:
             sure.append(group[0])
     return tuple(sorted(sure, key=lambda name: -found.log_factor(place[name])))
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
-    out, first = [], 0
+    out, first, seen = [], 0, columns.seen
     for k, candidate in enumerate(columns.candidates[: columns.effects]):
         place = slice(first, first + len(candidate.shapes[0].columns))
         first += sum(len(s.columns) for s in candidate.shapes)
-        if not columns.seen[k]:
+        if k not in seen:
             out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit.released, columns.projected, place)))
     return tuple(out)
 
 
-def _structure(
-    columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str], noise: Sequence[Noise]
-) -> tuple[Structure, ...]:
+def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
-    place = {candidate.name: k for k, candidate in enumerate(columns.candidates)}
-    beside, squares = found.beside([place[name] for name in accepted], columns.gram, columns.blocks)
+    tried = found.beside([columns.place[name] for name in accepted])
+    beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
     out = []
-    for k in range(columns.effects, len(columns.candidates)):
-        point = beside.best[k]
-        if point is None:
-            continue
-        p = chance.paid(k, float(beside.log_factors[k, 0]))
+    for k, point in beside.best.items():
+        log_factor = float(beside.log_factors[k, 0])
+        p = chance.paid(k, log_factor)
         # Paid for by the structures' prior against all others: what no effect says.
-        if p <= _TOLD:
-            c, j = columns.shaped[point.block]
-            covariate, shape = _words(columns.candidates[c], j)
-            out.append((p, -float(beside.log_factors[k, 0]), Structure(covariate, shape, p, squares[k])))
-    told = [structure for _, _, structure in sorted(out, key=lambda entry: entry[:2])]
-    return tuple(told) if told or accepted else _of_places(columns.pool.fit, noise)
+        if k >= columns.effects and p <= _TOLD:
+            block = columns.blocks[point.block]
+            taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
+            words = _words(columns.candidates[k].name, block.shaped.shape)
+            out.append((p, -log_factor, Structure(*words, p, taken / float(tried[0].squares[0]))))
+    return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
-def _words(candidate: Candidate, shape: int) -> tuple[str, str]:
-    covariate, words = candidate.name.rsplit(": ", 1)
-    nonlinear = candidate.shapes[shape].shape
-    if not nonlinear:
-        return covariate, words
-    return covariate, f"{words} {nonlinear[0]:.3g}{' s' if covariate.endswith('time') else ' readings'}"
+def _words(name: str, shape: tuple[float, ...]) -> tuple[str, str]:
+    """Covariate and shape of a structure, which may have a nonlinear coefficient."""
+    covariate, words = name.rsplit(": ", 1)
+    unit = "s" if covariate.endswith("time") else "readings"
+    return covariate, " ".join([words, *(f"{value:.3g} {unit}" for value in shape)])
 
 
 def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
@@ -406,8 +344,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
 
 def _named_sets(columns: _Columns, found: Posterior) -> tuple[tuple[tuple[str, ...], float], ...]:
     total: dict[tuple[str, ...], float] = {}
-    for members, p in zip(found.sets, found.probability, strict=True):
-        names = {columns.candidates[k].name if k < columns.effects else "unknown" for k in members}
-        key = tuple(sorted(names))
-        total[key] = total.get(key, 0.0) + float(p)
+    for members, p in zip(found.sets, found.probability.tolist(), strict=True):
+        key = tuple(sorted({columns.candidates[k].name if k < columns.effects else "unknown" for k in members}))
+        total[key] = total.get(key, 0.0) + p
     return tuple(sorted(total.items(), key=lambda entry: -entry[1]))

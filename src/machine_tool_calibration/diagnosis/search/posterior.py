@@ -10,25 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import (
-    Block,
-    Gram,
-    Metric,
-    Point,
-    Table,
-    columns_of,
-    metrics,
-    table,
-)
+from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
 from machine_tool_calibration.diagnosis.search.priors import LIKELY
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric, metrics
 
-__all__ = ["Member", "Posterior", "search"]
+__all__ = ["Posterior", "search"]
 
 # Sizes of what does not reproduce that no set makes more probable than this share of all are left out.
 _COUNTS = 1e-4
@@ -40,17 +33,8 @@ _MOST, _MOST_SIDE_BY_SIDE = 5, 14
 _HOPELESS = -7.0
 
 
-@dataclass(frozen=True)
-class Member:
-    """A candidate in a set, at the point at which it is.
-
-    Attributes:
-        point: block and scale.
-        log_rest: logarithm of its evidence over all its points to that at this one.
-    """
-
-    point: Point
-    log_rest: float
+Members = dict[int, Point]
+"""The candidates in a set, each at the point at which it is."""
 
 
 @dataclass(frozen=True)
@@ -58,55 +42,46 @@ class Posterior:
     """Probabilities of sets of candidates.
 
     Attributes:
-        sets: with the members at their best points, the most probable first.
-        probability: (sets,) of each; they sum to 1.
-        single: every candidate by itself.
-        metric: that of the size of what does not reproduce which is most probable beside the best set.
-        weights: of the sizes of what does not reproduce beside the best set, and these metrics.
-        variance: of the noise beside the best set, over that declared.
-        log_weights: logarithm of the evidence of each set times its prior odds.
+        blocks: of all candidates.
         log_odds: (candidates,) logarithm of the prior odds.
+        sets: with the members at their best points, the most probable first.
+        log_weights: logarithm of the evidence of each set times its prior odds, in the same order.
+        single: every candidate by itself.
+        metrics: those that matter, the most probable beside the best set first.
+        shares: (metrics,) probability of each beside the best set.
+        variance: of the noise beside the best set, over that declared.
     """
 
-    sets: tuple[dict[int, Member], ...]
-    probability: Array
-    single: Table
-    metric: Metric
-    weights: tuple[tuple[float, Metric], ...]
-    variance: float
-    log_weights: dict[frozenset[int], float]
+    blocks: Sequence[Block]
     log_odds: Array
+    sets: tuple[Members, ...]
+    log_weights: dict[frozenset[int], float]
+    single: Table
+    metrics: tuple[Metric, ...]
+    shares: Array
+    variance: float
 
-    def beside(self, accepted: Collection[int], gram: Gram, blocks: Sequence[Block]) -> tuple[Table, Array]:
-        """Every candidate beside accepted members of the best set, and the share of the squares that each takes."""
-        members = {k: self.best.get(k) or _member(self.single, k) for k in accepted}
-        tried = _beside(gram, blocks, [m for _, m in self.weights], members)
-        found = table(gram, blocks, tried, len(self.log_odds)) if members else self.single
-        metric = tried[int(np.argmax([w for w, _ in self.weights]))]
-        data, squares = metric.data(gram)[:, 0], float(metric.squares(gram)[0])
-        shares = np.zeros(len(self.log_odds))
-        for k, point in enumerate(found.best):
-            if point is not None:
-                own = blocks[point.block].place
-                inner = metric.inner(gram, own, own)
-                taken = float(data[own] @ np.linalg.pinv(inner, rcond=1e-9, hermitian=True) @ data[own])
-                shares[k] = taken / squares
-        return found, shares
+    @cached_property
+    def probability(self) -> Array:
+        """(sets,) of each; they sum to 1."""
+        logs = np.array(list(self.log_weights.values()))
+        return np.asarray(np.exp(logs - logsumexp(logs)))
 
-    def of(self, candidate: int) -> float:
-        """Probability that a candidate is in."""
-        return self.of_any([candidate])
+    @property
+    def best(self) -> Members:
+        """The most probable set."""
+        return self.sets[0]
 
-    def of_any(self, candidates: Sequence[int]) -> float:
+    def beside(self, accepted: Collection[int]) -> list[Metric]:
+        """The metrics with candidates folded in, each at its point in the best set, or where it is best alone."""
+        members = {k: self.best.get(k) or self.single.best[k] for k in accepted}
+        return _beside(self.blocks, self.metrics, members)
+
+    def of(self, *candidates: int) -> float:
         """Probability that some of these candidates are in."""
         wanted = set(candidates)
         total = float(sum(p for s, p in zip(self.sets, self.probability, strict=True) if wanted & set(s)))
         return min(total, 1.0)
-
-    @property
-    def best(self) -> dict[int, Member]:
-        """The most probable set."""
-        return self.sets[0]
 
     def log_factor(self, candidate: int) -> float:
         """Logarithm of a candidate's Bayes factor: beside the rest of the best set if it is in there, else alone."""
@@ -128,56 +103,58 @@ class Posterior:
 
 @dataclass
 class _Search:
-    gram: Gram
+    """The sets tried so far: by their members the logarithm of the weight, and the points."""
+
     blocks: Sequence[Block]
     log_odds: Array
-    tried: list[Metric]
-    apart: Sequence[frozenset[int]] = ()
-    found: dict[frozenset[int], tuple[float, dict[int, Member]]] = field(default_factory=dict)
-    grown: set[frozenset[tuple[int, Point]]] = field(default_factory=set)
-
-    def keep(self, members: dict[int, Member], log_weight: float) -> None:
-        key = frozenset(members)
-        if key not in self.found or self.found[key][0] < log_weight:
-            self.found[key] = (log_weight, members)
+    tried: Sequence[Metric]
+    apart: Sequence[frozenset[int]]
+    found: dict[frozenset[int], tuple[float, Members]] = field(default_factory=dict)
+    grown: dict[frozenset[tuple[int, Point]], Table] = field(default_factory=dict)
 
     def may_stand(self, members: Collection[int]) -> bool:
         """Whether no member of a set is a special case of another."""
         return not any(pair <= set(members) for pair in self.apart)
 
-    def prior(self, members: dict[int, Member]) -> float:
+    def prior(self, members: Members) -> float:
         """Logarithm of the members' prior odds, with what their other points than these add."""
-        return sum(float(self.log_odds[k]) + m.log_rest for k, m in members.items())
+        return sum(float(self.log_odds[k]) + point.log_rest for k, point in members.items())
 
-    def table_beside(self, members: dict[int, Member], only: int | None = None) -> Table:
-        """Every candidate, or only one, beside the members."""
-        tried = _beside(self.gram, self.blocks, self.tried, members)
-        return table(self.gram, self.blocks, tried, len(self.log_odds), only=only)
+    def beside(self, members: Members) -> list[Metric]:
+        """The metrics with members folded in."""
+        return _beside(self.blocks, self.tried, members)
 
-    def grow(self, members: dict[int, Member]) -> Table:
+    def grow(self, members: Members) -> Table:
         """Every other candidate beside the members; each makes a set."""
-        self.grown.add(_points(members))
-        beside = self.table_beside(members)
-        self.keep(members, self.prior(members) + float(beside.log_null[0]))
-        for k in range(len(beside.best)):
-            if k not in members:
-                self.keep_beside(members, k, beside)
-        return beside
+        key = frozenset(members.items())
+        if key not in self.grown:
+            self.grown[key] = beside = table(self.blocks, self.beside(members), len(self.log_odds))
+            self._keep(members, self.prior(members) + float(beside.log_null[0]))
+            for k in beside.best:
+                if k not in members:
+                    self._keep_beside(members, k, beside)
+        return self.grown[key]
 
-    def keep_beside(self, members: dict[int, Member], k: int, beside: Table) -> None:
-        """The set of some members and another candidate, from the table beside these members."""
-        point = beside.best[k]
-        if point is not None and self.may_stand({*members, k}):
-            weight = self.prior(members) + self.log_odds[k] + float(beside.log_evidence[k, 0])
-            self.keep({**members, k: Member(point, float(beside.log_rest[k]))}, weight)
-
-    def polish(self, members: dict[int, Member]) -> None:
-        """Every member of a set at the point that is best beside the others."""
-        for k in list(members):
-            others = {j: m for j, m in members.items() if j != k}
+    def polished(self, key: frozenset[int]) -> Members:
+        """A set with every member at the point that is best beside the others."""
+        for k in self.found[key][1] if len(key) > 1 else ():
+            others = {j: point for j, point in self.found[key][1].items() if j != k}
             # Of the set alone: what rules out signs of the others was judged beside this member.
-            self.keep_beside(others, k, self.table_beside(others, only=k))
-            members = self.found[frozenset(members)][1]
+            beside = table(self.blocks, self.beside(others), len(self.log_odds), only=k)
+            if k in beside.best:
+                self._keep_beside(others, k, beside)
+        return self.found[key][1]
+
+    def _keep_beside(self, members: Members, k: int, beside: Table) -> None:
+        """The set of some members and another candidate, from the table beside these members."""
+        if self.may_stand({*members, k}):
+            weight = self.prior(members) + self.log_odds[k] + float(beside.log_evidence[k, 0])
+            self._keep({**members, k: beside.best[k]}, weight)
+
+    def _keep(self, members: Members, log_weight: float) -> None:
+        key = frozenset(members)
+        if key not in self.found or self.found[key][0] < log_weight:
+            self.found[key] = (log_weight, members)
 
 
 def search(
@@ -199,128 +176,81 @@ def search(
         pairs_among: candidates of which all pairs are tried.
         apart: pairs of candidates of which one is a special case of the other: no set holds both.
     """
-    work = _Search(gram, blocks, log_odds, metrics(gram), apart=apart)
-    nothing = np.array([metric.log_null(gram)[0] for metric in work.tried])
+    work = _Search(blocks, log_odds, metrics(gram), apart)
     single = work.grow({})
-    work.tried = _worth(work, single, nothing)
-    for i, j in _best_pairs(work, single, pairs_among):
+    work.tried = _worth(work, single)
+    for pair in _best_pairs(work, single, pairs_among):
         # Each at the point that is best beside the other.
-        for first in ({i: _member(single, i)}, {j: _member(single, j)}):
-            if _points(first) not in work.grown:
-                work.grow(first)
-    grown: set[frozenset[int]] = {frozenset()}
-    most = _MOST_SIDE_BY_SIDE if side_by_side else _MOST
+        for k in pair:
+            work.grow({k: single.best[k]})
+    most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST, _GROWN)
+    done = {frozenset[int]()}
     while True:
-        ranked = sorted(work.found.items(), key=lambda entry: -entry[1][0])
-        top = ranked[0][1][0]
-        among = ranked[: 1 if side_by_side else _GROWN]
-        ready = [
-            (key, value) for key, value in among if key not in grown and len(key) < most and value[0] - top > _HOPELESS
-        ]
+        ranked = sorted(work.found, key=lambda key: -work.found[key][0])
+        least = work.found[ranked[0]][0] + _HOPELESS
+        ready = [k for k in ranked[:width] if k not in done and len(k) < most and work.found[k][0] > least]
         if not ready:
             break
-        key, (_, members) = ready[0]
-        grown.add(key)
-        if len(members) > 1:
-            work.polish(members)
-            members = work.found[key][1]
-        if _points(members) not in work.grown:
-            work.grow(members)
-    return _posterior(work, single)
+        done.add(ready[0])
+        work.grow(work.polished(ready[0]))
+    beside = work.beside(work.found[ranked[0]][1])
+    logs = np.array([metric.log_null[0] for metric in beside])
+    shares = np.exp(logs - logsumexp(logs))
+    order = np.argsort(-shares, kind="stable")
+    return Posterior(
+        blocks=blocks,
+        log_odds=log_odds,
+        sets=tuple(work.found[key][1] for key in ranked),
+        log_weights={key: work.found[key][0] for key in ranked},
+        single=single,
+        metrics=tuple(work.tried[k] for k in order),
+        shares=shares[order],
+        variance=float(shares @ [metric.squares[0] for metric in beside]) / max(gram.freedom, 1),
+    )
 
 
-def _points(members: dict[int, Member]) -> frozenset[tuple[int, Point]]:
-    return frozenset((k, member.point) for k, member in members.items())
-
-
-def _member(single: Table, k: int) -> Member:
-    point = single.best[k]
-    assert point is not None
-    return Member(point, float(single.log_rest[k]))
-
-
-def _worth(work: _Search, single: Table, nothing: Array) -> list[Metric]:
+def _worth(work: _Search, single: Table) -> list[Metric]:
     """Sizes of what does not reproduce that matter, with nothing or with one of the best candidates."""
-    keep = nothing > logsumexp(nothing) + np.log(_COUNTS)
-    for k in np.argsort(-(single.log_evidence[:, 0] + work.log_odds))[:_GROWN]:
-        if single.best[k] is None:
-            continue
-        beside = _beside(work.gram, work.blocks, work.tried, {int(k): _member(single, int(k))})
-        values = np.array([metric.log_null(work.gram)[0] for metric in beside])
+    best = sorted(single.best, key=lambda k: -float(single.log_evidence[k, 0] + work.log_odds[k]))[:_GROWN]
+    keep = np.zeros(len(work.tried), dtype=bool)
+    for members in ({}, *({k: single.best[k]} for k in best)):
+        values = np.array([metric.log_null[0] for metric in work.beside(members)])
         keep |= values > logsumexp(values) + np.log(_COUNTS)
     return [metric for metric, good in zip(work.tried, keep, strict=True) if good]
 
 
 def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tuple[int, int]]:
     """Pairs that together do better than the best single, at the points where each is best alone."""
-    mine = [k for k in among if single.best[k] is not None]
-    if len(mine) < 2:
-        return []
-    widths = {k: len(work.blocks[_member(single, k).point.block].unit) for k in mine}
-    pairs = [pair for pair in combinations(mine, 2) if work.may_stand(pair)]
+    points = {k: single.best[k] for k in among if k in single.best}
+    pairs = [pair for pair in combinations(points, 2) if work.may_stand(pair)]
     if not pairs:
         return []
-    total = np.array([[work.log_odds[k] + _member(single, k).log_rest for k in pair] for pair in pairs]).sum(axis=1)
-    values = np.full((len(pairs), len(work.tried)), -np.inf)
-    by_width: dict[int, list[int]] = {}
+    columns, scale = _columns(work.blocks, points)
+    ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
+    place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
+    inner = np.eye(len(columns)) + [metric.inner(columns, columns) * np.outer(scale, scale) for metric in work.tried]
+    data = np.array([metric.data[columns, 0] * scale for metric in work.tried])
+    squares = np.array([metric.squares[0] for metric in work.tried])
+    left, determinant = np.empty((2, len(pairs), len(work.tried)))
     for n, (i, j) in enumerate(pairs):
-        by_width.setdefault(4 * -(-(widths[i] + widths[j]) // 4), []).append(n)
-    chosen = {k: _columns(work.blocks, {k: _member(single, k)}) for k in mine}
-    # All columns at their scales below each other, and one of zeros that fills up what is narrow.
-    flat = np.concatenate([chosen[k][0] for k in mine])
-    scale = np.concatenate([chosen[k][1] for k in mine])
-    starts = dict(zip(mine, np.cumsum([0, *(widths[k] for k in mine)])[:-1].tolist(), strict=True))
-    for t, metric in enumerate(work.tried):
-        inner = np.pad(metric.inner(work.gram, flat, flat) * np.outer(scale, scale), ((0, 1), (0, 1)))
-        data = np.append(metric.data(work.gram)[flat, 0] * scale, 0.0)
-        squares = float(metric.squares(work.gram)[0])
-        for width, numbers in by_width.items():
-            index = np.full((len(numbers), width), len(flat))
-            for row, n in enumerate(numbers):
-                i, j = pairs[n]
-                own = [*range(starts[i], starts[i] + widths[i]), *range(starts[j], starts[j] + widths[j])]
-                index[row, : len(own)] = own
-            core = inner[index[:, :, None], index[:, None, :]] + np.eye(width)
-            right = data[index]
-            solved = np.linalg.solve(core, right[:, :, None])[:, :, 0]
-            left = np.maximum(squares - np.einsum("nk,nk->n", right, solved), 1e-12 * squares)
-            determinant = np.linalg.slogdet(core)[1]
-            values[numbers, t] = metric.log_prior - 0.5 * determinant + work.gram.log_likelihood(left)
-    weight = logsumexp(values, axis=1) + total
-    best = max(value for value, _ in work.found.values())
-    order = np.argsort(-weight)[:_PAIRS]
-    return [pairs[n] for n in order if weight[n] > best + _HOPELESS]
+        own = np.append(place[i], place[j])
+        core, right = inner[:, own[:, None], own], data[:, own]
+        left[n] = squares - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=1)
+        determinant[n] = np.linalg.slogdet(core)[1]
+    logs = work.tried[0].gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant
+    logs += [metric.log_prior for metric in work.tried]
+    weight = logsumexp(logs, axis=1) + [work.prior({k: points[k] for k in pair}) for pair in pairs]
+    least = max(value for value, _ in work.found.values()) + _HOPELESS
+    return [pairs[n] for n in np.argsort(-weight)[:_PAIRS] if weight[n] > least]
 
 
-def _columns(blocks: Sequence[Block], members: dict[int, Member]) -> tuple[IntArray, Array]:
+def _columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array]:
     """Places of the members' columns, and the standard deviations of their coefficients."""
-    points = [member.point for member in members.values()]
-    scales = [blocks[point.block].unit * point.scale for point in points]
-    return columns_of(blocks[point.block] for point in points), np.concatenate([np.zeros(0), *scales])
+    scales = [blocks[point.block].unit * point.scale for point in members.values()]
+    return columns_of(blocks[point.block] for point in members.values()), np.concatenate([np.zeros(0), *scales])
 
 
-def _beside(
-    gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], members: dict[int, Member]
-) -> Sequence[Metric]:
+def _beside(blocks: Sequence[Block], tried: Sequence[Metric], members: Members) -> list[Metric]:
     """The metrics with members folded in at their points."""
     columns, scale = _columns(blocks, members)
-    return [metric.beside(gram, columns, scale) for metric in tried] if members else tried
-
-
-def _posterior(work: _Search, single: Table) -> Posterior:
-    ranked = sorted(work.found.values(), key=lambda entry: -entry[0])
-    logs = np.array([value for value, _ in ranked])
-    probability = np.exp(logs - logsumexp(logs))
-    beside = _beside(work.gram, work.blocks, work.tried, ranked[0][1])
-    values = np.array([m.log_null(work.gram)[0] for m in beside])
-    share = np.exp(values - logsumexp(values))
-    return Posterior(
-        sets=tuple(members for _, members in ranked),
-        probability=probability,
-        single=single,
-        metric=work.tried[int(np.argmax(values))],
-        weights=tuple(zip(share.tolist(), work.tried, strict=True)),
-        variance=float(share @ [m.squares(work.gram)[0] for m in beside]) / max(work.gram.freedom, 1),
-        log_weights={key: value for key, (value, _) in work.found.items()},
-        log_odds=work.log_odds,
-    )
+    return [metric.beside(columns, scale) if members else metric for metric in tried]

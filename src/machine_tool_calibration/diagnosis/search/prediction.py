@@ -9,6 +9,7 @@ around the readings at hand loses there what it seems to win.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -16,10 +17,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray, groups
 from machine_tool_calibration.diagnosis.search.candidates import shaped_at
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, columns_of, metric_at, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, gram_of, table
 from machine_tool_calibration.diagnosis.search.look import Look
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.estimation.marginal import metric_at
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -91,8 +93,8 @@ def predictions(
     names = look.accepted[:_MOST]
     if not names:
         return {}
-    found = [(look.of(name).candidate.effect, look.of(name).shape) for name in names]
-    effects = [(effect, shape) for effect, shape in found if effect is not None]
+    found = [look.of(name) for name in names]
+    effects = [(f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
     whole = _log_factors(look.fit, effects, look)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
@@ -125,30 +127,24 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     """
     pool = Pool(fit)
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
-    spread, family, names = pool.spread
     # Structures without a cause stand beside every effect: what they leave out would count against it.
     further = look.without_cause[:, _rows(pool, Pool(look.fit))]
-    projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, spread])).gram
-    gram = Gram.of(projected, family, fit.released.solution).with_noise(max(look.variance, _LEAST_NOISE))
-    sizes = look.spread
+    projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, pool.spread[0]]))
+    gram = gram_of(pool, projected).with_noise(max(look.variance, _LEAST_NOISE))
     ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()
-    blocks = [
-        Block.of(0, slice(first, end), s.coefficients)
-        for s, first, end in zip(shaped, ends[:-1], ends[1:], strict=True)
-    ]
+    places = [slice(first, end) for first, end in itertools.pairwise(ends)]
+    blocks = [Block.of(0, place, s, np.zeros(len(s.columns))) for s, place in zip(shaped, places, strict=True)]
+    names, sizes = pool.spread[2], dict(look.spread)
     # Where a part has one run in each mounting, they are one family.
-    ratio = tuple(sizes.get(name, 0.0) for name in names)
     if "mounting" in sizes and "mounting" not in names and "run" in names:
-        merged = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
-        ratio = tuple(merged if name == "run" else size for name, size in zip(names, ratio, strict=True))
+        sizes["run"] = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
     known = ends[-1] + np.arange(len(further))
-    base, out = metric_at(gram, ratio).beside(gram, known, look.expected), np.zeros(len(blocks))
+    base = metric_at(gram, tuple(sizes.get(name, 0.0) for name in names)).beside(known, look.expected)
+    out = np.zeros(len(blocks))
     for j, block in enumerate(blocks):
-        others = [o for i, o in enumerate(blocks) if i != j]
-        beside = base
-        if others:
-            beside = base.beside(gram, columns_of(others), np.concatenate([o.unit for o in others]))
-        factor = float(table(gram, [block], [beside], 1).log_factors[0, 0])
+        others = [o for o in blocks if o is not block]
+        unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
+        factor = float(table([block], [base.beside(columns_of(others), unit)], 1).log_factors[0, 0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out

@@ -7,17 +7,7 @@ could have been found are read off the posterior.
 
 from __future__ import annotations
 
-__all__ = [
-    "ACCEPTED",
-    "ALIKE",
-    "CONTRADICTED",
-    "EFFECT",
-    "GROSS",
-    "LIKELY",
-    "STRUCTURE",
-    "SURE",
-    "THE_SAME",
-]
+__all__ = ["ACCEPTED", "ALIKE", "CONTRADICTED", "EFFECT", "GROSS", "LIKELY", "STRUCTURE", "SURE", "THE_SAME"]
 
 EFFECT = 0.05
 """Prior probability that one effect of the catalogue is missing: with the twenty or so that a plan can show, that

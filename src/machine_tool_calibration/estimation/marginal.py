@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The likelihood of readings with what does not reproduce, from inner products alone.
+
+y = J theta + sum over families f of tau_f U_f a_f + noise, a_f ~ N(0, sigma^2): the columns U_f are smooth functions of
+time of every run and of every mounting, tau_f their size in units of the noise. J has been projected off (restricted
+likelihood, Patterson and Thompson 1971), so that what remains is a small matrix, whatever the number of readings. The
+variance of the noise is integrated out, with what was declared as knowledge worth a number of readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from scipy.linalg import lapack
+
+from machine_tool_calibration.arrays import Array, IntArray
+
+__all__ = ["DECLARED_WORTH", "NOTHING", "Gram", "Metric", "log_prior", "metric_at", "metrics", "ratio_grid"]
+
+
+DECLARED_WORTH = 20.0
+"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
+
+NOTHING = 1e-12
+"""Share of the data's squares that is at least left of them: less is rounding."""
+
+# Half of the prior of a size is at zero: that keeps the power to find effects. The other half is half-Cauchy with this
+# scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
+_NONE = 0.5
+_SCALE = 0.2
+# Sizes tried, in units of the noise, where there are three families, two, or one.
+_COARSEST, _COARSE = (0.3, 1.2, 5.0), (0.15, 0.4, 1.0, 2.5, 6.0)
+_FINE = tuple(np.geomspace(0.05, 16.0, 16).tolist())
+
+
+def ratio_grid(families: int, further: int = 0) -> list[tuple[float, ...]]:
+    """Sizes that are tried: every combination of a few for each family.
+
+    Args:
+        families: how many.
+        further: those whose sizes are given: the more there are, the fewer sizes of the others.
+    """
+    if families == 0:
+        return [()]
+    values = {1: _FINE, 2: _COARSE}.get(families + further, _COARSEST)
+    return list(product((0.0, *values), repeat=families))
+
+
+def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:
+    """(t,) logarithm of the prior weight of each combination of sizes of a grid."""
+    if not ratios or not ratios[0]:
+        return np.zeros(len(ratios))
+    out = np.zeros(len(ratios))
+    for column in np.array(ratios).T:
+        values = np.unique(column[column > 0])
+        # A half-Cauchy density on a logarithmic grid.
+        density = values / (1.0 + (values / _SCALE) ** 2)
+        weight = dict(zip(values.tolist(), ((1.0 - _NONE) * density / density.sum()).tolist(), strict=True))
+        weight[0.0] = _NONE
+        out += np.log([weight[value] for value in column.tolist()])
+    return out
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Inner products outside the model, weighted by the declared uncertainty.
+
+    Attributes:
+        inner: (K, K) of all columns, the last u of which are those of what does not reproduce (the spread).
+        data: (K, B) of these with each of B data sets; the first is the measured one.
+        squares: (B,) squared norm of each data set.
+        family: (u,) family of each spread column.
+        freedom: degrees of freedom of the readings beside the model's unknowns.
+        sizes: of the last families, where they are known in their own unit: with their prior probabilities.
+        worth: readings that what is known of the noise is worth; infinite where it is known.
+    """
+
+    inner: Array
+    data: Array
+    squares: Array
+    family: IntArray
+    freedom: int
+    sizes: tuple[dict[float, float], ...] = ()
+    worth: float = DECLARED_WORTH
+
+    @property
+    def spread(self) -> IntArray:
+        """(u,) places of the spread's columns."""
+        return np.arange(len(self.inner) - len(self.family), len(self.inner))
+
+    def with_noise(self, variance: float) -> Gram:
+        """With noise whose variance over that declared is known."""
+        return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, worth=np.inf)
+
+    def log_likelihood(self, left: Array) -> Array:
+        """Logarithm of the evidence by the squares that are left, up to what all models share.
+
+        That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
+        half of chi-square.
+        """
+        if np.isinf(self.worth):
+            return -0.5 * left
+        return np.asarray(-0.5 * (self.freedom + self.worth) * np.log(self.worth + left))
+
+    def noise(self, left: Array) -> Array:
+        """Variance of the noise by the squares that are left, over that declared, or over the known one."""
+        if np.isinf(self.worth):
+            return np.ones_like(left)
+        return np.asarray((self.worth + left) / (self.worth + self.freedom))
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Inner products for one size of what does not reproduce.
+
+    Attributes:
+        gram: those where all reproduces.
+        ratio: these sizes, in units of the noise; of the last families, whose sizes are given, in their own.
+        log_prior: of these sizes, and the determinant that they cost.
+        half: (u', K) and half_data (u', B): X^T V^-1 Y = X^T Y - half_X^T half_Y.
+        half_data: see there.
+    """
+
+    gram: Gram
+    ratio: tuple[float, ...]
+    log_prior: float
+    half: Array
+    half_data: Array
+
+    @property
+    def tau(self) -> Array:
+        """(u,) size of each of the spread's columns."""
+        return np.array(self.ratio)[self.gram.family] if self.ratio else np.zeros(len(self.gram.family))
+
+    def inner(self, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
+        """Inner products of columns."""
+        return np.asarray(self.gram.inner[left][:, right] - self.half[:, left].T @ self.half[:, right])
+
+    @cached_property
+    def data(self) -> Array:
+        """(K, B) inner products of all columns with the data."""
+        return np.asarray(self.gram.data - self.half.T @ self.half_data)
+
+    @cached_property
+    def squares(self) -> Array:
+        """(B,) squared norms of the data."""
+        whole = self.gram.squares
+        return np.asarray(np.maximum(whole - np.sum(self.half_data**2, axis=0), NOTHING * whole))
+
+    @property
+    def log_null(self) -> Array:
+        """(B,) logarithm of the evidence without any candidate."""
+        return self.log_prior + self.gram.log_likelihood(self.squares)
+
+    def beside(self, columns: IntArray, scale: Array) -> Metric:
+        """With columns of given scales (standard deviations of their coefficients) folded in as well."""
+        inner, data = self.inner(columns, slice(None)), self.data[columns]
+        lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
+        half = _below(lower, scale[:, None] * np.column_stack([inner, data]))
+        k = inner.shape[1]
+        return replace(
+            self,
+            log_prior=self.log_prior - float(np.log(np.diag(lower)).sum()),
+            half=np.concatenate([self.half, half[:, :k]]),
+            half_data=np.concatenate([self.half_data, half[:, k:]]),
+        )
+
+
+def metrics(gram: Gram) -> list[Metric]:
+    """One for every size of what does not reproduce."""
+    further = list(product(*(own.items() for own in gram.sizes)))
+    ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1 - len(gram.sizes), len(gram.sizes))
+    return [
+        metric_at(gram, (*ratio, *(size for size, _ in own)), float(prior + sum(np.log(p) for _, p in own)))
+        for ratio, prior in zip(ratios, log_prior(ratios), strict=True)
+        for own in further
+    ]
+
+
+def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:
+    """That of one size of each family, in units of the noise, with the logarithm of its prior."""
+    plain = Metric(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros((0, len(gram.squares))))
+    used = np.flatnonzero(plain.tau)
+    return plain.beside(gram.spread[used], plain.tau[used])
+
+
+def _below(lower: Array, right: Array) -> Array:
+    """(n, k) the inverse of a lower factor (n, n) with a regular diagonal times (n, k): by substitution alone."""
+    if not right.size:
+        return right
+    return np.asarray(lapack.dtrtrs(lower.T, right, lower=0, trans=1)[0], dtype=np.float64)
+
+
+def _factor_of_sum(matrix: Array) -> Array:
+    """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(np.eye(len(matrix)) + matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        clean = np.eye(len(matrix)) + (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return np.asarray(np.linalg.cholesky(clean), dtype=np.float64)

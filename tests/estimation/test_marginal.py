@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The likelihood with what does not reproduce folded in: against explicit covariance matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, log_prior, metric_at, metrics, ratio_grid
+
+N = 24
+
+
+def columns(seed: int, count: int, size: float = 1.0) -> np.ndarray:
+    return size * np.random.default_rng(seed).normal(size=(N, count))
+
+
+def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> Gram:
+    """Inner products without any model: all that lies outside it is everything."""
+    readings = readings[:, None] if readings.ndim == 1 else readings
+    every, family = np.column_stack([candidates, spread]), np.zeros(spread.shape[1], dtype=np.int64)
+    return Gram(every.T @ every, every.T @ readings, np.sum(readings**2, axis=0), family, len(readings))
+
+
+def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:
+    """log p(y) up to what all models share, the variance of the noise integrated with what was declared as prior."""
+    squares = float(readings @ np.linalg.solve(covariance, readings))
+    determinant = np.linalg.slogdet(covariance)[1]
+    return float(-0.5 * determinant - 0.5 * (N + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares))
+
+
+@pytest.mark.parametrize("families", [0, 1, 2])
+def test_prior_is_a_distribution_with_half_at_none(families: int) -> None:
+    ratios = ratio_grid(families)
+    weight = np.exp(log_prior(ratios))
+    assert weight.sum() == pytest.approx(1.0)
+    for family in range(families):
+        none = np.array([ratio[family] == 0.0 for ratio in ratios])
+        assert weight[none].sum() == pytest.approx(0.5)
+
+
+def test_folding_is_the_inverse_of_the_covariance() -> None:
+    wide, spread, readings = columns(1, 3), columns(2, 5), columns(3, 1)[:, 0]
+    ratio, place = (0.7, 2.5), np.array([0, 0, 0, 1, 1])
+    metric = metric_at(replace(gram_of(wide, spread, readings), family=place), ratio)
+    covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
+    every = np.column_stack([wide, spread])
+    assert metric.inner(slice(None), slice(None)) == pytest.approx(every.T @ np.linalg.solve(covariance, every))
+    assert metric.data[:, 0] == pytest.approx(every.T @ np.linalg.solve(covariance, readings))
+    assert metric.squares[0] == pytest.approx(readings @ np.linalg.solve(covariance, readings))
+    assert metric.log_prior == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1])
+
+
+def test_no_spread_folds_to_nothing() -> None:
+    gram = gram_of(columns(1, 3), columns(2, 5), columns(3, 1)[:, 0])
+    metric = metric_at(gram, (0.0,))
+    assert metric.log_prior == 0.0
+    assert metric.half.shape == (0, 8)
+    assert metric.inner(slice(None), slice(None)) == pytest.approx(gram.inner)
+
+
+@pytest.mark.parametrize("spread_columns", [0, 3])
+def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_columns: int) -> None:
+    wide, spread = columns(10, 3, 2.0), columns(11, spread_columns)
+    readings = np.random.default_rng(12).normal(size=N) + wide @ [0.0, 0.5, 1.0]
+    gram = gram_of(wide, spread, readings)
+    member, scale = np.array([1, 2]), np.array([0.7, 1.3])
+    ratios = ratio_grid(1 if spread_columns else 0)
+    for metric, ratio, prior in zip(metrics(gram), ratios, log_prior(ratios), strict=True):
+        beside = metric.beside(member, scale)
+        own = wide[:, member] * scale
+        covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
+        inverse = np.linalg.inv(covariance)
+        assert beside.inner(slice(3), slice(3)) == pytest.approx(wide.T @ inverse @ wide, abs=1e-8)
+        assert beside.data[:3, 0] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
+        assert beside.squares[0] == pytest.approx(readings @ inverse @ readings)
+        assert beside.log_null[0] == pytest.approx(prior + log_marginal(readings, covariance))
+
+
+def test_folding_one_after_the_other_is_folding_both() -> None:
+    wide = columns(13, 3)
+    gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
+    metric = metrics(gram)[-1]
+    one, two = np.array([0]), np.array([2])
+    apart = metric.beside(one, np.array([0.4])).beside(two, np.array([1.1]))
+    together = metric.beside(np.array([0, 2]), np.array([0.4, 1.1]))
+    assert apart.log_null == pytest.approx(together.log_null)
+    assert apart.data == pytest.approx(together.data)
