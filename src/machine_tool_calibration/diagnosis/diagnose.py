@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import threadpoolctl
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
@@ -20,6 +21,7 @@ from machine_tool_calibration.diagnosis.search.structure import structure_candid
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
+from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
@@ -247,7 +249,7 @@ def _search(
     noise = look.noise[0]
     if repeated is not None:
         noise = replace(noise, from_repeats=repeated.from_repeats, repeats=repeated.repeats)
-    fitted, refused = _added(look, predicted, first, fit_with, side_by_side=side_by_side)
+    fitted, refused = _added(look, predicted, first, fit_with)
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
@@ -270,6 +272,7 @@ def _search(
 def _first_model(chosen: Chosen) -> tuple[Chosen, FittedSessions, Noise | None]:
     """What is searched, its fit, and where places that were measured repeatedly have their means, what repeats say."""
     first = fit_sessions(chosen)
+    refuse_impossible(first)
     averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None
     if averaged is None:
         return chosen, first, None
@@ -300,8 +303,6 @@ def _added(
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
-    *,
-    side_by_side: bool,
 ) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
     """The first model and one after every effect that can be added, and why the other probable ones cannot."""
     fitted, accepted, refused = [first], list[str](), dict[str, str]()
@@ -316,8 +317,7 @@ def _added(
             try:
                 wider = fit_with((*accepted, name))
                 _settled(wider.joint)
-                if not side_by_side:
-                    _hold(fitted[-1].error_map, wider.error_map)
+                _hold(fitted[-1].error_map, wider.error_map)
             except ModelError as error:
                 refused[name] = str(error)
                 continue
@@ -366,13 +366,14 @@ def _hold(before: ErrorMap, after: ErrorMap) -> None:
     for name in (name for name in before.content if _OF_THE_MACHINE.fullmatch(name)):
         old = np.asarray(before.content[name], dtype=float)
         new = np.asarray(after.content.get(name, np.full(old.shape, np.nan)), dtype=float)
-        if new.shape != old.shape:
-            continue
-        known = np.isfinite(old)
-        lost += int((known & ~np.isfinite(new)).sum())
-        both = known & np.isfinite(new) & (old > 0)
-        if both.any():
-            growth = max(growth, float(np.sqrt(np.mean(new[both] ** 2) / np.mean(old[both] ** 2))))
+        if new.shape == old.shape:
+            lost += int((np.isfinite(old) & ~np.isfinite(new)).sum())
+            both = np.isfinite(old) & np.isfinite(new)
+            old, new = old[both], new[both]
+        # Otherwise places are there once for every state of the effect, such as either direction of approach.
+        old, new = old[old > 0], new[new > 0]
+        if old.size and new.size:
+            growth = max(growth, rms(new) / rms(old))
     if lost:
         raise ModelError(f"together with it {lost} values of the map would no longer be determined")
     if growth > _SPOILT:

@@ -60,7 +60,7 @@ class Components:
 
     def probability(self, family: int) -> float:
         """That a family is not zero."""
-        return float(self.weights[np.array(self.ratios)[:, family] > 0].sum())
+        return min(float(self.weights[np.array(self.ratios)[:, family] > 0].sum()), 1.0)
 
 
 def components(gram: Array, family: IntArray, freedom: int) -> Components:

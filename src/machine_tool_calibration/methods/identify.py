@@ -12,11 +12,12 @@ import numpy as np
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.errors import ModelError, suspected
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import rejected_readings
 from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, Sifted, fit_sessions, gross_errors
+from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
@@ -24,7 +25,6 @@ from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.result import (
     EffectSet,
-    ErrorMap,
     Estimate,
     Identified,
     Rejected,
@@ -33,7 +33,6 @@ from machine_tool_calibration.model.result import (
     plain,
 )
 from machine_tool_calibration.session.checks.suspicion import suspicions
-from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -41,57 +40,7 @@ __all__ = [
     "fitted_sessions",
     "identify",
     "identify_sessions",
-    "refuse_impossible",
 ]
-
-
-# Position error that no machine tool has, m, and by how many of its uncertainties it must be known.
-_IMPOSSIBLE = 0.01
-_KNOWN = 5.0
-
-
-@suspected()
-def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
-    """Refuse what was identified from readings that contradict the geometry, unless the session says `trust_units`.
-
-    Args:
-        session: the measurement.
-        error_map: what was identified.
-
-    Raises:
-        ModelError: a position error of centimetres, or a station far from where it is stated to be.
-    """
-    if session.description.trust_units:
-        return
-    _refuse_impossible_errors(session.source, error_map)
-    if session.spec.implausible is not None:
-        load(session.spec.implausible)(session, error_map, _IMPOSSIBLE, _KNOWN)
-
-
-@suspected()
-def _refuse_impossible_together(
-    sessions: Sequence[Session], labels: Sequence[str], joint: JointFit, error_map: ErrorMap
-) -> None:
-    """The same of several sessions: the map is that of all, and an instrument stands where its session says."""
-    trusted = [session.description.trust_units for session in sessions]
-    if not any(trusted):
-        _refuse_impossible_errors(", ".join(labels), error_map)
-    for session, fit, as_it_is in zip(sessions, joint.fits, trusted, strict=True):
-        if session.spec.implausible is not None and not as_it_is:
-            load(session.spec.implausible)(session, fit.model.error_map(fit), _IMPOSSIBLE, _KNOWN)
-
-
-def _refuse_impossible_errors(name: str, error_map: ErrorMap) -> None:
-    size = np.abs(error_map.error)
-    there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
-    if there.any():
-        k, j = np.argwhere(there)[int(np.argmax(size[there]))]
-        place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k])
-        raise ModelError(
-            f"{name}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
-            f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
-            "instrument stood"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +164,7 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
     error_map, averaged = averaged_map(fitted, chosen)
-    _refuse_impossible_together(chosen.sessions, names, joint, error_map)
+    refuse_impossible(fitted)
     return JointResult(
         labels=names,
         fit=joint,
@@ -288,7 +237,7 @@ def _identified(chosen: Chosen) -> Result:
     (session,) = chosen.sessions
     (rejected,), chosen, fitted = _fitted(chosen)
     error_map, averaged = averaged_map(fitted, chosen)
-    refuse_impossible(session, error_map)
+    refuse_impossible(fitted)
     return Result(
         fit=fitted.joint.fits[0],
         error_map=error_map,

@@ -18,8 +18,9 @@ from machine_tool_calibration.session.catalogue import needed_columns
 
 __all__ = ["Family", "reproducibility"]
 
-# Legendre polynomials of degree 0 to 3 over the group's time, and their weights: what is slow is larger.
-_WEIGHTS = np.array([1.0, 1.0, 0.7, 0.5])
+# Legendre polynomials of degree 0 to 2 over the group's time, and their weights: what is slow is larger. A cubic costs
+# every spread more than it explains, so that an effect of few coefficients was more probable than it.
+_WEIGHTS = np.array([1.0, 1.0, 0.7])
 # Readings of a group for each degree, so that a short run is not all spread.
 _FOR_A_DEGREE = 3
 # Fewer groups than this say nothing of a spread between them where the readings are deviations of the machine itself:
@@ -89,7 +90,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
 
 
 def _smooth(time: Array, group: IntArray) -> Array:
-    """(4, n) weighted Legendre polynomials over each group's time."""
+    """(3, n) weighted Legendre polynomials over each group's time."""
     out = np.zeros((len(_WEIGHTS), len(time)))
     count = int(group.max(initial=-1)) + 1
     size = np.bincount(group[group >= 0], minlength=count)
