@@ -28,10 +28,9 @@ DECLARED_WORTH = 20.0
 NOTHING = 1e-12
 """Share of the data's squares that is at least left of them: less is rounding."""
 
-# A third of the prior of a size is at zero: that keeps the power to find effects. The rest is half-Cauchy with this
-# scale, since real setups seldom reproduce to better than what an instrument repeats to: its long tail makes large
-# spreads harmless; with a light one, or with half of it at zero, every fifth spread looked like a missing effect.
-_NONE = 0.3
+# Half of the prior of a size is at zero: that keeps the power to find effects. The other half is half-Cauchy with this
+# scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
+_NONE = 0.5
 _SCALE = 0.4
 # Sizes tried, in units of the noise, where there are three families, two, or one.
 _COARSEST, _COARSE = (0.3, 1.2, 5.0), (0.15, 0.4, 1.0, 2.5, 6.0)
