@@ -106,7 +106,9 @@ def chance_of(found: Posterior, before: Array, sets: int, rng: np.random.Generat
     """
     tried = [metric for metric, share in zip(found.metrics, found.shares, strict=True) if share > _MATTERS]
     null = null_sets(before, np.unique(columns_of(found.blocks)), tried[0], found.variance, sets, rng)
-    folded = [replace(m, gram=null, half_data=metric_at(null, m.ratio).half_data) for m in tried]
+    # The columns are folded in already: of the spread alone follows what it takes of the new data.
+    spread = replace(null, inner=null.inner[np.ix_(null.spread, null.spread)], data=null.data[null.spread])
+    folded = [replace(m, gram=null, half_data=metric_at(spread, m.ratio).half_data) for m in tried]
     factors = table(found.blocks, folded, len(found.log_odds)).log_factors
     weights = found.log_odds[:, None] + factors
     share = weights.max(axis=0, initial=-np.inf) - np.logaddexp(0.0, logsumexp(weights, axis=0))
