@@ -8,6 +8,7 @@ the space of the candidates' columns: all factorisations are shared.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -51,8 +52,16 @@ class Chance:
     def paid(self, candidate: int, log_factor: float) -> float:
         """The same, paid for the search: that any candidate does as well, each with its prior."""
         mine = self.log_odds[candidate] + log_factor
-        best = (self.log_odds[:, None] + self.log_factors).max(axis=0)
-        return _told(best >= mine, float(logsumexp(self.log_odds)) - mine)
+        return _told(self._best >= mine, self._any - mine)
+
+    @cached_property
+    def _best(self) -> Array:
+        """(sets,) logarithm of the largest odds after each data set."""
+        return np.asarray((self.log_odds[:, None] + self.log_factors).max(axis=0))
+
+    @cached_property
+    def _any(self) -> float:
+        return float(logsumexp(self.log_odds))
 
 
 def _told(as_large: Array, log_bound: float) -> float:
