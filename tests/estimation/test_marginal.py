@@ -77,6 +77,7 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
         assert beside.data[:3, 0] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
         assert beside.squares[0] == pytest.approx(readings @ inverse @ readings)
         assert beside.log_null[0] == pytest.approx(prior + log_marginal(readings, covariance))
+        assert metric.log_beside(member, scale) == pytest.approx(beside.log_null[0])
 
 
 def test_folding_one_after_the_other_is_folding_both() -> None:

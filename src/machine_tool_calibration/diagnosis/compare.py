@@ -32,7 +32,7 @@ __all__ = ["Approach", "Comparison", "JointComparison", "Overall", "Region", "Sh
 _SEEN = 0.02
 # Readings that the model leaves of a part below which its scatter cannot be judged.
 _LEAST_LEFT = 0.5
-# Change of a reading by a displacement of an axis, m/m, from which the axis counts as sensed.
+# Half the change of a reading per displacement of an axis, m/m (C: m/rad), from which the axis counts as sensed.
 _SENSED = 5e-7
 # Products of readings and values of a label beyond which these are not told apart.
 _MOST_COMPARED = 2e7

@@ -138,7 +138,8 @@ class Metric:
 
     def inner(self, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
         """Inner products of columns."""
-        return np.asarray(self.gram.inner[left][:, right] - self.half[:, left].T @ self.half[:, right])
+        plain = self.gram.inner[left][:, right]
+        return plain - self.half[:, left].T @ self.half[:, right] if len(self.half) else plain
 
     @cached_property
     def data(self) -> Array:
@@ -155,6 +156,13 @@ class Metric:
     def log_null(self) -> Array:
         """(B,) logarithm of the evidence without any candidate."""
         return self.log_prior + self.gram.log_likelihood(self.squares)
+
+    def log_beside(self, columns: IntArray, scale: Array) -> float:
+        """What `log_null` is of the first data set with columns of given scales folded in, without folding them in."""
+        lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
+        taken = float(np.sum(_below(lower, (scale * self.data[columns, 0])[:, None]) ** 2))
+        left = np.maximum(self.squares[:1] - taken, NOTHING * self.gram.squares[:1])
+        return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left)[0])
 
     def beside(self, columns: IntArray, scale: Array) -> Metric:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""

@@ -8,6 +8,7 @@ the space of the candidates' columns: all factorisations are shared.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -51,8 +52,16 @@ class Chance:
     def paid(self, candidate: int, log_factor: float) -> float:
         """The same, paid for the search: that any candidate does as well, each with its prior."""
         mine = self.log_odds[candidate] + log_factor
-        best = (self.log_odds[:, None] + self.log_factors).max(axis=0)
-        return _told(best >= mine, float(logsumexp(self.log_odds)) - mine)
+        return _told(self._best >= mine, self._any - mine)
+
+    @cached_property
+    def _best(self) -> Array:
+        """(sets,) logarithm of the largest odds after each data set."""
+        return np.asarray((self.log_odds[:, None] + self.log_factors).max(axis=0))
+
+    @cached_property
+    def _any(self) -> float:
+        return float(logsumexp(self.log_odds))
 
 
 def _told(as_large: Array, log_bound: float) -> float:
@@ -106,7 +115,9 @@ def chance_of(found: Posterior, before: Array, sets: int, rng: np.random.Generat
     """
     tried = [metric for metric, share in zip(found.metrics, found.shares, strict=True) if share > _MATTERS]
     null = null_sets(before, np.unique(columns_of(found.blocks)), tried[0], found.variance, sets, rng)
-    folded = [replace(m, gram=null, half_data=metric_at(null, m.ratio).half_data) for m in tried]
+    # The columns are folded in already: of the spread alone follows what it takes of the new data.
+    spread = replace(null, inner=null.inner[np.ix_(null.spread, null.spread)], data=null.data[null.spread])
+    folded = [replace(m, gram=null, half_data=metric_at(spread, m.ratio).half_data) for m in tried]
     factors = table(found.blocks, folded, len(found.log_odds)).log_factors
     weights = found.log_odds[:, None] + factors
     share = weights.max(axis=0, initial=-np.inf) - np.logaddexp(0.0, logsumexp(weights, axis=0))

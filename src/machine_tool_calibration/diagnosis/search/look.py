@@ -214,10 +214,11 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, first = [], 0
     for c, candidate in enumerate(every):
+        few = _few(candidate, candidates)
         for shaped in candidate.shapes:
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
             # their share of the probability, and nothing shows them.
-            leading = _leading(candidate, len(shaped.columns), candidates)
+            leading = [*(count for count in few if count < len(shaped.columns)), len(shaped.columns)]
             for count in leading:
                 place = slice(first, first + count)
                 squares = before[place]
@@ -236,18 +237,18 @@ def _apart(columns: _Columns) -> list[frozenset[int]]:
     return [frozenset((k, place[name])) for k, c in every for name in c.contains if name in place]
 
 
-def _leading(candidate: Candidate, count: int, others: Sequence[Candidate]) -> list[int]:
-    """Numbers of columns that are tried: all, and the first few alone, as of a series the others are often nothing.
+def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:
+    """Numbers of first columns that are tried alone: of a series, the further coefficients are often nothing.
 
-    So few that it is one of the effects that it contains are left out.
+    Not so few that they are one of the effects that it contains.
     """
     if candidate.effect is None or candidate.effect.setup_level:
-        return [count]
+        return []
     least, first = 1, candidate.shapes[0].columns
     for own in (other.shapes[0].columns for other in others if other.name in candidate.contains):
         if np.allclose(first[: len(own)], own, atol=1e-12):
             least = max(least, len(own) + 1)
-    return [*(k for k in _LEADING if least <= k < count), count]
+    return [count for count in _LEADING if count >= least]
 
 
 def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:
@@ -316,12 +317,12 @@ def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Co
     tried = found.beside([columns.place[name] for name in accepted])
     beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
     out = []
-    for k, point in beside.best.items():
+    for k in (k for k in beside.best if k >= columns.effects):
         log_factor = float(beside.log_factors[k, 0])
-        p = chance.paid(k, log_factor)
         # Paid for by the structures' prior against all others: what no effect says.
-        if k >= columns.effects and p <= _TOLD:
-            block = columns.blocks[point.block]
+        p = chance.paid(k, log_factor)
+        if p <= _TOLD:
+            block = columns.blocks[beside.best[k].block]
             taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _words(columns.candidates[k].name, block.shaped.shape)
             out.append((p, -log_factor, Structure(*words, p, taken / float(tried[0].squares[0]))))
@@ -329,10 +330,10 @@ def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Co
 
 
 def _words(name: str, shape: tuple[float, ...]) -> tuple[str, str]:
-    """Covariate and shape of a structure, which may have a nonlinear coefficient."""
+    """Covariate and shape of a structure, with its first nonlinear coefficient."""
     covariate, words = name.rsplit(": ", 1)
     unit = "s" if covariate.endswith("time") else "readings"
-    return covariate, " ".join([words, *(f"{value:.3g} {unit}" for value in shape)])
+    return covariate, " ".join([words, *(f"{value:.3g} {unit}" for value in shape[:1])])
 
 
 def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:

@@ -219,7 +219,8 @@ def _worth(work: _Search, single: Table) -> list[Metric]:
     best = sorted(single.best, key=lambda k: -float(single.log_evidence[k, 0] + work.log_odds[k]))[:_GROWN]
     keep = np.zeros(len(work.tried), dtype=bool)
     for members in ({}, *({k: single.best[k]} for k in best)):
-        values = np.array([metric.log_null[0] for metric in work.beside(members)])
+        columns, scale = _columns(work.blocks, members)
+        values = np.array([metric.log_beside(columns, scale) for metric in work.tried])
         keep |= values > logsumexp(values) + np.log(_COUNTS)
     return [metric for metric, good in zip(work.tried, keep, strict=True) if good]
 
