@@ -231,7 +231,7 @@ class _Search:
             seen = self._fit(held)
         doubtful: dict[int, IntArray] = {}
         for _ in range(_SWAPS):
-            again, doubtful = self._together(held, seen, seen.limit)
+            again, doubtful = self._together(held, seen)
             if np.array_equal(again, held):
                 break
             held, seen = again, self._fit(again)
@@ -265,13 +265,12 @@ class _Search:
         seen = self._fit(np.flatnonzero(np.isin(self.readings.row, wrong)))
         return set(self.readings.row[asked & (1.0 - seen.taken <= _SEEN)].tolist())
 
-    def _together(self, held: IntArray, seen: _Judged, limit: float) -> tuple[IntArray, dict[int, IntArray]]:
+    def _together(self, held: IntArray, seen: _Judged) -> tuple[IntArray, dict[int, IntArray]]:
         """Where readings that hang together are held out: those by which it is explained best.
 
         Args:
             held: readings held out.
             seen: the fit without them.
-            limit: of what is called wrong, in standard uncertainties.
 
         Returns:
             The readings to be held out, and for each that may as well be sound all such that hang together with it.
@@ -291,7 +290,7 @@ class _Search:
             some = Reach(reached.shared[at], reached.own[at], reached.point[at])
             products = some.products(some, seen.solution.covariance)
             inverse, pulled = told(products, seen.residual[mine] / seen.scale, seen.weight[mine])
-            found = wrong_together(inverse, pulled, limit, len(held) / self.n, width, _CONFUSED / len(wanted))
+            found = wrong_together(inverse, pulled, _LEAST, len(held) / self.n, width, _CONFUSED / len(wanted))
             if found is not None:
                 out[mine] = False
                 out[mine[found.wrong]] = True
@@ -327,7 +326,7 @@ class _Search:
 
     def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
         for _ in range(_SWAPS):
-            again, _ = self._together(held, seen, _LEAST)
+            again, _ = self._together(held, seen)
             if np.array_equal(again, held):
                 break
             held, seen = again, self._fit(again)
@@ -385,10 +384,10 @@ class _Search:
             size[able] = np.abs(seen.residual[able]) / np.sqrt(kept[able]) / seen.scale
             fresh = np.flatnonzero(size > min(seen.limit, _SUSPECTED + 1.0)) if np.isfinite(seen.scale) else held[:0]
             suspected = np.union1d(held, fresh)
-            suspected = suspected[~lasting(self.run, suspected, seen.residual)]
             if len(fresh):
                 # Only what was held out has its deviation from what all others predict.
                 seen = self._fit(suspected)
+            suspected = suspected[~lasting(self.run, suspected, seen.residual)]
             guilty = self._guilty(suspected, seen)
             key = guilty.tobytes()
             if np.array_equal(guilty, held) and not len(np.setdiff1d(fresh, guilty)):
