@@ -384,10 +384,12 @@ class _Search:
             size[able] = np.abs(seen.residual[able]) / np.sqrt(kept[able]) / seen.scale
             fresh = np.flatnonzero(size > min(seen.limit, _SUSPECTED + 1.0)) if np.isfinite(seen.scale) else held[:0]
             suspected = np.union1d(held, fresh)
+            # Each as far off as others say; what a run shares is in the residuals of those beside it.
+            own = seen.residual[suspected] / np.where(free, np.maximum(kept, _SEEN), 1.0)[suspected]
+            suspected = suspected[~lasting(self.run, suspected, own, seen.residual)]
             if len(fresh):
                 # Only what was held out has its deviation from what all others predict.
                 seen = self._fit(suspected)
-            suspected = suspected[~lasting(self.run, suspected, seen.residual)]
             guilty = self._guilty(suspected, seen)
             key = guilty.tobytes()
             if np.array_equal(guilty, held) and not len(np.setdiff1d(fresh, guilty)):
