@@ -229,15 +229,8 @@ class _Search:
             tried = np.union1d(tried, others)
             held = np.union1d(held, others)
             seen = self._fit(held)
-        doubtful: dict[int, IntArray] = {}
-        for _ in range(_SWAPS):
-            again, doubtful = self._together(held, seen)
-            if np.array_equal(again, held):
-                break
-            held, seen = again, self._fit(again)
-        if not len(held):
-            return []
-        return self._named(held, seen, doubtful)
+        held, seen, doubtful = self._agreeing(held, seen)
+        return self._named(held, seen, doubtful) if len(held) else []
 
     def _as_noise_is(self) -> bool:
         """Whether no reading lies farther out than noise does: wrong ones that hide each other would scatter more."""
@@ -298,6 +291,16 @@ class _Search:
                     doubtful |= {int(k): mine[found.doubtful] for k in mine[np.union1d(found.doubtful, found.wrong)]}
         return np.flatnonzero(out), doubtful
 
+    def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged, dict[int, IntArray]]:
+        """The same until it is at rest, with the fit."""
+        doubtful: dict[int, IntArray] = {}
+        for _ in range(_SWAPS):
+            again, doubtful = self._together(held, seen)
+            if np.array_equal(again, held):
+                break
+            held, seen = again, self._fit(again)
+        return held, seen, doubtful
+
     def _bound(self) -> list[IntArray]:
         """Readings that hang together."""
         if self.bound is None:
@@ -319,18 +322,9 @@ class _Search:
         if len(suspected) > most:
             suspected = np.argsort(-size)[:most]
         seen = self._fit(suspected)
-        if len(suspected):
-            # Few readings beside as many unknowns mirror each other's errors: which of them agree is tried out.
-            suspected, seen = self._agreeing(suspected, seen)
-        return np.sort(suspected), seen
-
-    def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
-        for _ in range(_SWAPS):
-            again, _ = self._together(held, seen)
-            if np.array_equal(again, held):
-                break
-            held, seen = again, self._fit(again)
-        return held, seen
+        # Few readings beside as many unknowns mirror each other's errors: which of them agree is tried out.
+        suspected, seen, _ = self._agreeing(np.sort(suspected), seen)
+        return suspected, seen
 
     def _fit(self, held: IntArray) -> _Judged:
         weight = np.ones(self.n)
@@ -475,10 +469,8 @@ class _Search:
                     out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other, ambiguous=True))
             out[k] = Outlier(int(rows[k]), root, deviation, words, ambiguous=bool(len(alike)))
         for k, every in doubtful.items():
-            if len(every) == 2 and all(j in out and out[j].ambiguous for j in every):
-                continue
-            if k not in every:
-                # Wrong in any case: what others there are in doubt about is decided, and so is this.
+            # Two that are in doubt are named already; what is wrong in any case was decided with what is in doubt.
+            if k in out and (k not in every or (len(every) == 2 and out[k].ambiguous)):
                 out[k] = replace(out[k], ambiguous=True)
                 continue
             names = ", ".join(str(int(rows[j])) for j in every if j != k)
