@@ -18,8 +18,8 @@ from machine_tool_calibration.residuals.suspected import UNSEEN
 
 __all__ = ["Combination", "wrong_together"]
 
-# Combinations of as many readings that are compared at most.
-_MOST = 2500
+# Combinations of as many readings that are compared at most; of more, those that the likeliest of fewer grow into.
+_MOST = 1000
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Combination:
 
 def wrong_together(
     inverse: Array, pulled: Array, limit: float, share: float, width: float, doubt: float
-) -> Combination | None:
+) -> Combination:
     """The likeliest explanation of a few readings by wrong ones, and what may as well be wrong.
 
     Args:
@@ -47,9 +47,6 @@ def wrong_together(
         share: of wrong readings among all.
         width: standard deviation of wrong readings, at least.
         doubt: share of the likelihood of all explanations up to which those that contradict the best count for nothing.
-
-    Returns:
-        None where there are too many combinations.
     """
     k = len(pulled)
     seen = np.diag(inverse)
@@ -64,16 +61,22 @@ def wrong_together(
         # All that so many may explain: less, and not even as many combinations as are compared count together.
         if most - count * odds < max(float(one.max()) for one in likely) + np.log(doubt / _MOST):
             break
-        if comb(k, count) > _MOST:
-            return None
         # One more each: what the others tell of the rest without it, and how well it explains what is left.
         seen = np.einsum("sjj->sj", inverses)
-        parent, new = np.nonzero((np.arange(k) > last[:, None]) & (seen > UNSEEN))
+        able = ~sets[-1] & (seen > UNSEEN)
+        if comb(k, count) <= _MOST:
+            able &= np.arange(k) > last[:, None]
+        else:
+            able[np.argsort(-likely[-1])[_MOST // k :]] = False
+        parent, new = np.nonzero(able)
+        grown = sets[-1][parent] | (np.arange(k) == new[:, None])
+        first = np.unique(grown @ 2.0 ** np.arange(k), return_index=True)[1]
+        parent, new, grown = parent[first], new[first], grown[first]
         root = np.sqrt(seen[parent, new])
         column, step = inverses[parent, :, new] / root[:, None], pulls[parent, new] / root
         inverses = inverses[parent] - column[:, :, None] * column[:, None, :]
         pulls, last = pulls[parent] - column * step[:, None], new
-        sets.append(sets[-1][parent] | (np.arange(k) == new[:, None]))
+        sets.append(grown)
         likely.append(likely[-1][parent] + 0.5 * step**2 - np.log(root) - odds)
     every, weight = np.concatenate(sets), np.concatenate(likely)
     # What is called wrong lies beyond the limit. What may be wrong depends on how often and how far readings are here.

@@ -284,11 +284,10 @@ class _Search:
             products = some.products(some, seen.solution.covariance)
             inverse, pulled = told(products, seen.residual[mine] / seen.scale, seen.weight[mine])
             found = wrong_together(inverse, pulled, _LEAST, len(held) / self.n, width, _CONFUSED / len(wanted))
-            if found is not None:
-                out[mine] = False
-                out[mine[found.wrong]] = True
-                if len(found.doubtful):
-                    doubtful |= {int(k): mine[found.doubtful] for k in mine[np.union1d(found.doubtful, found.wrong)]}
+            out[mine] = False
+            out[mine[found.wrong]] = True
+            if len(found.doubtful):
+                doubtful |= {int(k): mine[found.doubtful] for k in mine[np.union1d(found.doubtful, found.wrong)]}
         return np.flatnonzero(out), doubtful
 
     def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged, dict[int, IntArray]]:
