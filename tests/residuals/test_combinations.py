@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.combinations import wrong_together
+from machine_tool_calibration.residuals.combinations import Combination, wrong_together
 from machine_tool_calibration.residuals.outliers import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -18,11 +19,16 @@ LOCAL = np.concatenate([STATIONS, STATIONS])
 NOISE = np.array([0.4, -0.9, 0.2, 0.5, -0.3, 0.8, -0.6, 0.1])
 
 
+def explained(local: Array, residual: Array, share: float = 0.001) -> Combination:
+    """Readings of a point that nothing else is known of, in a session with such a share of wrong ones."""
+    free = np.eye(len(local)) - local @ np.linalg.pinv(local)
+    return wrong_together(free, free @ residual, 4.7, share, width=200.0, doubt=0.01)
+
+
 def test_three_of_eight_are_told_from_one_another() -> None:
     residual = NOISE.copy()
     residual[[0, 1, 2]] += [170.0, -990.0, 105.0]
-    found = wrong_together(LOCAL, residual, 3)
-    assert found is not None
+    found = explained(LOCAL, residual)
     assert found.wrong.tolist() == [0, 1, 2]
     assert not len(found.doubtful)
 
@@ -30,22 +36,19 @@ def test_three_of_eight_are_told_from_one_another() -> None:
 def test_either_of_two_where_no_third_tells() -> None:
     residual = NOISE[[0, 1, 2, 4]].copy()
     residual[3] += 50.0
-    found = wrong_together(LOCAL[[0, 1, 2, 4]], residual, 1)
-    assert found is not None
+    found = explained(LOCAL[[0, 1, 2, 4]], residual)
     assert found.doubtful.tolist() == [0, 3]
 
 
 def test_one_of_four_stations_read_once_leaves_all_in_doubt() -> None:
     residual = NOISE[:4].copy()
     residual[2] += 80.0
-    found = wrong_together(STATIONS, residual, 2)
-    assert found is not None
+    found = explained(STATIONS, residual)
     assert found.doubtful.tolist() == [0, 1, 2, 3]
 
 
 def test_sound_readings_are_all_kept() -> None:
-    found = wrong_together(LOCAL, NOISE, 2)
-    assert found is not None
+    found = explained(LOCAL, NOISE)
     assert not len(found.wrong)
 
 
@@ -58,16 +61,23 @@ def test_one_that_explains_by_chance_what_two_did_better() -> None:
     pair, single = free[:, [0, 1]], free[:, [6]]
     residual = pair @ np.linalg.lstsq(pair, single[:, 0], rcond=None)[0]
     residual *= 3.8 / np.linalg.norm(residual - single @ np.linalg.lstsq(single, residual, rcond=None)[0])
-    found = wrong_together(local, residual, 1)
-    assert found is not None
-    assert found.more
+    found = explained(local, residual)
     assert {0, 1, 6} <= set(found.doubtful.tolist())
 
 
-def test_more_than_may_be_wrong() -> None:
+def test_the_more_readings_are_wrong_the_more_is_in_doubt() -> None:
+    """Where hardly any reading is wrong, the fewest that explain it are; where many are, others may be together."""
     residual = NOISE.copy()
-    residual[[0, 1, 2]] += [170.0, -990.0, 105.0]
-    assert wrong_together(LOCAL, residual, 1) is None
+    residual[[0, 1]] += [20.0, -25.0]
+    assert not len(explained(LOCAL, residual, share=0.001).doubtful)
+    assert len(explained(LOCAL, residual, share=0.1).doubtful)
+
+
+def test_six_of_many() -> None:
+    """Not all combinations are compared, but those that the likeliest of fewer readings grow into."""
+    rng = np.random.default_rng(4)
+    residual = rng.normal(size=24) + np.where(np.arange(24) < 6, 50.0 * (1 + np.arange(24)), 0.0)
+    assert explained(np.ones((24, 1)), residual, share=0.05).wrong.tolist() == list(range(6))
 
 
 def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:

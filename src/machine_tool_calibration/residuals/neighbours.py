@@ -40,12 +40,13 @@ def places_of(readings: Readings) -> IntArray:
     return groups(readings.setup, *places, *senses, *readings.labels.values())
 
 
-def lasting(run: tuple[IntArray, IntArray], suspected: IntArray, residual: Array) -> BoolArray:
+def lasting(run: tuple[IntArray, IntArray], suspected: IntArray, own: Array, residual: Array) -> BoolArray:
     """(k,) whether most of the neighbours on a side in the run share the deviation.
 
     Args:
         run: see `runs_of`.
         suspected: (k,) indices of the readings that deviate.
+        own: (k,) their deviations.
         residual: (n,) of all readings.
     """
     out = np.zeros(len(suspected), dtype=bool)
@@ -53,7 +54,7 @@ def lasting(run: tuple[IntArray, IntArray], suspected: IntArray, residual: Array
     n = len(order)
     position = np.empty(n, dtype=np.int64)
     position[order] = np.arange(n)
-    at, own = position[suspected], residual[suspected]
+    at = position[suspected]
     for side in (-1, 1):
         near = at[:, None] + side * np.arange(1, _BESIDE + 1)
         inside = (near >= 0) & (near < n)

@@ -20,18 +20,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
-from machine_tool_calibration.residuals.bound import Bound, of_few, of_points, seen_by_few
-from machine_tool_calibration.residuals.combinations import fewest_wrong, wrong_together
+from machine_tool_calibration.residuals.bound import bound_by_points, bound_by_unknowns
+from machine_tool_calibration.residuals.combinations import wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.residuals.neighbours import lasting, near_of, places_of, runs_of
-from machine_tool_calibration.residuals.suspected import HELD, standing_out
+from machine_tool_calibration.residuals.suspected import HELD, standing_out, told
 from machine_tool_calibration.residuals.tails import limit_of_tails
 from machine_tool_calibration.session.session import Session
 
@@ -53,6 +53,8 @@ _ROUNDS = 8
 _MODELS = 8
 # Suspected readings that are judged together; more are judged place by place.
 _TOGETHER = 800
+# Chance that readings which hang together are taken for wrong ones in place of others anywhere in a session.
+_CONFUSED = 0.01
 # Another reading is as likely the wrong one if the sum of squares says so within this, or within this share of it.
 _AMBIGUOUS = 6.0
 _ALIKE = 1e-3
@@ -60,8 +62,6 @@ _ALIKE = 1e-3
 _NEARLY = 0.7
 _BEST = 3
 _SWAPS = 4
-# Readings that hang together of which so many may be wrong.
-_WRONG = 3
 # Products of readings and unknowns, and of readings and those set aside, up to which all readings are compared with
 # each that is set aside; beyond, those of its place.
 _COMPARED = 4e7
@@ -209,7 +209,8 @@ class _Search:
         self.reads_machine = model.observations.session.spec.reads_machine
         self.run = runs_of(model)
         self.near = near_of(self.part, self.readings)
-        self.few: list[IntArray] | None = None
+        self.bound: list[IntArray] | None = None
+        self.quiet = np.inf
         theta, local = self.problem.zero
         self.start = theta, local[0]
 
@@ -228,15 +229,8 @@ class _Search:
             tried = np.union1d(tried, others)
             held = np.union1d(held, others)
             seen = self._fit(held)
-        doubtful: dict[int, IntArray] = {}
-        for _ in range(_SWAPS):
-            again, doubtful = self._together(held, seen)
-            if np.array_equal(again, held):
-                break
-            held, seen = again, self._fit(again)
-        if not len(held):
-            return []
-        return self._named(held, seen, doubtful)
+        held, seen, doubtful = self._agreeing(held, seen)
+        return self._named(held, seen, doubtful) if len(held) else []
 
     def _as_noise_is(self) -> bool:
         """Whether no reading lies farther out than noise does: wrong ones that hide each other would scatter more."""
@@ -265,38 +259,54 @@ class _Search:
         return set(self.readings.row[asked & (1.0 - seen.taken <= _SEEN)].tolist())
 
     def _together(self, held: IntArray, seen: _Judged) -> tuple[IntArray, dict[int, IntArray]]:
-        """Where several readings of a point are held out: those without which the others agree best.
+        """Where readings that hang together are held out: those by which it is explained best.
+
+        Args:
+            held: readings held out.
+            seen: the fit without them.
 
         Returns:
-            The readings to be held out, and for each that may as well be sound all such of its point.
+            The readings to be held out, and for each that may as well be sound all such that hang together with it.
         """
         doubtful: dict[int, IntArray] = {}
         out = np.zeros(self.n, dtype=bool)
         out[held] = True
-        for bound in self._bound(seen, out) if len(held) else ():
-            mine = bound.readings
-            count = int(out[mine].sum())
-            if not count:
-                continue
-            found = wrong_together(bound.local, bound.residual / seen.scale, count, least=int(count == 1))
-            # A single one has been judged by all readings: it stays, unless more of them explain it better.
-            if found is not None and (count > 1 or found.more):
-                out[mine] = False
-                out[mine[found.wrong]] = True
-                doubtful |= {int(k): mine[found.doubtful] for k in mine[found.doubtful]}
+        least = 1 if len(held) <= _TOGETHER else 2
+        wanted = [mine for mine in self._bound() if np.count_nonzero(out[mine]) >= least]
+        if not wanted or not np.isfinite(seen.scale):
+            return held, doubtful
+        which = np.unique(np.concatenate(wanted))
+        reached = reach(seen.part, seen.solution, 0, seen.weight, which)
+        width = float(np.median(np.abs(seen.residual[held]))) / 0.6745 / seen.scale
+        for mine in wanted:
+            at = np.searchsorted(which, mine)
+            some = Reach(reached.shared[at], reached.own[at], reached.point[at])
+            products = some.products(some, seen.solution.covariance)
+            inverse, pulled = told(products, seen.residual[mine] / seen.scale, seen.weight[mine])
+            found = wrong_together(inverse, pulled, _LEAST, len(held) / self.n, width, _CONFUSED / len(wanted))
+            out[mine] = False
+            out[mine[found.wrong]] = True
+            if len(found.doubtful):
+                doubtful |= {int(k): mine[found.doubtful] for k in mine[np.union1d(found.doubtful, found.wrong)]}
         return np.flatnonzero(out), doubtful
 
-    def _bound(self, seen: _Judged, out: BoolArray) -> Iterator[Bound]:
-        """Readings of a point of which some are held out, or that hang together otherwise."""
-        if not np.isfinite(seen.scale):
-            return
-        if self.part.dimension:
-            yield from of_points(seen.part, self.start, seen.residual, out, 1 if out.sum() <= _TOGETHER else 2)
-        elif self.n * self.problem.size <= _COMPARED:
-            reached = reach(seen.part, seen.solution, 0, seen.weight, np.arange(self.n))
-            if self.few is None:
-                self.few = seen_by_few(reached.shared)
-            yield from of_few(self.few, reached, seen.solution.covariance, seen.residual, seen.weight)
+    def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged, dict[int, IntArray]]:
+        """The same until it is at rest, with the fit."""
+        doubtful: dict[int, IntArray] = {}
+        for _ in range(_SWAPS):
+            again, doubtful = self._together(held, seen)
+            if np.array_equal(again, held):
+                break
+            held, seen = again, self._fit(again)
+        return held, seen, doubtful
+
+    def _bound(self) -> list[IntArray]:
+        """Readings that hang together."""
+        if self.bound is None:
+            self.bound = bound_by_points(self.part)
+            if self.n * self.problem.size <= _COMPARED:
+                self.bound += bound_by_unknowns(self.part, self.start, self.problem.size)
+        return self.bound
 
     def _start(self) -> tuple[IntArray, _Judged]:
         """Readings that a robust fit suspects, and the fit without them."""
@@ -311,26 +321,9 @@ class _Search:
         if len(suspected) > most:
             suspected = np.argsort(-size)[:most]
         seen = self._fit(suspected)
-        if len(suspected) and not self.part.dimension:
-            # Few readings beside as many unknowns mirror each other's errors: which of them agree is tried out.
-            suspected, seen = self._agreeing(suspected, seen)
-        return np.sort(suspected), seen
-
-    def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
-        for _ in range(_SWAPS):
-            out = np.zeros(self.n, dtype=bool)
-            out[held] = True
-            for bound in self._bound(seen, out):
-                mine = bound.readings
-                wrong = fewest_wrong(bound.local, bound.residual / seen.scale, _WRONG)
-                if wrong is not None:
-                    out[mine] = False
-                    out[mine[wrong]] = True
-            again = np.flatnonzero(out)
-            if np.array_equal(again, held):
-                break
-            held, seen = again, self._fit(again)
-        return held, seen
+        # Few readings beside as many unknowns mirror each other's errors: which of them agree is tried out.
+        suspected, seen, _ = self._agreeing(np.sort(suspected), seen)
+        return suspected, seen
 
     def _fit(self, held: IntArray) -> _Judged:
         weight = np.ones(self.n)
@@ -360,14 +353,17 @@ class _Search:
         # Readings of each other's place mirror each other: as many say something as there are degrees of freedom.
         told = min(dof / len(studentized), 1.0)
         limit = max(limit, limit_of_tails(studentized / bulk, _LEVEL, told, part=self.reads_machine))
-        if not self.reads_machine and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
+        even = scale < _MISFIT or special.chdtrc(dof, dof * scale**2) > _LEVEL
+        if not self.reads_machine and not even:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
             # the instrument that reads it.
             limit *= _UNEVEN
         if not self.reads_machine:
             # However uneven: beyond a wide gap after all others it is no tail of theirs.
             limit = min(limit, max(_GAP * farthest, _UNEVEN * _LEAST))
-        return _Judged(seen, solution, weight, residual, share, scale, limit, farthest)
+        if even:
+            self.quiet = min(self.quiet, limit * scale)
+        return _Judged(seen, solution, weight, residual, share, scale, min(limit, self.quiet / scale), farthest)
 
     def _settled(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
         """Hold out what stands out, and nothing else."""
@@ -381,7 +377,9 @@ class _Search:
             size[able] = np.abs(seen.residual[able]) / np.sqrt(kept[able]) / seen.scale
             fresh = np.flatnonzero(size > min(seen.limit, _SUSPECTED + 1.0)) if np.isfinite(seen.scale) else held[:0]
             suspected = np.union1d(held, fresh)
-            suspected = suspected[~lasting(self.run, suspected, seen.residual)]
+            # Each as far off as others say; what a run shares is in the residuals of those beside it.
+            own = seen.residual[suspected] / np.where(free, np.maximum(kept, _SEEN), 1.0)[suspected]
+            suspected = suspected[~lasting(self.run, suspected, own, seen.residual)]
             if len(fresh):
                 # Only what was held out has its deviation from what all others predict.
                 seen = self._fit(suspected)
@@ -470,6 +468,10 @@ class _Search:
                     out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other, ambiguous=True))
             out[k] = Outlier(int(rows[k]), root, deviation, words, ambiguous=bool(len(alike)))
         for k, every in doubtful.items():
+            # Two that are in doubt are named already; what is wrong in any case was decided with what is in doubt.
+            if k in out and (k not in every or (len(every) == 2 and out[k].ambiguous)):
+                out[k] = replace(out[k], ambiguous=True)
+                continue
             names = ", ".join(str(int(rows[j])) for j in every if j != k)
             words = f"it, or others of rows {names}, contradict the rest and nothing tells which is right"
             size = float(seen.residual[k] / seen.scale)

@@ -7,13 +7,36 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["HELD", "standing_out"]
+__all__ = ["HELD", "UNSEEN", "standing_out", "told"]
 
 HELD = 1e-8
 """Weight of a reading that is held out: it still places what nothing else places."""
 
-# A residual that holds less than this of its reading's variance says nothing of it.
-_UNSEEN = 1e-6
+UNSEEN = 1e-6
+"""A residual that holds less than this of its reading's variance says nothing of it."""
+
+
+def told(products: Array, deviation: Array, weight: Array) -> tuple[Array, Array]:
+    """What all other readings tell of a few.
+
+    Args:
+        products: (k, k) covariance of the predictions of these readings, in which they took part themselves.
+        deviation: (k,) of the readings from these predictions.
+        weight: (k,) with which each took part, between `HELD` and 1.
+
+    Returns:
+        (k, k) inverse covariance of the deviations from predictions in which they have no part at all, and (k,) the
+        inverse times these deviations.
+    """
+    # With h the variance of a prediction without them, h / (1 + w h) is the one at hand. Of what they alone determine,
+    # all of it is theirs.
+    root = np.sqrt(weight)
+    share, vectors = np.linalg.eigh(root[:, None] * products * root)
+    shared = share < 1.0 - UNSEEN
+    share, some = np.maximum(share[shared], 0.0), vectors[:, shared]
+    inverse = some @ np.linalg.solve((some.T * weight) @ some + np.diag(share / (1.0 - share)), some.T)
+    inverse = root[:, None] * inverse * root
+    return inverse, weight * deviation + inverse @ ((1.0 - weight) * deviation)
 
 
 def standing_out(products: Array, deviation: Array, limit: float) -> IntArray:
@@ -27,23 +50,15 @@ def standing_out(products: Array, deviation: Array, limit: float) -> IntArray:
     Returns:
         Indices of those that stand out.
     """
-    # With h the variance of a prediction in which they have no part at all, h / (1 + w h) is the one at hand. Of what
-    # they alone determine, all of it is theirs.
     if len(deviation) == 1 and HELD * products[0, 0] < 1e-3:
         return np.flatnonzero(np.abs(deviation) > limit * np.sqrt(1.0 + np.diag(products)))
-    values, vectors = np.linalg.eigh((products + products.T) / 2)
-    share = np.clip(HELD * values, 0.0, 1.0)
-    alone = share > 0.5
-    variance = np.where(alone, 0.0, np.maximum(values, 0.0) / np.where(alone, 1.0, 1.0 - share))
-    known = np.where(alone, 0.0, 1.0 / (1.0 + variance))
-    inverse = (vectors * known) @ vectors.T
-    pulled = vectors @ (known * (1.0 + HELD * variance) * (vectors.T @ deviation))
+    inverse, pulled = told(products, deviation, np.full(len(deviation), HELD))
     # With all put back: the residuals over what they would be with a variance of one, and what each is known by.
     whole, pull = inverse.copy(), pulled.copy()
     apart = np.zeros(len(deviation), dtype=bool)
     while True:
         seen = np.diag(inverse)
-        size = np.where(apart | (seen < _UNSEEN), 0.0, np.abs(pulled) / np.sqrt(np.maximum(seen, _UNSEEN)))
+        size = np.where(apart | (seen < UNSEEN), 0.0, np.abs(pulled) / np.sqrt(np.maximum(seen, UNSEEN)))
         worst = int(np.argmax(size))
         if size[worst] <= limit:
             break
