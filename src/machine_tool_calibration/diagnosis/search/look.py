@@ -290,10 +290,7 @@ def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Find
 def _accepted(
     findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, place: Mapping[str, int]
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not; of a group of which some member is, its most probable one.
-
-    That one must be more probable than that nothing is missing: many that look alike share what speaks for none.
-    """
+    """Effects that are in more likely than not; of a group of which some member is, its first if that beats nothing."""
     sure = [f.name for f in findings if f.probability > ACCEPTED]
     for first, *others in groups:
         members = [place[name] for name in (first, *others)]
