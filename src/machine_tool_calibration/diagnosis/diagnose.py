@@ -377,4 +377,4 @@ def _hold(before: ErrorMap, after: ErrorMap) -> None:
     if lost:
         raise ModelError(f"together with it {lost} values of the map would no longer be determined")
     if growth > _SPOILT:
-        raise ModelError(f"the uncertainty of the machine's errors would be {growth:.0f} times as large with it")
+        raise ModelError(f"together with it the data would determine the machine's errors {growth:.0f} times worse")
