@@ -363,7 +363,7 @@ def _hold(before: ErrorMap, after: ErrorMap) -> None:
         ModelError: some of the map is no longer determined, or its uncertainty has grown beyond all use.
     """
     lost, growth = 0, 1.0
-    for name in (name for name in before.content if _OF_THE_MACHINE.fullmatch(name)):
+    for name in filter(_OF_THE_MACHINE.fullmatch, before.content):
         old = np.asarray(before.content[name], dtype=float)
         new = np.asarray(after.content.get(name, np.full(old.shape, np.nan)), dtype=float)
         if new.shape == old.shape:
@@ -377,7 +377,4 @@ def _hold(before: ErrorMap, after: ErrorMap) -> None:
     if lost:
         raise ModelError(f"together with it {lost} values of the map would no longer be determined")
     if growth > _SPOILT:
-        raise ModelError(
-            "together with it the data no longer determines the machine's errors: their uncertainty would grow "
-            f"{growth:.0f} times"
-        )
+        raise ModelError(f"together with it the data would determine the machine's errors {growth:.0f} times worse")

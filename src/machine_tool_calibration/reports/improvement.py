@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["improvement_document", "show_improvement", "step_document"]
 
+# Growth of the map's uncertainty that is explained.
+_GROWN = 1.2
+
 
 def improvement_document(done: Improvement) -> dict[str, Any]:
     """The content of `mtcal-improvement/1`: every model on the way, and the result document of the last.
@@ -70,7 +73,7 @@ def _words(done: Improvement) -> str:
     found = done.diagnosis
     fell = _what_falls(done)
     if found.accepted:
-        return f"Added {', '.join(found.accepted)}: {fell}"
+        return f"Added {', '.join(found.accepted)}: {fell}{_what_grows(done)}"
     if found.verdict == "outliers":
         return f"Set aside {len(found.outliers)} readings that do not belong to the rest: {fell} No effect is missing."
     if found.verdict == "unexplained":
@@ -92,6 +95,17 @@ def _what_falls(done: Improvement) -> str:
     return (
         f"the residual volumetric error falls from {quantity(before, 'm')} to {quantity(after, 'm')} "
         f"RMS (k = 2); {residual} ({declared})."
+    )
+
+
+def _what_grows(done: Improvement) -> str:
+    """The uncertainty of the map, where an effect makes it larger: not the map has become worse."""
+    before, after = done.steps[0].map_uncertainty, done.steps[-1].map_uncertainty
+    if before is None or after is None or after < _GROWN * before:
+        return ""
+    return (
+        f" U of the map grows from {quantity(2 * before, 'm')} to {quantity(2 * after, 'm')} RMS (k = 2), as the same "
+        "readings determine the effect as well; the smaller one did not contain what was missing."
     )
 
 

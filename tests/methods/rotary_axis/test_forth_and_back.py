@@ -28,6 +28,7 @@ def test_what_changes_with_time_is_not_taken_for_an_error_of_the_angle(effect: s
     assert np.sqrt(np.mean(one_way**2)) > 2e-7
 
 
+@pytest.mark.usefixtures("reproducible")
 def test_backlash_is_told_and_the_map_is_the_mean_of_both_directions() -> None:
     play = FlawSpec(id="backlash_c", size=1e-5)
     _, moved = _moved("rotary_axis", play)

@@ -162,7 +162,7 @@ def look_at(
         unknown=found.of(*range(len(candidates), len(columns.candidates))) if still else 0.0,
         accepted=accepted,
         left=_structure(columns, found, chance, accepted) if accepted else structure,
-        nothing=found.nothing,
+        nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.metrics[0].ratio, strict=True)),
@@ -290,15 +290,12 @@ def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Find
 def _accepted(
     findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, place: Mapping[str, int]
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not; of a group of which some member is, its most probable one.
-
-    That one must be more probable than that nothing is missing: many that look alike share what speaks for none.
-    """
+    """Effects that are in more likely than not; of a group its first if that is more probable than none of them."""
     sure = [f.name for f in findings if f.probability > ACCEPTED]
-    for first, *others in groups:
-        members = [place[name] for name in (first, *others)]
-        if not {first, *others} & set(sure) and found.of(*members) > ACCEPTED and found.of(members[0]) > found.nothing:
-            sure.append(first)
+    for group in groups:
+        members = [place[name] for name in group]
+        if not set(group) & set(sure) and found.of(members[0]) > 1.0 - found.of(*members):
+            sure.append(group[0])
     return tuple(sorted(sure, key=lambda name: -found.log_factor(place[name])))
 
 

@@ -77,11 +77,6 @@ class Posterior:
         members = {k: self.best.get(k) or self.single.best[k] for k in accepted}
         return _beside(self.blocks, self.metrics, members)
 
-    @property
-    def nothing(self) -> float:
-        """Probability that nothing is missing."""
-        return next((float(p) for s, p in zip(self.sets, self.probability, strict=True) if not s), 0.0)
-
     def of(self, *candidates: int) -> float:
         """Probability that some of these candidates are in."""
         wanted = set(candidates)
