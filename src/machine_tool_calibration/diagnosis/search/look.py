@@ -290,11 +290,12 @@ def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Find
 def _accepted(
     findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, place: Mapping[str, int]
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not; of a group its first if that is more probable than none of them."""
+    """Effects that are in more likely than not; of a group of which some member is, its first if that gains beside them."""
     sure = [f.name for f in findings if f.probability > ACCEPTED]
+    known = {place[name] for name in sure}
     for group in groups:
         members = [place[name] for name in group]
-        if not set(group) & set(sure) and found.of(members[0]) > 1.0 - found.of(*members):
+        if not known & set(members) and found.of(*members) > ACCEPTED and found.gains(known, members[0]):
             sure.append(group[0])
     return tuple(sorted(sure, key=lambda name: -found.log_factor(place[name])))
 

@@ -8,7 +8,7 @@ every other effect over all its nonlinear coefficients and scales, until the bes
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Sequence, Set
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -90,6 +90,11 @@ class Posterior:
             return float(self.single.log_factors[candidate, 0])
         gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
         return gained - float(self.log_odds[candidate])
+
+    def gains(self, known: Set[int], candidate: int) -> bool:
+        """Whether what is known is more probable with another candidate beside it than alone."""
+        shares = [(set(s), p) for s, p in zip(self.sets, self.probability, strict=True)]
+        return bool(sum(p for s, p in shares if s >= {*known, candidate}) > sum(p for s, p in shares if s == known))
 
     def exchanges(self, candidate: int, other: int) -> bool:
         """Whether another candidate is in where this one is not, and more probably than where this one is."""
