@@ -139,3 +139,15 @@ def test_a_factor_of_a_member_is_beside_the_rest() -> None:
     assert found.log_factor(0) == pytest.approx(beside)
     # The other is no longer noise: the evidence is stronger than alone.
     assert found.log_factor(0) > found.single.log_factors[0, 0]
+
+
+def test_one_of_a_pair_nearly_alike_gains_where_the_signal_is_clear_and_not_where_it_may_be_noise() -> None:
+    columns, noise = made(7, 1)
+    pair = np.column_stack([columns[:, 0], columns[:, 0]])
+    clear, faint = (searched(pair, size * columns[:, 0] + noise - columns @ (columns.T @ noise) / 64.0)
+                    for size in (1.0, 0.3))  # fmt: skip
+    assert clear.gains(set(), 0) and clear.gains(set(), 1)
+    # Beside the other, that says all already, neither does.
+    assert not clear.gains({1}, 0)
+    assert faint.of(0) < faint.probability[[not s for s in faint.sets].index(True)]
+    assert not faint.gains(set(), 0)

@@ -290,7 +290,7 @@ def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Find
 def _accepted(
     findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, place: Mapping[str, int]
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not; of a group of which some member is, its first if that gains beside them."""
+    """Effects that are in more likely than not; of a group of which some member is, its first if that gains."""
     sure = [f.name for f in findings if f.probability > ACCEPTED]
     known = {place[name] for name in sure}
     for group in groups:
