@@ -210,6 +210,7 @@ class _Search:
         self.run = runs_of(model)
         self.near = near_of(self.part, self.readings)
         self.bound: list[IntArray] | None = None
+        # Limit of an even fit, over the declared uncertainty: what is left of wrong readings raises none beyond it.
         self.quiet = np.inf
         theta, local = self.problem.zero
         self.start = theta, local[0]
@@ -351,8 +352,8 @@ class _Search:
         farthest = float(studentized.max()) / scale
         limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
         # Readings of each other's place mirror each other: as many say something as there are degrees of freedom.
-        told = min(dof / len(studentized), 1.0)
-        limit = max(limit, limit_of_tails(studentized / bulk, _LEVEL, told, part=self.reads_machine))
+        independent = min(dof / len(studentized), 1.0)
+        limit = max(limit, limit_of_tails(studentized / bulk, _LEVEL, independent, part=self.reads_machine))
         even = scale < _MISFIT or special.chdtrc(dof, dof * scale**2) > _LEVEL
         if not self.reads_machine and not even:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
