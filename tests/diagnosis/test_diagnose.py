@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import identify
@@ -30,6 +32,16 @@ def look(plan: str, seed: int, *flaws: FlawSpec, **changes: object) -> Diagnosis
 @pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "probing_cross"])
 def test_nothing_missing_is_called_adequate(plan: str) -> None:
     assert look(plan, 101).verdict == "adequate"
+
+
+def test_what_identify_refuses_is_not_called_adequate() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=1)).session
+    columns = {**session.readings.columns, "x": 1.1 * session.readings.columns["x"]}
+    stretched = session.with_readings(replace(session.readings, columns=columns))
+    with pytest.raises(ModelError, match="which no machine has"):
+        identify(stretched)
+    with pytest.raises(ModelError, match="which no machine has"):
+        diagnose(stretched, sets=SETS)
 
 
 def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
