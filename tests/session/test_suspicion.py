@@ -103,6 +103,15 @@ def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[st
         assert json.loads(out)["suspicious"] == [says] if more else f"suspicious: {says}" in " ".join(out.split())
 
 
+def test_an_uncertainty_along_the_path_of_a_probe_is_said_to_change_nothing() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["probing_cam"], seed=1)).session
+    said = session.description.standard_uncertainty.model_copy(update={"per_length": 1e-6})
+    grown = replace(session, description=session.description.model_copy(update={"standard_uncertainty": said}))
+    assert suspicions([grown]) == [
+        "standard_uncertainty grows with per_length, and a probe has no path: it changes nothing"
+    ]
+
+
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_sound_sessions_are_not_suspicious(preset: str) -> None:
     assert suspicions([simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session]) == []

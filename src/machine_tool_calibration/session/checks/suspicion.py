@@ -20,11 +20,12 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """What is suspicious in sessions, in words.
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
-    another unit. Places off the machine's travel.
+    another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not.
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    return [f"{name}{words}" for name, session in pairs for words in (*_still(session), *_beside(session))]
+    checks = (_still, _beside, _pathless)
+    return [f"{name}{words}" for name, session in pairs for check in checks for words in check(session)]
 
 
 def _still(session: Session) -> Iterator[str]:
@@ -57,3 +58,9 @@ def _beside(session: Session) -> Iterator[str]:
                 f"{len(off)} of {len(values)} places are off the travel of {name.upper()}, {low:g} to {high:g} {unit}: "
                 f"{name.lower()} = {worst:g} {unit}"
             )
+
+
+def _pathless(session: Session) -> Iterator[str]:
+    said = session.description.standard_uncertainty
+    if session.spec.probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
+        yield "standard_uncertainty grows with per_length, and a probe has no path: it changes nothing"
