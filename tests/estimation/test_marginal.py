@@ -8,27 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, log_prior, metric_at, metrics, ratio_grid
+from machine_tool_calibration.estimation.marginal import log_prior, metric_at, metrics, ratio_grid
 
-N = 24
-
-
-def columns(seed: int, count: int, size: float = 1.0) -> np.ndarray:
-    return size * np.random.default_rng(seed).normal(size=(N, count))
-
-
-def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> Gram:
-    """Inner products without any model: all that lies outside it is everything."""
-    readings = readings[:, None] if readings.ndim == 1 else readings
-    every, family = np.column_stack([candidates, spread]), np.zeros(spread.shape[1], dtype=np.int64)
-    return Gram(every.T @ every, every.T @ readings, np.sum(readings**2, axis=0), family, len(readings))
-
-
-def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:
-    """log p(y) up to what all models share, the variance of the noise integrated with what was declared as prior."""
-    squares = float(readings @ np.linalg.solve(covariance, readings))
-    determinant = np.linalg.slogdet(covariance)[1]
-    return float(-0.5 * determinant - 0.5 * (N + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares))
+from ..inner_products import N, columns, gram_of, log_marginal
 
 
 @pytest.mark.parametrize("families", [0, 1, 2])

@@ -172,7 +172,7 @@ def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         if entry["probability"] > _SURE and entry["size"] > 0:
             low, high = (quantity(end, "m") for end in entry["interval"])
             yield (
-                f"The {_FAMILIES.get(entry['family'], entry['family'])} differ among themselves by "
+                f"The {_family(entry)} differ among themselves by "
                 f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; "
                 "the uncertainties contain it."
             )
@@ -181,12 +181,16 @@ def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 def not_ruled_out(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The most of what does not reproduce, where it is not sure that there is any: from the same entries."""
     most = [
-        f"{quantity(entry['interval'][1], 'm')} RMS between the {_FAMILIES.get(entry['family'], entry['family'])}"
+        f"{quantity(entry['interval'][1], 'm')} RMS between the {_family(entry)}"
         for entry in sizes
         if entry["probability"] <= _SURE and entry["interval"][1] > 0
     ]
     if most:
         yield f"What does not reproduce is at most {' and '.join(most)} (95 %); the uncertainties contain it."
+
+
+def _family(entry: Mapping[str, Any]) -> str:
+    return str(_FAMILIES.get(entry["family"], entry["family"]))
 
 
 def declared_words(said: StandardUncertainty) -> str:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import special
@@ -209,7 +210,6 @@ class _Search:
         self.reads_machine = model.observations.session.spec.reads_machine
         self.run = runs_of(model)
         self.near = near_of(self.part, self.readings)
-        self.bound: list[IntArray] | None = None
         # Limit of an even fit, over the declared uncertainty: what is left of wrong readings raises none beyond it.
         self.quiet = np.inf
         theta, local = self.problem.zero
@@ -273,7 +273,7 @@ class _Search:
         out = np.zeros(self.n, dtype=bool)
         out[held] = True
         least = 1 if len(held) <= _TOGETHER else 2
-        wanted = [mine for mine in self._bound() if np.count_nonzero(out[mine]) >= least]
+        wanted = [mine for mine in self._bound if np.count_nonzero(out[mine]) >= least]
         if not wanted or not np.isfinite(seen.scale):
             return held, doubtful
         which = np.unique(np.concatenate(wanted))
@@ -301,13 +301,13 @@ class _Search:
             held, seen = again, self._fit(again)
         return held, seen, doubtful
 
+    @cached_property
     def _bound(self) -> list[IntArray]:
         """Readings that hang together."""
-        if self.bound is None:
-            self.bound = bound_by_points(self.part)
-            if self.n * self.problem.size <= _COMPARED:
-                self.bound += bound_by_unknowns(self.part, self.start, self.problem.size)
-        return self.bound
+        bound = bound_by_points(self.part)
+        if self.n * self.problem.size <= _COMPARED:
+            bound += bound_by_unknowns(self.part, self.start, self.problem.size)
+        return bound
 
     def _start(self) -> tuple[IntArray, _Judged]:
         """Readings that a robust fit suspects, and the fit without them."""

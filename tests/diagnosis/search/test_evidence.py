@@ -12,22 +12,12 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, table
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, log_prior, metrics, ratio_grid
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, log_prior, metrics, ratio_grid
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
-N = 24
+from ...inner_products import N, columns, gram_of, log_marginal
+
 EVER = np.inf
-
-
-def columns(seed: int, count: int, size: float = 1.0) -> np.ndarray:
-    return size * np.random.default_rng(seed).normal(size=(N, count))
-
-
-def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> Gram:
-    """Inner products without any model: all that lies outside it is everything."""
-    readings = readings[:, None] if readings.ndim == 1 else readings
-    every, family = np.column_stack([candidates, spread]), np.zeros(spread.shape[1], dtype=np.int64)
-    return Gram(every.T @ every, every.T @ readings, np.sum(readings**2, axis=0), family, len(readings))
 
 
 def block(
@@ -36,13 +26,6 @@ def block(
     k = len(unit)
     shaped = Shaped((), np.zeros((k, 0)))
     return Block(candidate, slice(first, first + k), shaped, np.array(unit), np.full(k, low), np.full(k, high), share)
-
-
-def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:
-    """log p(y) up to what all models share, the variance of the noise integrated with what was declared as prior."""
-    squares = float(readings @ np.linalg.solve(covariance, readings))
-    determinant = np.linalg.slogdet(covariance)[1]
-    return float(-0.5 * determinant - 0.5 * (N + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares))
 
 
 def scales_of(signal: float) -> np.ndarray:
