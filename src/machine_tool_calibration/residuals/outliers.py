@@ -273,7 +273,9 @@ class _Search:
         out = np.zeros(self.n, dtype=bool)
         out[held] = True
         least = 1 if len(held) <= _TOGETHER else 2
-        wanted = [mine for mine in self._bound if np.count_nonzero(out[mine]) >= least]
+        bound, member, group = self._bound
+        # How many of each group are held out.
+        wanted = [bound[k] for k in np.flatnonzero(np.bincount(group, out[member]) >= least)]
         if not wanted or not np.isfinite(seen.scale):
             return held, doubtful
         which = np.unique(np.concatenate(wanted))
@@ -302,12 +304,13 @@ class _Search:
         return held, seen, doubtful
 
     @cached_property
-    def _bound(self) -> list[IntArray]:
-        """Readings that hang together."""
+    def _bound(self) -> tuple[list[IntArray], IntArray, IntArray]:
+        """Groups of readings that hang together; and all their members below each other, with the group of each."""
         bound = bound_by_points(self.part)
         if self.n * self.problem.size <= _COMPARED:
             bound += bound_by_unknowns(self.part, self.start, self.problem.size)
-        return bound
+        group = np.repeat(np.arange(len(bound)), [len(mine) for mine in bound])
+        return bound, np.concatenate([np.zeros(0, dtype=np.int64), *bound]), group
 
     def _start(self) -> tuple[IntArray, _Judged]:
         """Readings that a robust fit suspects, and the fit without them."""
