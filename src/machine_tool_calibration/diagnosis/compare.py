@@ -21,7 +21,7 @@ from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
-from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, noise_of, same_place
+from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, noise_of
 from machine_tool_calibration.residuals.sums import residual_sums
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
@@ -375,7 +375,7 @@ class _Residuals:
         left, squares = float(self.free.sum()), float(np.sum(self.normal**2))
         seen = left > _LEAST_LEFT
         p = float(special.chdtrc(left, squares)) if seen else 1.0
-        place = same_place(self.observations)
+        place = self.observations.place
         count = np.bincount(place)
         repeats = int((count - 1).sum())
         declared, scatter = self.observations.session.sigma, None

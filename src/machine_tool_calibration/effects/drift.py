@@ -11,11 +11,8 @@ from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["LinearDrift", "StationDrift"]
 
-_BY_READING = Coefficient("r", "m", -1e-6, 1e-6, "from one reading to the next")
-
-
 class LinearDrift(Effect):
-    """The reading runs away at one rate, in all setups; per reading where no times were recorded."""
+    """The reading runs away at one rate, in all setups."""
 
     id = "linear_drift"
     title = "linear drift of the reading"
@@ -23,15 +20,11 @@ class LinearDrift(Effect):
     source = "ISO 230-3, environmental temperature variation error"
     kind = "reading"
     coefficients = (Coefficient("r", "m/s", -1e-6, 1e-6, "rate"),)
-    covariates = ("time",)
-
-    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
-        """In metres a second, or from one reading to the next."""
-        return self.coefficients if observations.timed else (_BY_READING,)
+    needs = ("time",)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Time since the start of the session."""
-        return observations.clock[None].copy()
+        return observations.readings.column("time")[None].copy()
 
 
 class StationDrift(Effect):

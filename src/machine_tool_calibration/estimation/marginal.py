@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["DECLARED_WORTH", "NOTHING", "Gram", "Metric", "log_prior", "metric_at", "metrics", "ratio_grid"]
+__all__ = ["DECLARED_WORTH", "NOTHING", "Gram", "Metric", "metric_at", "metrics"]
 
 
 DECLARED_WORTH = 20.0
@@ -32,37 +32,23 @@ NOTHING = 1e-12
 # scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
 _NONE = 0.5
 _SCALE = 0.4
-# Sizes tried, in units of the noise, where there are three families, two, or one.
-_COARSEST, _COARSE = (0.3, 1.2, 5.0), (0.15, 0.4, 1.0, 2.5, 6.0)
-_FINE = tuple(np.geomspace(0.05, 16.0, 16).tolist())
+# Sizes tried at first, in units of the noise, where there are one, two, or three families: the smallest, the factor
+# from each to the next, and how many.
+_LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 4.0, 3)}
+# A grid grows while its largest size has more than this share of the probability; more steps are rounding.
+_EDGE, _MOST_STEPS = 1e-3, 40
 
 
-def ratio_grid(families: int, further: int = 0) -> list[tuple[float, ...]]:
-    """Sizes that are tried: every combination of a few for each family.
-
-    Args:
-        families: how many.
-        further: those whose sizes are given: the more there are, the fewer sizes of the others.
-    """
-    if families == 0:
-        return [()]
-    values = {1: _FINE, 2: _COARSE}.get(families + further, _COARSEST)
-    return list(product((0.0, *values), repeat=families))
+def _lattice(families: int) -> Array:
+    """All sizes that a grid may reach, in units of the noise, from the smallest."""
+    first, factor, _ = _LATTICES[min(families, 3)]
+    return np.asarray(first * factor ** np.arange(float(_MOST_STEPS)))
 
 
-def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:
-    """(t,) logarithm of the prior weight of each combination of sizes of a grid."""
-    if not ratios or not ratios[0]:
-        return np.zeros(len(ratios))
-    out = np.zeros(len(ratios))
-    for column in np.array(ratios).T:
-        values = np.unique(column[column > 0])
-        # A half-Cauchy density on a logarithmic grid.
-        density = values / (1.0 + (values / _SCALE) ** 2)
-        weight = dict(zip(values.tolist(), ((1.0 - _NONE) * density / density.sum()).tolist(), strict=True))
-        weight[0.0] = _NONE
-        out += np.log([weight[value] for value in column.tolist()])
-    return out
+def _log_prior(lattice: Array) -> Array:
+    """(1 + sizes,) logarithm of the prior of size zero and of those of a lattice: a half-Cauchy density in ln(size)."""
+    density = lattice / (1.0 + (lattice / _SCALE) ** 2)
+    return np.log(np.append(_NONE, (1.0 - _NONE) * density / density.sum()))
 
 
 @dataclass(frozen=True)
@@ -179,14 +165,32 @@ class Metric:
 
 
 def metrics(gram: Gram) -> list[Metric]:
-    """One for every size of what does not reproduce."""
-    further = list(product(*(own.items() for own in gram.sizes)))
-    ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1 - len(gram.sizes), len(gram.sizes))
-    return [
-        metric_at(gram, (*ratio, *(size for size, _ in own)), float(prior + sum(np.log(p) for _, p in own)))
-        for ratio, prior in zip(ratios, log_prior(ratios), strict=True)
-        for own in further
-    ]
+    """One for every size of what does not reproduce: a grid that grows until its largest sizes have no probability."""
+    families = int(gram.family.max(initial=-1)) + 1 - len(gram.sizes)
+    further = [own for own in product(*(own.items() for own in gram.sizes))]
+    if not families:
+        return [_with_sizes(gram, (), 0.0, own) for own in further]
+    lattice = _lattice(families + len(gram.sizes))
+    values, prior = np.append(0.0, lattice), _log_prior(lattice)
+    reach = [_LATTICES[min(families + len(gram.sizes), 3)][2]] * families
+    found: dict[tuple[int, ...], list[Metric]] = {}
+    while True:
+        for at in product(*(range(n + 1) for n in reach)):
+            if at not in found:
+                ratio = tuple(float(values[k]) for k in at)
+                found[at] = [_with_sizes(gram, ratio, float(prior[list(at)].sum()), own) for own in further]
+        logs = {at: float(np.logaddexp.reduce([m.log_null[0] for m in own])) for at, own in found.items()}
+        whole = float(np.logaddexp.reduce(list(logs.values())))
+        edge = [np.logaddexp.reduce([v for at, v in logs.items() if at[f] == n]) for f, n in enumerate(reach)]
+        grown = [n + int(e - whole > np.log(_EDGE) and n < _MOST_STEPS) for n, e in zip(reach, edge, strict=True)]
+        if grown == reach:
+            return [metric for at in sorted(found) for metric in found[at]]
+        reach = grown
+
+
+def _with_sizes(gram: Gram, ratio: tuple[float, ...], prior: float, further: Sequence[tuple[float, float]]) -> Metric:
+    own = prior + float(sum(np.log(p) for _, p in further))
+    return metric_at(gram, (*ratio, *(size for size, _ in further)), own)
 
 
 def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:

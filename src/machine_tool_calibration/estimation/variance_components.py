@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import Gram, metrics
+from machine_tool_calibration.estimation.marginal import Gram, metric_at, metrics
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 __all__ = ["Components", "Functions", "WidenedPart", "components"]
@@ -63,19 +63,17 @@ class Components:
         return min(float(self.weights[np.array(self.ratios)[:, family] > 0].sum()), 1.0)
 
 
-def components(gram: Array, family: IntArray, freedom: int) -> Components:
+def components(gram: Gram, repeats: Gram | None = None) -> Components:
     """Posterior of the sizes of all families.
 
     Args:
-        gram: (u + 1, u + 1) inner products of [spread columns, residual] with the model's unknowns projected off,
-            weighted by the declared uncertainty.
-        family: (u,) family of each column, from 0; at most three.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
+        gram: inner products of the spread's columns with the residual, the model's unknowns projected off.
+        repeats: the same among readings of the same thing, which then tell the sizes.
     """
-    tried = metrics(Gram(gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1], family, freedom))
+    tried = metrics(gram if repeats is None else repeats)
     logs = np.array([metric.log_null[0] for metric in tried])
-    squares = np.array([metric.squares[0] for metric in tried])
-    return Components(tuple(metric.ratio for metric in tried), logs - logsumexp(logs), squares, freedom)
+    squares = np.array([metric_at(gram, metric.ratio).squares[0] for metric in tried])
+    return Components(tuple(metric.ratio for metric in tried), logs - logsumexp(logs), squares, gram.freedom)
 
 
 Functions = tuple[IntArray, Array]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.session.session import Readings, Session, joined
 
 __all__ = ["Observations", "together"]
@@ -63,6 +63,17 @@ class Observations:
     def clock(self) -> Array:
         """(n,) time of each reading, s; where none was recorded its number, as if they came at equal intervals."""
         return self.readings.columns["time"] if self.timed else self.readings.row.astype(float)
+
+    @property
+    def place(self) -> IntArray:
+        """(n,) index shared by readings that repeat each other: same setup, place, target and direction of approach."""
+        readings = self.readings
+        keys = [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
+        keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
+        if self.session.spec.reads_machine:
+            # Deviations of one hole along x and along y do not repeat each other.
+            keys += list(np.round(self.direction.T * 1e6))
+        return groups(readings.setup, *keys, *readings.labels.values())
 
     def span(self, axis: str) -> tuple[float, float]:
         """Lowest and highest position of a linear axis on which functions of its position are scaled, m.

@@ -7,16 +7,17 @@ by slopes and bows that are no physical effect of the machine. They are random, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, in_order_of_appearance
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance
+from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import needed_columns
 
-__all__ = ["Family", "reproducibility"]
+__all__ = ["Family", "PureError", "of_repeats", "reproducibility"]
 
 # Legendre polynomials of degree 0 to 2 over the group's time, and their weights: what is slow is larger. A cubic costs
 # every spread more than it explains, so that an effect of few coefficients was more probable than it.
@@ -26,6 +27,9 @@ _FOR_A_DEGREE = 3
 # Fewer groups than this say nothing of a spread between them where the readings are deviations of the machine itself:
 # their slopes and bows are the part's or the machine's own.
 _SEVERAL = 4
+# Degrees of freedom of repeats from which they tell what does not reproduce, and readings of which so many are enough.
+_FEWEST, _ENOUGH = 8, 20_000
+_ROUNDING = 1e-9
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
 _STILL = 1e-6  # m
@@ -64,6 +68,39 @@ class Family:
         return out.reshape(-1, n)
 
 
+@dataclass(frozen=True)
+class PureError:
+    """Readings of the same thing (setup, place, direction of approach) without their mean.
+
+    What a model lacks of the machine does not enter them: pure error, as against lack of fit.
+
+    Attributes:
+        gram: (u + 1, u + 1) inner products of [functions that do not reproduce, residual] there, over the declared
+            uncertainty.
+        freedom: degrees of freedom.
+    """
+
+    gram: Array
+    freedom: int
+
+    def outside(self, own: BoolArray, family: IntArray) -> Gram:
+        """Without functions that the model has as unknowns of its own, such as the constants of runs.
+
+        Args:
+            own: (u,) whether it has each.
+            family: (u,) of each.
+        """
+        held = self.gram[np.ix_(own, own)]
+        values, vectors = np.linalg.eigh(held)
+        kept = values > _ROUNDING * max(float(values.max(initial=0.0)), 1e-300)
+        root = vectors[:, kept] / np.sqrt(values[kept])
+        along = root.T @ self.gram[np.append(own, False)]
+        left = self.gram - along.T @ along
+        left[np.append(own, False)], left[:, np.append(own, False)] = 0.0, 0.0
+        freedom = max(self.freedom - int(kept.sum()), 1)
+        return Gram(left[:-1, :-1], left[:-1, -1:], np.maximum(left[-1:, -1], 0.0), family, freedom)
+
+
 def reproducibility(observations: Observations) -> tuple[Family, ...]:
     """Families of what does not reproduce: at most three.
 
@@ -73,25 +110,61 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     """
     if observations.session.spec.reads_machine:
         return tuple(family for family in _of_direct(observations) if family.shapes.any())
-    time, readings = observations.clock, observations.readings
+    clock, readings = observations.clock, observations.readings
     # Readings are in the order of time, in whatever order they are given.
-    order = np.argsort(time, kind="stable")
+    order = np.argsort(clock, kind="stable")
     keys = [readings.setup, readings.repeat]
     if "target" in needed_columns(observations.session.description):
         keys.append(readings.labels["target"])
     run = in_order_of_appearance(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)
     mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]
-    families = [Family("run", run, _smooth(time, run))]
+    families = [Family("run", run, _smooth(observations, run))]
     mounting = in_order_of_appearance(mounting)
     if not np.array_equal(run, mounting):
-        families.append(Family("mounting", mounting, _smooth(time, mounting)))
+        families.append(Family("mounting", mounting, _smooth(observations, mounting)))
     return tuple(family for family in families if family.shapes.any())
 
 
-def _smooth(time: Array, group: IntArray) -> Array:
-    """(3, n) weighted Legendre polynomials over each group's time."""
-    out = np.zeros((len(_WEIGHTS), len(time)))
+def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:
+    """What readings of the same thing tell of these families; None where too little was read again.
+
+    Args:
+        observed: of each session.
+        residuals: (n,) of each, over the declared uncertainty.
+        names: of the families that count.
+    """
+    columns, left, freedom = [], [], 0
+    for observations, residual in zip(observed, residuals, strict=True):
+        place = observations.place
+        stride = -(-len(place) // _ENOUGH)
+        some = np.flatnonzero(place % stride == 0)
+        mine = groups(place[some])
+        count = np.bincount(mine)
+        freedom += int(np.sum(count - 1))
+        families = [family.columns()[:, some] for family in reproducibility(observations) if family.name in names]
+        both = np.concatenate([*families, residual[some][None]])
+        mean = np.array([np.bincount(mine, values) / count for values in both])
+        both -= mean[:, mine]
+        columns.append(both[:-1])
+        left.append(both[-1])
+    if freedom < _FEWEST:
+        return None
+    own = [len(c) for c in columns]
+    whole = np.zeros((sum(own) + 1, sum(own) + 1))
+    first = 0
+    for c, r in zip(columns, left, strict=True):
+        place = np.append(np.arange(first, first + len(c)), len(whole) - 1)
+        both = np.concatenate([c, r[None]])
+        whole[np.ix_(place, place)] += both @ both.T
+        first += len(c)
+    return PureError(whole, freedom)
+
+
+def _smooth(observations: Observations, group: IntArray) -> Array:
+    """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded."""
+    time, weights = observations.clock, _WEIGHTS if observations.timed else _WEIGHTS[:1]
+    out = np.zeros((len(weights), len(time)))
     count = int(group.max(initial=-1)) + 1
     size = np.bincount(group[group >= 0], minlength=count)
     low, high = np.full(count, np.inf), np.full(count, -np.inf)
@@ -100,8 +173,8 @@ def _smooth(time: Array, group: IntArray) -> Array:
     half = (high - low) / 2.0
     flat = half <= 0
     scaled = np.where(flat[group], 0.0, (time - low[group]) / np.where(flat, 1.0, half)[group] - 1.0)
-    series = np.polynomial.legendre.legvander(scaled, len(_WEIGHTS) - 1).T * _WEIGHTS[:, None]
-    for degree in range(len(_WEIGHTS)):
+    series = np.polynomial.legendre.legvander(scaled, len(weights) - 1).T * weights[:, None]
+    for degree in range(len(weights)):
         told = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
         out[degree] = np.where(told[group], series[degree], 0.0)
     return out
@@ -114,13 +187,14 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     if len(moved) >= 2:
         readings = observations.readings
         run = groups(readings.setup, readings.repeat)
-        yield Family("run", run, _smooth(observations.clock, run))
+        yield Family("run", run, _smooth(observations, run))
         yield from _rows(observations, moved)
         return
-    group = _passes(observations, moved[0]) if moved else observations.run
-    group = in_order_of_appearance(group)
-    if int(group.max(initial=-1)) + 1 >= _SEVERAL:
-        yield Family("pass", group, _smooth(observations.clock, group))
+    for name, group in (("run", observations.run), *((("pass", _passes(observations, moved[0])),) if moved else ())):
+        group = in_order_of_appearance(group)
+        if int(group.max(initial=-1)) + 1 >= _SEVERAL:
+            yield Family(name, group, _smooth(observations, group))
+            return
 
 
 def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:

@@ -17,13 +17,14 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
 from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
-from machine_tool_calibration.model.reproducibility import Family, reproducibility
+from machine_tool_calibration.model.reproducibility import Family, of_repeats, reproducibility
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import Fit, JointFit
@@ -33,8 +34,8 @@ __all__ = ["FamilySize", "RandomPosterior", "RandomUnknowns", "Stated", "state"]
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
 _COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 8, 3
-# Chance below which the readings scatter more than declared: then their scatter counts.
-_CONTRADICTED = 0.01
+# Readings that the declared uncertainty is worth where it need not hold.
+_HARDLY = 2.0
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
 _SEEN = 1e-3
 
@@ -212,7 +213,13 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
     freedom = solution.degrees_of_freedom
-    found = components(projected, place, freedom)
+    seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
+    observed = [model.observations for model in joint.assembly.models]
+    repeated = of_repeats(observed, [fit.residuals / fit.model.sigma for fit in joint.fits], names) if u else None
+    found = components(
+        Gram(projected[:-1, :-1], projected[:-1, -1:], projected[-1:, -1], place, freedom),
+        None if repeated is None else repeated.outside(~seen, place),
+    )
     chosen = np.argsort(-found.log_weights)
     most = _MOST if joint.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
@@ -228,7 +235,6 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
         random = found_random[int(np.argmax(weights))]
-    seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
     sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
     size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
     return _Marginal(mean, covariance, scatter, sizes, random, left, size)
@@ -367,12 +373,16 @@ def _with_random(
 def _scatter(chi_square: float, freedom: int) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
-    By the readings' scatter where it contradicts what was declared. Less scatter makes nothing better: an instrument
-    may be off by the same amount everywhere.
+    Either what was declared holds, as knowledge worth a number of readings, or it says next to nothing: the mean of the
+    variance over both, by the probability that each gives the readings' scatter (inverse-gamma priors). Less scatter
+    makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    if freedom < 3 or chi_square <= freedom or special.chdtrc(freedom, chi_square) > _CONTRADICTED:
-        return 1.0
-    return float(np.sqrt(chi_square / (freedom - 2)))
+    worth = np.array([DECLARED_WORTH, _HARDLY])
+    half = 0.5 * (freedom + worth)
+    logs = special.gammaln(half) - special.gammaln(0.5 * worth) + 0.5 * worth * np.log(worth)
+    logs = logs - half * np.log(worth + chi_square)
+    variance = special.softmax(logs) @ ((worth + chi_square) / (worth + freedom))
+    return float(np.sqrt(max(variance, 1.0)))
 
 
 def _sizes(

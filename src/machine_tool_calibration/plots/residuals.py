@@ -11,7 +11,6 @@ from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.style import COLORS, round_down
 from machine_tool_calibration.residuals.covariates import bins
-from machine_tool_calibration.residuals.noise import same_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,7 +164,7 @@ def sense_along(direction: Array, axis: int) -> Array:
 
 def repeat_groups(observations: Observations) -> IntArray:
     """(n,) index shared by readings that repeat each other and sense the same direction."""
-    return groups(same_place(observations), *np.round(observations.direction.T * 1e6))
+    return groups(observations.place, *np.round(observations.direction.T * 1e6))
 
 
 def color(index: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.residuals.noise import Noise, noise_of, same_place
+from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["mean_places"]
@@ -36,7 +36,7 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     session, readings = observations.session, observations.readings
     if not session.spec.reads_machine or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
         return None
-    place = same_place(observations)
+    place = observations.place
     count = np.bincount(place)
     if count.max() < 2:
         return None

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, special
 
-from machine_tool_calibration.arrays import Array, IntArray, groups, rms
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, screen
-from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 
-__all__ = ["FEWEST_REPEATS", "Noise", "noise_of", "same_place"]
+__all__ = ["FEWEST_REPEATS", "Noise", "noise_of"]
 
 # Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
 FEWEST_REPEATS = 8
@@ -40,17 +39,6 @@ class Noise:
     lack_of_fit_p: float | None
 
 
-def same_place(observations: Observations) -> IntArray:
-    """(n,) index shared by readings that repeat each other: same setup, place, target and direction of approach."""
-    readings = observations.readings
-    keys = [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
-    keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
-    if observations.session.spec.reads_machine:
-        # Deviations of one hole along x and along y do not repeat each other.
-        keys += list(np.round(observations.direction.T * 1e6))
-    return groups(readings.setup, *keys, *readings.labels.values())
-
-
 def noise_of(fit: Fit) -> Noise:
     """Compare residuals with the declared uncertainty and with repeats.
 
@@ -59,7 +47,7 @@ def noise_of(fit: Fit) -> Noise:
     Args:
         fit: one session's share in a fit.
     """
-    place = same_place(fit.model.observations)
+    place = fit.model.observations.place
     count = np.bincount(place)
     free = int((count - 1).sum())
     declared = rms(fit.model.sigma)
