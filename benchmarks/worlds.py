@@ -305,10 +305,10 @@ def transient(plan: str, seed: int) -> World:
     sigma, runs = 1.5e-6, 18 if plan == "places" else int(rng.integers(300, 600))
     places = (*_LINE, *_LINE[::-1]) if plan == "places" else (_LINE[rng.integers(11)],)
     clock = rng.uniform(10.0, 30.0) * np.arange(runs * len(places))
-    fast = clock[-1] * rng.uniform(0.03, 0.12)
-    slow, share = fast * rng.uniform(3.0, 8.0), rng.uniform(0.3, 0.7)
+    fast = clock[-1] * rng.uniform(0.02, 0.12)
+    slow, share = fast * rng.uniform(3.0, 15.0), rng.uniform(0.3, 0.7)
     warm = 1.0 - share * np.exp(-clock / fast) - (1.0 - share) * np.exp(-clock / slow)
-    signal = sigma * rng.uniform(15.0, 80.0) * rng.choice([-1.0, 1.0]) * warm
+    signal = sigma * 10.0 ** rng.uniform(1.0, 2.0) * rng.choice([-1.0, 1.0]) * warm
     silent = axis_alone(seed, places, runs, sigma, clock)
     noise = sigma * rng.normal(size=len(clock))
     return hiding(silent, {"warmup_x": signal}, noise, 1.0 + _LAW * wander(rng, clock))
