@@ -16,15 +16,17 @@ from machine_tool_calibration.diagnosis.search.candidates import Candidate, betw
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GROSS, LIKELY, SURE
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GOOD_ENOUGH, GROSS, LIKELY, SURE
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import EffectSet, ErrorMap
+from machine_tool_calibration.model.restated import changed, declared
+from machine_tool_calibration.model.result import EffectSet, ErrorMap, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.outliers import Outlier, find_outliers, suspected_rows
@@ -132,16 +134,12 @@ class Diagnosis:
 def diagnose(
     subject: Session | Chosen,
     *,
-    seed: int = 1,
-    sets: int = 199,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Diagnosis:
     """Look for missing effects in one session, or in several of one machine together.
 
     Args:
         subject: the measurement or measurements; the user's own effects are looked for beside the catalogue.
-        seed: of the simulated data sets.
-        sets: simulated data sets in which nothing is missing.
         progress: called with what is being done and the share that is finished.
 
     Raises:
@@ -157,7 +155,7 @@ def diagnose(
         kept = replace(chosen, sessions=tuple(session for _, session in each))
         if known is not None and _rows(known.set_aside) == _rows(aside):
             return replace(known, chosen=kept, set_aside=aside)
-        return _search(kept, aside, seed, sets, progress)
+        return _search(kept, aside, progress)
 
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
@@ -167,7 +165,7 @@ def diagnose(
             # With the effects in the model some of them belong to the rest again, and others stand out that were lost
             # in what the effects left: then the search begins anew.
             found = beside(_probable(found), found)
-        probable = _probable_without_suspects(found, lambda kept: _search(kept, (), seed, sets, progress))
+        probable = _probable_without_suspects(found, lambda kept: _search(kept, (), progress))
         if probable:
             other = beside(probable, found)
             if other.accepted and _rows(other.set_aside) != _rows(found.set_aside):
@@ -218,8 +216,6 @@ def _alone(chosen: Chosen, added: Sequence[str]) -> Callable[[Session], MethodMo
 def _search(
     chosen: Chosen,
     aside: tuple[tuple[Outlier, ...], ...],
-    seed: int,
-    sets: int,
     progress: Callable[[str, float], None],
 ) -> Diagnosis:
     """The diagnosis of sessions without what was set aside."""
@@ -238,7 +234,7 @@ def _search(
         return fit_sessions(searched.adding(ids))
 
     def look_for(tried: Sequence[Candidate]) -> Look:
-        return look_at(first.joint, tried, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
+        return look_at(first.joint, tried, structures, side_by_side=side_by_side)
 
     look = look_for(candidates)
     fine = _resolved(pool, candidates, look, fit_with)
@@ -309,8 +305,7 @@ def _added(
     for name in look.accepted:
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
         if not look.of(name).plausible:
-            what = "such a size" if look.of(name).possible else "it with this sign"
-            refused[name] = f"no machine or instrument has {what}"
+            refused[name] = "no machine or instrument has such a size"
         elif against:
             refused[name] = f"it does not predict {against[0]} that are left out"
         else:
@@ -331,7 +326,7 @@ def _verdict(found: Diagnosis) -> str:
     look, first, last = found.look, found.fits[0].solution, found.fits[-1].solution
     if found.contradicted:
         return "unexplained"
-    if look.unknown > ACCEPTED:
+    if look.unknown > ACCEPTED and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
         left = max((s.share for s in look.left), default=0.0) * last.chi_square
         if not found.accepted or left > first.chi_square - last.chi_square:
@@ -339,9 +334,24 @@ def _verdict(found: Diagnosis) -> str:
     if found.accepted:
         return "missing_effect"
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
-    if look.nothing < 1.0 - SURE:
+    if look.nothing < 1.0 - SURE and not _good_enough(found):
         return "unexplained"
     return "outliers" if found.outliers else "adequate"
+
+
+@single_blas()
+def _good_enough(found: Diagnosis) -> bool:
+    """Whether what is left beside the accepted effects moves the map by less than matters."""
+    joint = found.fits[-1]
+    pool = Pool(joint)
+    left = np.zeros(len(pool))
+    for name, signal in found.look.signals.items():
+        left -= signal if name not in found.accepted else 0.0
+    without = changed(joint, [left[piece] for piece in pool.pieces])
+    with_all = declared(joint)
+    moved = map_change(found.fitted[-1].map_of(with_all), found.fitted[-1].map_of(without))
+    uncertainty = map_rms(found.fitted[-1].error_map.uncertainty)
+    return moved is not None and uncertainty is not None and moved < GOOD_ENOUGH * 2.0 * uncertainty
 
 
 def _settled(fit: JointFit) -> None:

@@ -124,8 +124,6 @@ class Improvement:
 def improve(
     subject: Session | Chosen,
     *,
-    seed: int = 1,
-    sets: int = 199,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Improvement:
     """Find the missing effects, add them one after the other, and identify with each.
@@ -134,15 +132,13 @@ def improve(
 
     Args:
         subject: the measurement, or several of one machine, and the first model.
-        seed: of the simulated data sets.
-        sets: simulated data sets in which nothing is missing.
         progress: called with what is being done and the share that is finished.
 
     Raises:
         ModelError: the data does not allow the model.
     """
     chosen = replace(Chosen.of(subject), keep_all=True, sets=())
-    found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, 0.9 * share))
+    found = diagnose(chosen, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
     first = step_after(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
     steps = [first]

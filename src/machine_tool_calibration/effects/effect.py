@@ -23,7 +23,7 @@ class Coefficient:
     Attributes:
         name: short name in the formula.
         unit: SI.
-        low: smallest plausible value.
+        low: smallest plausible value; 0 where it is positive by its nature.
         high: largest plausible value.
         meaning: what it is, in a few words.
     """
@@ -33,6 +33,11 @@ class Coefficient:
     low: float
     high: float
     meaning: str = ""
+
+    @property
+    def least(self) -> float:
+        """Smallest value that is looked for: a sign is expected, and no wall."""
+        return -self.high if self.low == 0.0 else self.low
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class Effect(ABC):
         methods: methods in which it can act; all if empty.
         instruments: instruments that can have it; all if empty. A direct session that does not name its instrument has
             none of these effects: nothing says that there was a beam, and slow changes of the air look like any drift.
+        tolerance: share of its size to which the law holds, one standard deviation.
         covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
         contains: ids of simpler effects that are a special case of it: a model does not hold both.
@@ -78,6 +84,7 @@ class Effect(ABC):
     methods: tuple[str, ...] = ()
     instruments: tuple[str, ...] = ()
     covariates: tuple[str, ...] = ()
+    tolerance: float = 0.07
     setup_level: bool = False
     contains: tuple[str, ...] = ()
     definition: Mapping[str, Any] | None = None

@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["DECLARED_WORTH", "NOTHING", "Gram", "Metric", "metric_at", "metrics"]
+__all__ = ["DECLARED_WORTH", "NOTHING", "Gram", "Metric", "metric_at", "size_grid"]
 
 
 DECLARED_WORTH = 20.0
@@ -34,15 +34,9 @@ _NONE = 0.5
 _SCALE = 0.4
 # Sizes tried at first, in units of the noise, where there are one, two, or three families: the smallest, the factor
 # from each to the next, and how many.
-_LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 4.0, 3)}
+_LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4)}
 # A grid grows while its largest size has more than this share of the probability; more steps are rounding.
 _EDGE, _MOST_STEPS = 1e-3, 40
-
-
-def _lattice(families: int) -> Array:
-    """All sizes that a grid may reach, in units of the noise, from the smallest."""
-    first, factor, _ = _LATTICES[min(families, 3)]
-    return np.asarray(first * factor ** np.arange(float(_MOST_STEPS)))
 
 
 def _log_prior(lattice: Array) -> Array:
@@ -77,6 +71,14 @@ class Gram:
     def spread(self) -> IntArray:
         """(u,) places of the spread's columns."""
         return np.arange(len(self.inner) - len(self.family), len(self.inner))
+
+    @property
+    def of_spread(self) -> Gram:
+        """Those of the spread's columns alone, with the first data set."""
+        own = self.spread
+        return replace(
+            self, inner=self.inner[np.ix_(own, own)], data=self.data[own, :1], squares=self.squares[:1]
+        )
 
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
@@ -164,33 +166,40 @@ class Metric:
         )
 
 
-def metrics(gram: Gram) -> list[Metric]:
-    """One for every size of what does not reproduce: a grid that grows until its largest sizes have no probability."""
+def size_grid(gram: Gram) -> list[tuple[tuple[float, ...], float, float]]:
+    """Sizes of what does not reproduce: every combination on grids that grow until their ends have no probability.
+
+    Returns:
+        The sizes of all families, the logarithm of their prior, and that of the evidence without any candidate.
+    """
+    spread = gram.of_spread
     families = int(gram.family.max(initial=-1)) + 1 - len(gram.sizes)
-    further = [own for own in product(*(own.items() for own in gram.sizes))]
-    if not families:
-        return [_with_sizes(gram, (), 0.0, own) for own in further]
-    lattice = _lattice(families + len(gram.sizes))
+    further = list(product(*(own.items() for own in gram.sizes)))
+    first, factor, count = _LATTICES[min(max(families + bool(gram.sizes), 1), 3)]
+    lattice = first * factor ** np.arange(float(_MOST_STEPS))
     values, prior = np.append(0.0, lattice), _log_prior(lattice)
-    reach = [_LATTICES[min(families + len(gram.sizes), 3)][2]] * families
-    found: dict[tuple[int, ...], list[Metric]] = {}
+    reach = [count] * families
+    found: dict[tuple[int, ...], list[tuple[tuple[float, ...], float, float]]] = {}
     while True:
         for at in product(*(range(n + 1) for n in reach)):
             if at not in found:
-                ratio = tuple(float(values[k]) for k in at)
-                found[at] = [_with_sizes(gram, ratio, float(prior[list(at)].sum()), own) for own in further]
-        logs = {at: float(np.logaddexp.reduce([m.log_null[0] for m in own])) for at, own in found.items()}
+                known = tuple(float(values[k]) for k in at), float(prior[list(at)].sum())
+                found[at] = [_at_sizes(spread, *known, own) for own in further]
+        logs = {at: float(np.logaddexp.reduce([log for _, _, log in own])) for at, own in found.items()}
         whole = float(np.logaddexp.reduce(list(logs.values())))
         edge = [np.logaddexp.reduce([v for at, v in logs.items() if at[f] == n]) for f, n in enumerate(reach)]
         grown = [n + int(e - whole > np.log(_EDGE) and n < _MOST_STEPS) for n, e in zip(reach, edge, strict=True)]
         if grown == reach:
-            return [metric for at in sorted(found) for metric in found[at]]
+            return [one for at in sorted(found) for one in found[at]]
         reach = grown
 
 
-def _with_sizes(gram: Gram, ratio: tuple[float, ...], prior: float, further: Sequence[tuple[float, float]]) -> Metric:
-    own = prior + float(sum(np.log(p) for _, p in further))
-    return metric_at(gram, (*ratio, *(size for size, _ in further)), own)
+def _at_sizes(
+    spread: Gram, ratio: tuple[float, ...], prior: float, further: Sequence[tuple[float, float]]
+) -> tuple[tuple[float, ...], float, float]:
+    whole = (*ratio, *(size for size, _ in further))
+    prior += float(sum(np.log(p) for _, p in further))
+    return whole, prior, float(metric_at(spread, whole, prior).log_null[0])
 
 
 def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import Gram, metric_at, metrics
+from machine_tool_calibration.estimation.marginal import Gram, metric_at, size_grid
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 __all__ = ["Components", "Functions", "WidenedPart", "components"]
@@ -70,10 +70,9 @@ def components(gram: Gram, repeats: Gram | None = None) -> Components:
         gram: inner products of the spread's columns with the residual, the model's unknowns projected off.
         repeats: the same among readings of the same thing, which then tell the sizes.
     """
-    tried = metrics(gram if repeats is None else repeats)
-    logs = np.array([metric.log_null[0] for metric in tried])
-    squares = np.array([metric_at(gram, metric.ratio).squares[0] for metric in tried])
-    return Components(tuple(metric.ratio for metric in tried), logs - logsumexp(logs), squares, gram.freedom)
+    ratios, _, logs = zip(*size_grid(gram if repeats is None else repeats), strict=True)
+    squares = np.array([metric_at(gram, ratio).squares[0] for ratio in ratios])
+    return Components(tuple(ratios), np.array(logs) - logsumexp(logs), squares, gram.freedom)
 
 
 Functions = tuple[IntArray, Array]

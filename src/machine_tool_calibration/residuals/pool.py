@@ -16,11 +16,18 @@ from machine_tool_calibration.model.fit import JointFit, screen_joint
 from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
+from machine_tool_calibration.residuals.imperfection import IMPERFECTION_SIZES, imperfection
 
-__all__ = ["RANDOM", "Pool"]
+__all__ = ["IMPERFECT", "LAWS", "RANDOM", "Pool"]
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _SHOWN = 0.3
+
+IMPERFECT = "imperfection"
+"""Name of the family of smooth functions that no model has."""
+
+LAWS = "laws"
+"""Name of the family of what laws of effects leave open."""
 
 RANDOM = "random functions"
 """Name of the family of the model's own unknowns that are random functions."""
@@ -32,9 +39,11 @@ class Pool:
 
     Attributes:
         fit: of one or several sessions.
+        laws: (k, n) what laws of effects that hold to some percent leave open, m per standard deviation.
     """
 
     fit: JointFit
+    laws: Array | None = None
 
     @cached_property
     def observations(self) -> tuple[Observations, ...]:
@@ -106,18 +115,36 @@ class Pool:
                     mine = family.columns()
                     columns.append(self.only(mine * self.sigma[piece], piece))
                     place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
+        if self._imperfect is not None:
+            columns.append(self._imperfect)
+            place.append(np.full(len(self._imperfect), len(names), dtype=np.int64))
+            names = (*names, IMPERFECT)
         random = self.fit.random
         if random is not None:
             further = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
             columns.append(further)
             place.append(np.full(len(further), len(names), dtype=np.int64))
             names = (*names, RANDOM)
+        if self.laws is not None:
+            columns.append(self.laws)
+            place.append(np.full(len(self.laws), len(names), dtype=np.int64))
+            names = (*names, LAWS)
         return np.concatenate(columns), np.concatenate(place), names
+
+    @cached_property
+    def _imperfect(self) -> Array | None:
+        """(k, n) columns of what every model lacks a little; None without any."""
+        pairs = zip(self.observations, self.pieces, strict=True)
+        columns = np.concatenate([self.only(imperfection(o) * self.sigma[piece], piece) for o, piece in pairs])
+        return columns if len(columns) else None
 
     @property
     def sizes(self) -> tuple[dict[float, float], ...]:
         """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
-        return () if self.fit.random is None else (self.fit.random.sizes,)
+        imperfect = ({} if self._imperfect is None else IMPERFECTION_SIZES,)
+        random = () if self.fit.random is None else (self.fit.random.sizes,)
+        laws = () if self.laws is None else ({0.0: 0.5, 1.0: 0.5},)
+        return (*(own for own in imperfect if own), *random, *laws)
 
     def _columns_of(self, names: Sequence[str]) -> Array:
         """(q, n) change of each reading per unit of unknowns of the model's terms."""

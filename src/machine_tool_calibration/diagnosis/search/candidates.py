@@ -14,7 +14,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "opposites", "shaped_at"]
+__all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "shaped_at"]
 
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
@@ -131,23 +131,6 @@ def between_the_grid(
     return out if finer else None
 
 
-def opposites(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Structures: effects that have one sign only, with the other one.
-
-    No backlash is negative; that of an axis whose control compensates more than there is looks like it, and so does one
-    whose directions of approach were recorded the wrong way round.
-    """
-    found = []
-    for candidate in candidates:
-        if all(c.low == 0.0 for s in candidate.shapes for c in s.coefficients):
-            shapes = tuple(
-                replace(s, coefficients=tuple(replace(c, low=-c.high, high=0.0) for c in s.coefficients))
-                for s in candidate.shapes
-            )
-            found.append(Candidate(f"{candidate.name}: with the opposite sign", shapes))
-    return found
-
-
 def _grid(effect: Effect, acting: Sequence[Observations]) -> list[tuple[float, ...]]:
     """Nonlinear coefficients that are tried for an effect in the sessions in which it can act."""
     grid = sorted({shape for observations in acting for shape in effect.shape_grid(observations)})
@@ -164,6 +147,8 @@ def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:
     acting = [k for k, o in enumerate(pool.observations) if effect.why_not(o) is None]
     columns = [effect.columns(pool.observations[k], shape) for k in acting]
     named = [effect.coefficients_for(pool.observations[k], shape) for k in acting]
+    if not acting:
+        return Shaped(shape, np.zeros((0, len(pool))))
     if effect.setup_level or len({len(c) for c in columns}) > 1:
         apart = [pool.only(own, pool.pieces[k]) for k, own in zip(acting, columns, strict=True)]
         return Shaped(shape, np.concatenate(apart), tuple(c for own in named for c in own))

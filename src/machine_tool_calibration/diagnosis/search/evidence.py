@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
+from machine_tool_calibration.diagnosis.search.priors import POSITIVE
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
@@ -28,6 +29,8 @@ __all__ = ["Block", "Point", "Table", "columns_of", "gram_of", "table"]
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
 _NEVER = 1e-280
+# Normal deviates beyond which all are alike.
+_FAR = 1e8
 # Numbers that are worked on at once.
 _AT_ONCE = 4e5
 # Eigenvalues of a block in units of its largest below which a direction is the model's.
@@ -49,6 +52,7 @@ class Block:
         unit: (k,) largest plausible size of each coefficient over two: what scales count from.
         low: (k,) smallest plausible value of each.
         high: (k,) largest.
+        positive: (k,) whether it is expected to be positive.
         log_share: logarithm of the probability of these nonlinear coefficients among the candidate's.
         floor: squared norm, per unit, below which a combination of the columns is rounding of what the model takes up.
     """
@@ -59,6 +63,7 @@ class Block:
     unit: Array
     low: Array
     high: Array
+    positive: BoolArray
     log_share: float
     floor: float = 0.0
 
@@ -74,13 +79,15 @@ class Block:
             log_share: logarithm of the probability of its nonlinear coefficients.
         """
         if shaped.coefficients:
-            low, high = np.array([(c.low, c.high) for c in shaped.coefficients]).T
+            low, high = np.array([(c.least, c.high) for c in shaped.coefficients]).T
             unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+            positive = np.array([c.low == 0.0 for c in shaped.coefficients])
         else:
             unit = _ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
             low, high = np.full(len(unit), -np.inf), np.full(len(unit), np.inf)
+            positive = np.zeros(len(unit), dtype=bool)
         floor = _ROUNDED * float((squares * unit**2).max())
-        return cls(candidate, place, shaped, unit, low, high, log_share, floor)
+        return cls(candidate, place, shaped, unit, low, high, positive, log_share, floor)
 
 
 def columns_of(blocks: Iterable[Block]) -> IntArray:
@@ -164,7 +171,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, onl
         for rows in (showing[first : first + step] for first in range(0, len(showing), step)):
             mine = [every[row] for row in rows]
             own = scales[rows, : count[rows].max()]
-            logs, whole = _evidence([blocks[k] for k in mine], own, tried)
+            logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
             share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
             logs = np.where(np.isnan(own)[..., None], -np.inf, logs + share[:, None, None])
             total[mine] = _log_sum(logs.swapaxes(0, 1))
@@ -210,7 +217,7 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Metric]) -
 
     Args:
         blocks: with k columns each.
-        scales: (blocks, scales), NaN beyond those of a block.
+        scales: (blocks, scales).
         tried: metrics.
 
     Returns:
@@ -245,9 +252,16 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Metric]) -
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
     freedom = gram.freedom + gram.worth
-    after = _log_between(_normal((low - mean) / deviation, freedom), _normal((high - mean) / deviation, freedom))
+    least, zero, most = (_normal((limit - mean) / deviation, freedom) for limit in (low, 0.0, high))
     scale = scales[None, :, :, None, None]
-    value += (after - _log_between(low / scale, high / scale)).sum(axis=3)
+    after, before = _log_between(least, most), _log_between(low / scale, high / scale)
+    # One that is expected to be positive: of either sign, at these odds.
+    positive = np.array([block.positive for block in blocks])[None, :, None, :, None]
+    if positive.any():
+        odds = np.log([POSITIVE / (1.0 + POSITIVE), 1.0 / (1.0 + POSITIVE)]) + np.log(2.0)
+        signs = np.logaddexp(odds[0] + _log_between(zero, most), odds[1] + _log_between(least, zero))
+        after = np.where(positive, signs, after)
+    value += (after - before).sum(axis=3)
     return _log_sum(value), uncut
 
 
@@ -260,6 +274,7 @@ def _normal(t: Array, freedom: float) -> Array:
 
 def _log_between(low: Array, high: Array) -> Array:
     """Logarithm of the probability that a normal deviate lies between two values, far out too."""
+    low, high = np.clip(low, -_FAR, _FAR), np.clip(high, -_FAR, _FAR)
     above = low > 0
     near, far = np.where(above, -low, high), np.where(above, -high, low)
     between = np.asarray(ndtr(near) - ndtr(far))

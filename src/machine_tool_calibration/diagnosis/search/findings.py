@@ -10,7 +10,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
-from machine_tool_calibration.diagnosis.search.chance import Chance
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
@@ -35,15 +34,10 @@ class Size:
     standard_uncertainty: float
 
     @property
-    def possible(self) -> bool:
-        """Whether its sign can be, given its uncertainty: no backlash is negative."""
-        return self.coefficient.low != 0 or self.value > -_MARGIN * self.standard_uncertainty
-
-    @property
     def plausible(self) -> bool:
         """Whether it is of a size that occurs, given its uncertainty."""
         margin = _MARGIN * self.standard_uncertainty
-        return self.coefficient.low <= self.value + margin and self.value - margin <= self.coefficient.high
+        return self.coefficient.least <= self.value + margin and self.value - margin <= self.coefficient.high
 
 
 @dataclass(frozen=True)
@@ -59,8 +53,7 @@ class Finding:
         signal: (k,) the same as numbers; zero in what the model takes up.
         rank: unknowns that it adds; 0 if the model absorbs it.
         probability: that it is missing.
-        p_value: chance of so large a Bayes factor of this effect if nothing is missing.
-        family_p_value: the same, paid for the search.
+        p_value: largest chance of so large a Bayes factor of any candidate if nothing is missing.
         bic_gain: by how much the Bayesian information criterion falls when it is added.
         detectable: smallest size of each coefficient that would have been accepted with a power of 80 %, the effect's
             others being zero.
@@ -75,7 +68,6 @@ class Finding:
     rank: int = 0
     probability: float = 0.0
     p_value: float = 1.0
-    family_p_value: float = 1.0
     bic_gain: float = -np.inf
     detectable: Mapping[str, float] = field(default_factory=dict)
 
@@ -83,11 +75,6 @@ class Finding:
     def name(self) -> str:
         """The effect's id."""
         return self.candidate.name
-
-    @property
-    def possible(self) -> bool:
-        """Whether all coefficients have a possible sign."""
-        return all(size.possible for size in self.sizes)
 
     @property
     def plausible(self) -> bool:
@@ -128,9 +115,7 @@ def _largest(squares: Array) -> float:
     return max(float(squares.max(initial=0.0)), 1e-100)
 
 
-def finding_of(
-    number: int, candidate: Candidate, pool: Pool, plain: Metric, found: Posterior, chance: Chance
-) -> Finding:
+def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Metric, found: Posterior) -> Finding:
     """Fit a candidate to what the model leaves, in the metric of what does not reproduce.
 
     Args:
@@ -139,7 +124,6 @@ def finding_of(
         pool: the readings.
         plain: the metric in which all runs and mountings reproduce.
         found: the posterior.
-        chance: what comes up where nothing is missing.
     """
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
@@ -168,8 +152,7 @@ def finding_of(
         signal=signal,
         rank=rank,
         probability=found.of(number),
-        p_value=chance.alone(number, log_factor),
-        family_p_value=chance.paid(number, log_factor),
+        p_value=found.p_value(number, log_factor),
         bic_gain=-readings * float(np.log(rest)) - unknowns * float(np.log(readings)),
         detectable=_detectable(candidate, shaped, inner, variance, float(found.log_odds[number])),
     )

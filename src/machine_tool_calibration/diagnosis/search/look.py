@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, opposites
-from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
+from machine_tool_calibration.diagnosis.search.candidates import Candidate
 from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
 from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of, fitted_in
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
@@ -19,6 +18,7 @@ from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
+from machine_tool_calibration.residuals.imperfection import law_tolerance
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -33,6 +33,8 @@ _ROUNDING = 1e-6
 _LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
 _ABSORBED = 1e-4
+# Searches beside what the laws of the effects found by the last one leave open.
+_LAWS = 2
 # Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
@@ -58,7 +60,7 @@ class Structure:
     Attributes:
         covariate: its name.
         shape: of the dependence.
-        p_value: chance of it, paid for the search.
+        p_value: largest chance of it, or of any other, if nothing is there.
         share: of the weighted sum of squares that it takes up.
     """
 
@@ -83,12 +85,13 @@ class Look:
         accepted: ids of the effects that are missing more likely than not, the surest first.
         left: structure that is left beside these.
         nothing: probability that nothing is missing.
-        false_alarms: share of data sets without any effect in which one would have been accepted.
         sets: ids of the effects of every set that matters, with its probability; structures without a cause are
             `unknown`.
         spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise;
             of unknowns that are random functions in theirs.
         variance: of the noise beside them, over that declared.
+        laws: see `Pool`.
+        signals: of every member of the most probable set, (n,) what it changes in the readings, m.
         without_cause: (k, n) columns of the structures in the most probable set.
         expected: (k,) standard deviation of their coefficients.
     """
@@ -103,10 +106,11 @@ class Look:
     accepted: tuple[str, ...]
     left: tuple[Structure, ...]
     nothing: float
-    false_alarms: float
     sets: tuple[tuple[tuple[str, ...], float], ...]
     spread: dict[str, float]
     variance: float
+    laws: Array | None
+    signals: Mapping[str, Array]
     without_cause: Array
     expected: Array
 
@@ -119,8 +123,6 @@ def look_at(
     fit: JointFit,
     candidates: Sequence[Candidate],
     structures: Sequence[Candidate],
-    rng: np.random.Generator,
-    sets: int,
     *,
     side_by_side: bool,
 ) -> Look:
@@ -130,25 +132,26 @@ def look_at(
         fit: of one or several sessions.
         candidates: effects that are not in the model.
         structures: functions of the covariates.
-        rng: source of random numbers.
-        sets: simulated data sets in which nothing is missing.
         side_by_side: whether many effects are expected at once.
     """
     columns = _columns(Pool(fit), candidates, structures)
-    effects = [k for k in columns.seen if k < len(candidates)]
-    log_odds = np.full(len(columns.candidates), -np.inf)
-    for k in columns.seen:
-        prior = min(EFFECT, 1.0 / len(effects)) if k in effects else STRUCTURE
-        log_odds[k] = np.log(prior / (1.0 - prior))
-    apart = _apart(columns)
-    found = search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
-    chance = chance_of(found, columns.before, sets, rng)
-    findings = _findings(columns, found, chance)
+    found = _searched(columns, side_by_side)
+    for _ in range(_LAWS):
+        known = [(columns.candidates[k].effect, _signal(columns, found, k)) for k in found.best if k < len(candidates)]
+        laws = law_tolerance(columns.pool, [(effect, signal) for effect, signal in known if effect is not None])
+        if not len(laws):
+            break
+        before = set(found.best)
+        columns = _columns(Pool(fit, laws), candidates, structures)
+        found = _searched(columns, side_by_side)
+        if set(found.best) == before:
+            break
+    findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
     accepted = _accepted(findings, groups, found, columns.place) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
-    structure = (_structure(columns, found, chance, ()) or _of_places(fit, noise)) if still else ()
+    structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
     without_cause = [point for k, point in found.best.items() if k >= len(candidates)]
     further = [columns.blocks[point.block].shaped.columns for point in without_cause]
     expected = [columns.blocks[point.block].unit * point.scale for point in without_cause]
@@ -161,15 +164,34 @@ def look_at(
         structure=structure,
         unknown=found.of(*range(len(candidates), len(columns.candidates))) if still else 0.0,
         accepted=accepted,
-        left=_structure(columns, found, chance, accepted) if accepted else structure,
+        left=_structure(columns, found, accepted) if accepted else structure,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
-        false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.metrics[0].ratio, strict=True)),
         variance=found.variance,
+        laws=columns.pool.laws,
+        signals={columns.candidates[k].name: _signal(columns, found, k) for k in found.best},
         without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *further]),
         expected=np.concatenate([np.zeros(0), *expected]),
     )
+
+
+def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
+    effects = [k for k in columns.seen if k < columns.effects]
+    log_odds = np.full(len(columns.candidates), -np.inf)
+    for k in columns.seen:
+        prior = min(EFFECT, 1.0 / len(effects)) if k in effects else STRUCTURE
+        log_odds[k] = np.log(prior / (1.0 - prior))
+    apart = _apart(columns)
+    return search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
+
+
+def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
+    """(n,) what a member of the most probable set changes in the readings, fitted beside the others, m."""
+    block = columns.blocks[found.best[k].block]
+    metric = found.beside([other for other in found.best if other != k])[0]
+    basis, along = fitted_in(metric, block.place)
+    return np.asarray((basis @ along) @ block.shaped.columns)
 
 
 @dataclass(frozen=True)
@@ -206,7 +228,7 @@ class _Columns:
 
 
 def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
-    every = [*candidates, *opposites(candidates), *structures]
+    every = [*candidates, *structures]
     columns = np.concatenate([np.zeros((0, len(pool))), *(s.columns for c in every for s in c.shapes)])
     projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
     gram, k = gram_of(pool, projected), len(columns)
@@ -278,11 +300,11 @@ def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[B
     return others + [block for block, known in zip(free, repeated, strict=True) if not known]
 
 
-def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:
+def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
     ratio, families = found.metrics[0].ratio, len(found.metrics[0].ratio) - len(columns.gram.sizes)
     plain = metric_at(columns.gram, (0.0,) * families + ratio[families:])
     effects = enumerate(columns.candidates[: columns.effects])
-    out = [finding_of(k, candidate, columns.pool, plain, found, chance) for k, candidate in effects]
+    out = [finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects]
     # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
     return tuple(sorted(out, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
 
@@ -310,7 +332,7 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
     return tuple(out)
 
 
-def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str]) -> tuple[Structure, ...]:
+def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
     tried = found.beside([columns.place[name] for name in accepted])
     beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
@@ -318,7 +340,7 @@ def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Co
     for k in (k for k in beside.best if k >= columns.effects):
         log_factor = float(beside.log_factors[k, 0])
         # Paid for by the structures' prior against all others: what no effect says.
-        p = chance.paid(k, log_factor)
+        p = found.p_value(k, log_factor)
         if p <= _TOLD:
             block = columns.blocks[beside.best[k].block]
             taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))

@@ -9,7 +9,7 @@ every other effect over all its nonlinear coefficients and scales, until the bes
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
 from machine_tool_calibration.diagnosis.search.priors import LIKELY
-from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric, metrics
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric, metric_at, size_grid
 
 __all__ = ["Posterior", "search"]
 
@@ -90,6 +90,13 @@ class Posterior:
             return float(self.single.log_factors[candidate, 0])
         gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
         return gained - float(self.log_odds[candidate])
+
+    def p_value(self, candidate: int, log_factor: float) -> float:
+        """Largest chance that any candidate, each with its prior, does so well if nothing is missing.
+
+        A Bayes factor of B comes up with a chance of 1 / B at most (Markov's inequality).
+        """
+        return float(np.exp(min(logsumexp(self.log_odds) - self.log_odds[candidate] - log_factor, 0.0)))
 
     def gains(self, known: Set[int], candidate: int) -> bool:
         """Whether what is known is more probable with another candidate beside it than alone."""
@@ -181,9 +188,8 @@ def search(
         pairs_among: candidates of which all pairs are tried.
         apart: pairs of candidates of which one is a special case of the other: no set holds both.
     """
-    work = _Search(blocks, log_odds, metrics(gram), apart)
+    work = _Search(blocks, log_odds, _sizes_that_matter(gram, blocks, log_odds), apart)
     single = work.grow({})
-    work.tried = _worth(work, single)
     for pair in _best_pairs(work, single, pairs_among):
         # Each at the point that is best beside the other.
         for k in pair:
@@ -214,15 +220,31 @@ def search(
     )
 
 
-def _worth(work: _Search, single: Table) -> list[Metric]:
-    """Sizes of what does not reproduce that matter, with nothing or with one of the best candidates."""
-    best = sorted(single.best, key=lambda k: -float(single.log_evidence[k, 0] + work.log_odds[k]))[:_GROWN]
-    keep = np.zeros(len(work.tried), dtype=bool)
-    for members in ({}, *({k: single.best[k]} for k in best)):
-        columns, scale = _columns(work.blocks, members)
-        values = np.array([metric.log_beside(columns, scale) for metric in work.tried])
+def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> list[Metric]:
+    """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
+
+    The best are those where all reproduces, and those beside what is most probable without any.
+    """
+    grid = size_grid(gram)
+    likeliest = max(range(len(grid)), key=lambda k: grid[k][2])
+    least = min(range(len(grid)), key=lambda k: grid[k][0])
+    alone: set[Point] = set()
+    for ratio, prior, _ in (grid[k] for k in {likeliest, least}):
+        found = table(blocks, [metric_at(gram, ratio, prior)], len(log_odds))
+        ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k, 0] + log_odds[k]))[:_GROWN]
+        alone |= {found.best[k] for k in ranked}
+    # The columns of these and of the spread alone.
+    used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
+    few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used, :1], squares=gram.squares[:1])
+    tried = [metric_at(few, ratio, prior) for ratio, prior, _ in grid]
+    keep, first = np.array([log for _, _, log in grid]) > max(log for _, _, log in grid) + np.log(_COUNTS), 0
+    for point in alone:
+        scale = blocks[point.block].unit * point.scale
+        own = np.arange(first, first + len(scale))
+        first += len(scale)
+        values = np.array([metric.log_beside(own, scale) for metric in tried])
         keep |= values > logsumexp(values) + np.log(_COUNTS)
-    return [metric for metric, good in zip(work.tried, keep, strict=True) if good]
+    return [metric_at(gram, ratio, prior) for (ratio, prior, _), good in zip(grid, keep, strict=True) if good]
 
 
 def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tuple[int, int]]:

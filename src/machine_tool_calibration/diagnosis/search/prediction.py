@@ -125,10 +125,11 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
         effects: at their nonlinear coefficients.
         look: at all readings, with the size of the noise and of what does not reproduce.
     """
-    pool = Pool(fit)
+    rows = _rows(Pool(fit), Pool(look.fit))
+    pool = Pool(fit, None if look.laws is None else look.laws[:, rows])
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
     # Structures without a cause stand beside every effect: what they leave out would count against it.
-    further = look.without_cause[:, _rows(pool, Pool(look.fit))]
+    further = look.without_cause[:, rows]
     projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, pool.spread[0]]))
     gram = gram_of(pool, projected).with_noise(max(look.variance, _LEAST_NOISE))
     ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()

@@ -7,7 +7,7 @@ could have been found are read off the posterior.
 
 from __future__ import annotations
 
-__all__ = ["ACCEPTED", "ALIKE", "CONTRADICTED", "EFFECT", "GROSS", "LIKELY", "STRUCTURE", "SURE", "THE_SAME"]
+__all__ = ["ACCEPTED", "ALIKE", "CONTRADICTED", "EFFECT", "GOOD_ENOUGH", "GROSS", "LIKELY", "POSITIVE", "STRUCTURE", "SURE", "THE_SAME"]
 
 EFFECT = 0.05
 """Prior probability that one effect of the catalogue is missing: with the twenty or so that a plan can show, that
@@ -36,3 +36,10 @@ probability."""
 GROSS, CONTRADICTED = 2.0, 1e-9
 """Weighted mean square from which the readings contradict the best model, and the chance of that: more than what does
 not reproduce and a wrong declaration usually come to."""
+
+POSITIVE = 10.0
+"""Prior odds that a coefficient which is positive by its nature (a backlash) is so in the readings: a control may
+compensate more than there is, and directions of approach may be recorded the wrong way round."""
+
+GOOD_ENOUGH = 1 / 3
+"""Share of the map's expanded uncertainty up to which what is left may move the map: then the model is adequate."""

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every model lacks a little: smooth functions of where a reading was taken, and laws that hold to some percent.
+
+No model of a real machine is exactly true. What it misses is mostly smooth in place and small; were it not part of the
+comparison, the effect of the catalogue that comes nearest to it would be taken for its cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.model.observations import Observations
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.residuals.pool import Pool
+
+__all__ = ["IMPERFECTION_SIZES", "imperfection", "law_tolerance"]
+
+IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.17, 0.5: 0.17, 1.0: 0.11, 2.0: 0.05}
+"""Sizes of what every model lacks, in units of the noise, with their prior probabilities: no larger than the readings
+scatter, since what is larger is an effect, or a structure to be named."""
+
+# Highest degree of a coordinate, and of a product of two; highest order of a wave in an angle.
+_DEGREE, _TOGETHER, _ORDER = 4, 3, 4
+# Degrees of the deviation from a law, in time and in the effect's own size; what it must come to, standard uncertainties.
+_IN_TIME, _IN_SIZE = 4, 2
+_SHOWS = 0.1
+
+
+def imperfection(observations: Observations) -> Array:
+    """(k, n) smooth functions of place, whose sum has about the size 1 if each coefficient is of size 1.
+
+    Legendre polynomials of the coordinates that vary, products of two of them, and waves in the angles. None where the
+    machine's errors are read themselves: there a smooth function of place is an error motion, and to be named.
+    """
+    if observations.session.spec.reads_machine:
+        return np.zeros((0, len(observations)))
+    place = {a: v for a, v in zip("xyz", observations.position.T, strict=True)}
+    scaled = {a: s for a, s in ((a, _scaled(v)) for a, v in place.items()) if s is not None}
+    series = {a: np.polynomial.legendre.legvander(s, _DEGREE).T for a, s in scaled.items()}
+    out = [values[d] / d for values in series.values() for d in range(1, _DEGREE + 1)]
+    for a, b in combinations(series, 2):
+        degrees = [(i, j) for i in range(1, _TOGETHER) for j in range(1, _TOGETHER) if i + j <= _TOGETHER]
+        out += [series[a][i] * series[b][j] / (i + j) for i, j in degrees]
+    for angle in _angles(observations):
+        out += [wave(k * angle) / k for k in range(1, _ORDER + 1) for wave in (np.sin, np.cos)]
+    if not out:
+        return np.zeros((0, len(observations)))
+    columns = np.array(out)
+    whole = np.sqrt(np.mean(np.sum(columns**2, axis=0)))
+    return np.asarray(columns / max(float(whole), 1e-300))
+
+
+def law_tolerance(pool: Pool, effects: Sequence[tuple[Effect, Array]]) -> Array:
+    """(k, n) by what effects may differ from their laws, each per standard deviation, m: Z b (1 + delta).
+
+    The relative deviation is smooth in time and in the effect's own size; where neither varies there is none.
+
+    Args:
+        pool: the readings.
+        effects: with the (n,) signal of each, m.
+    """
+    out = [np.zeros((0, len(pool)))]
+    time = np.concatenate([o.clock if o.timed else np.zeros(len(o)) for o in pool.observations])
+    for effect, signal in effects:
+        functions = [np.zeros((0, len(pool)))]
+        for covariate, degree in ((time, _IN_TIME), (signal, _IN_SIZE)):
+            scaled = _scaled(covariate)
+            if scaled is not None:
+                functions.append(np.polynomial.legendre.legvander(scaled, degree).T[1:])
+        shapes = np.concatenate(functions)
+        deviation = shapes * signal * (effect.tolerance / np.sqrt(max(len(shapes), 1)))
+        out.append(deviation[np.abs(deviation / pool.sigma).max(axis=1, initial=0.0) > _SHOWS])
+    return np.concatenate(out)
+
+
+def _angles(observations: Observations) -> list[Array]:
+    angles = []
+    if "c" in observations.readings.columns:
+        angles.append(observations.readings.columns["c"])
+    spec = observations.session.spec
+    if spec.beam_from_pointer:
+        angles.append(np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
+    if spec.probes_surface:
+        angles.append(np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0]))
+    return [angle for angle in angles if np.ptp(angle) > 0]
+
+
+def _scaled(values: Array) -> Array | None:
+    half = float(np.ptp(values)) / 2.0 if len(values) else 0.0
+    return (values - values.min()) / half - 1.0 if half > 1e-12 else None
