@@ -341,12 +341,14 @@ def _verdict(found: Diagnosis) -> str:
 
 @single_blas()
 def _good_enough(found: Diagnosis) -> bool:
-    """Whether what is left beside the accepted effects moves the map by less than matters."""
+    """Whether what is left beside the accepted effects is below the readings' noise and hardly moves the map."""
     joint = found.fits[-1]
     pool = Pool(joint)
     left = np.zeros(len(pool))
     for name, signal in found.look.signals.items():
         left -= signal if name not in found.accepted else 0.0
+    if rms(left / pool.sigma) > 1.0:
+        return False
     without = changed(joint, [left[piece] for piece in pool.pieces])
     with_all = declared(joint)
     moved = map_change(found.fitted[-1].map_of(with_all), found.fitted[-1].map_of(without))

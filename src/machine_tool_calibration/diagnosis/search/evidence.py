@@ -86,7 +86,7 @@ class Block:
             unit = _ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
             low, high = np.full(len(unit), -np.inf), np.full(len(unit), np.inf)
             positive = np.zeros(len(unit), dtype=bool)
-        floor = _ROUNDED * float((squares * unit**2).max())
+        floor = _ROUNDED * float((squares * unit**2).max(initial=0.0))
         return cls(candidate, place, shaped, unit, low, high, positive, log_share, floor)
 
 
