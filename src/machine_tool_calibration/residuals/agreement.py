@@ -134,6 +134,8 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float, ali
             able &= np.arange(k) > last[:, None]
         else:
             able[np.argsort(-evidence[-1])[_SETS // k :]] = False
+        if not able.any():
+            break
         parent, new = np.nonzero(able)
         grown = sets[-1][parent] | (np.arange(k) == new[:, None])
         first = np.unique(grown @ 2.0 ** np.arange(k), return_index=True)[1]
@@ -214,41 +216,34 @@ class Run:
         self.position = np.empty(len(self.order), dtype=np.int64)
         self.position[self.order] = np.arange(len(self.order))
 
-    def levels(self, which: IntArray, residual: Array, gross: BoolArray) -> Array:
+    def levels(self, which: IntArray, residual: Array) -> Array:
         """(5, k) what the neighbours in time say: a line on both sides, before, and after; the median before, and after.
 
         Args:
             which: (k,) readings.
             residual: (n,) of all.
-            gross: (n,) which are no neighbours.
         """
-        usable = self.order[~gross[self.order]]
-        if not len(usable):
-            return np.full((5, len(which)), np.nan)
-        at = np.searchsorted(self.position[usable], self.position[which])
-        here = (usable[np.minimum(at, len(usable) - 1)] == which)[:, None]
         step = np.arange(1, _NEIGHBOURS + 1)
-        near = np.concatenate([at[:, None] - step, at[:, None] + step - 1 + here], axis=1)
-        inside = (near >= 0) & (near < len(usable))
-        near = usable[np.clip(near, 0, len(usable) - 1)]
+        along = np.concatenate([-step, step])
+        near = self.position[which][:, None] + along
+        inside = (near >= 0) & (near < len(self.order))
+        near = self.order[np.clip(near, 0, len(self.order) - 1)]
         inside &= self.run[near] == self.run[which][:, None]
         value = np.where(inside, residual[near], np.nan)
-        along = self.position[near] - self.position[which][:, None].astype(float)
         before, after = slice(0, _NEIGHBOURS), slice(_NEIGHBOURS, None)
-        lines = [_line(along[:, side], value[:, side]) for side in (slice(None), before, after)]
+        lines = [_line(along[side].astype(float), value[:, side]) for side in (slice(None), before, after)]
         return np.stack([*lines, *(_median(value[:, side][:, : _NEIGHBOURS - 1], 3) for side in (before, after))])
 
-    def explained(self, which: IntArray, residual: Array, gross: BoolArray, noise: Array, limit: float) -> BoolArray:
+    def explained(self, which: IntArray, residual: Array, noise: Array, limit: float) -> BoolArray:
         """(k,) whether a smooth course of the run predicts the reading: a pattern that many share, no gross error.
 
         Args:
             which: (k,) readings.
             residual: (n,) of all.
-            gross: (n,) which are no neighbours.
             noise: (k,) standard deviation of their deviations.
             limit: of a deviation, in standard deviations.
         """
-        level = self.levels(which, residual, gross)
+        level = self.levels(which, residual)
         off = np.abs(residual[which] - level)
         with np.errstate(invalid="ignore"):
             near = off < limit * np.sqrt(noise**2 + (_TOLERANCE * level) ** 2)
@@ -265,6 +260,6 @@ def _median(values: Array, fewest: int) -> Array:
 
 def _line(along: Array, values: Array) -> Array:
     """Value at 0 of the line by medians of slopes and heights (Theil 1950; Sen 1968); NaN of fewer than four values."""
-    one, other = np.triu_indices(along.shape[1], 1)
-    slope = _median((values[:, other] - values[:, one]) / (along[:, other] - along[:, one]), 6)
+    one, other = np.triu_indices(len(along), 1)
+    slope = _median((values[:, other] - values[:, one]) / (along[other] - along[one]), 6)
     return _median(values - slope[:, None] * along, 4)

@@ -57,7 +57,7 @@ _MOST = 0.2
 _SEEN = 0.02
 # Degrees of freedom of the noise that are compared, the last normal; the logarithm of the evidence that long tails need
 # (1 in 20); the share of the readings that is looked at, so that gross errors have no say, and how many at most.
-_DOFS, _LONG_TAILS, _BULK, _LOOKED_AT = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), 3.0, 0.95, 2000
+_DOFS, _TAILS, _BULK, _LOOKED_AT = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.1, 0.1, 0.1, 0.1, 0.1, 0.5), 0.95, 2000
 # Scatter over the declared uncertainty below which it is rounding.
 _ROUNDING = 0.01
 # Scatter over the declared one from which wrong readings may hide each other, or something is missing.
@@ -214,30 +214,47 @@ class _Noise:
     width: float
     limit: float
     pattern: bool
-    dof: float = 0.0
+    dof: object = None
 
 
-def _limit(dof: float, width: float, count: int, n: int) -> float:
-    """Where the evidence for a gross error passes that for noise (`count`: gross errors among n readings so far)."""
+def _noise_density(size: Array, dof: float) -> Array:
+    """Logarithm of Student's density with the quartiles of a standard normal one, but for a constant."""
+    unit = special.stdtrit(dof, 0.75) / special.ndtri(0.75)
+    constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
+    return np.asarray(constant - 0.5 * (dof + 1) * np.log1p((size * unit) ** 2 / dof))
+
+
+def _limit(tails: Array, most: float, width: float, count: int, n: int) -> float:
+    """Where the evidence for a gross error passes that for noise.
+
+    Args:
+        tails: probabilities of `_DOFS`.
+        most: degrees of freedom at most: of the scale.
+        width: of gross errors.
+        count: gross errors so far.
+        n: readings.
+    """
     share = (_PRIOR[0] + count) / (_PRIOR[1] + n)
     z = np.geomspace(1.0, 300.0, 400)
     gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
-    unit = special.stdtrit(dof, 0.75) / special.ndtri(0.75)
-    constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
-    noise = constant - 0.5 * (dof + 1) * np.log1p((z * unit) ** 2 / dof)
-    beyond = gross > noise
+    noise = np.stack([_noise_density(z, min(dof, most)) for dof in _DOFS])
+    beyond = gross > special.logsumexp(noise, axis=0, b=tails[:, None])
     return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
 
 
-def _bulk(size: Array, independent: float) -> tuple[float, float]:
-    """Scale and degrees of freedom of noise by maximum likelihood; those far out only count as being beyond.
+def _bulk(size: Array, independent: float) -> tuple[float, Array]:
+    """Scale of noise by maximum likelihood, and probabilities of its degrees of freedom.
+
+    Those far out only count as being beyond.
 
     Args:
         size: predicted residuals without signs.
         independent: how many of them say something of their own: readings of one point mirror each other.
     """
     ordered = np.sort(size)
+    told = min(independent / len(ordered), 1.0)
     if len(ordered) > _LOOKED_AT:
+        told *= len(ordered) / _LOOKED_AT
         ordered = ordered[np.linspace(0, len(ordered) - 1, _LOOKED_AT).astype(int)]
     inside = max(int(_BULK * len(ordered)), 1)
     middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
@@ -245,18 +262,13 @@ def _bulk(size: Array, independent: float) -> tuple[float, float]:
     within = ordered[None, :inside] / middle / scales[:, None]
     best, likelihood = [], []
     for dof in _DOFS:
-        # In units of the quartile, as a normal one has it.
-        unit = special.stdtrit(dof, 0.75) / special.ndtri(0.75)
-        constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
-        density = inside * (constant - np.log(scales)) - 0.5 * (dof + 1) * np.log1p((within * unit) ** 2 / dof).sum(axis=1)
-        rest = np.maximum(special.stdtr(dof, -within[:, -1] * unit), 1e-300)
-        every = density + (len(ordered) - inside) * np.log(rest)
-        best.append(int(np.argmax(every)))
-        likelihood.append(float(every.max()))
-    k = int(np.argmax(likelihood))
-    if min(independent / len(ordered), 1.0) * (likelihood[k] - likelihood[-1]) < _LONG_TAILS:
-        k = len(_DOFS) - 1
-    return max(float(middle * scales[best[k]]), _ROUNDING), _DOFS[k]
+        beyond = special.stdtr(dof, -within[:, -1] * special.stdtrit(dof, 0.75) / special.ndtri(0.75))
+        every = _noise_density(within, dof).sum(axis=1) - inside * np.log(scales)
+        every += (len(ordered) - inside) * np.log(np.maximum(2.0 * beyond, 1e-300))
+        best.append(float(scales[int(np.argmax(every))]))
+        likelihood.append(told * float(every.max()))
+    tails = special.softmax(np.array(likelihood) + np.log(_TAILS))
+    return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
 
 
 class _Search:
@@ -274,18 +286,21 @@ class _Search:
         """Readings with gross errors, and their look-alikes."""
         if self._only_noise():
             return []
-        held = self._start()
-        tried = set[bytes]()
+        held, always = self._start(), np.ones(self.n, dtype=bool)
         apart: dict[int, IntArray] = {}
-        fit, noise = self._fit(held), None
-        while held.tobytes() not in tried and len(tried) < _ROUNDS:
-            tried.add(held.tobytes())
-            gross = self._none if len(tried) == 1 else held
-            asked, fit, noise = self._asked(held, fit, gross)
-            held, apart = self._judged(asked, fit, noise, gross)
+        fit = self._fit(held)
+        for _ in range(_ROUNDS):
+            asked, joint, noise = self._asked(held, fit)
+            last, (held, apart) = held, self._judged(asked, joint, noise)
+            always &= np.isin(np.arange(self.n), held)
+            if np.array_equal(held, last):
+                break
             fit = self._fit(held)
-        noise = self._noise(fit, held)
-        return self._named(held, fit, noise, apart)
+        else:
+            # The set does not stay: what is in all of them.
+            held, apart = np.flatnonzero(always), {}
+            fit = self._fit(held)
+        return self._named(held, fit, self._noise(fit), apart)
 
     def suspected(self) -> IntArray:
         """Readings that a robust fit suspects, if one of them lies farther out than noise does."""
@@ -293,7 +308,7 @@ class _Search:
             return self._none
         held = self._start()
         fit = self._fit(held)
-        noise = self._noise(fit, held)
+        noise = self._noise(fit)
         return held if (np.abs(fit.predicted(held)) > noise.limit * noise.scale).any() else self._none
 
     @property
@@ -324,7 +339,7 @@ class _Search:
         """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
         theta, local = self.problem.zero
         fit = self._fit(self._none, (theta, local[0]))
-        noise = self._noise(fit, self._none, plain=True)
+        noise = self._noise(fit, plain=True)
         return noise.scale < _MISFIT and bool((np.abs(fit.predicted(fit.judged)) < noise.limit * noise.scale).all())
 
     def _start(self) -> IntArray:
@@ -352,8 +367,8 @@ class _Search:
         out[held] = True
         return _Fit(plain, solution, out, weight, residual, taken(plain, solution, 0, weight))
 
-    def _noise(self, fit: _Fit, gross: IntArray, *, plain: bool = False) -> _Noise:
-        """Of a fit; `gross` are no neighbours of others in a run, and `plain` leaves the runs alone."""
+    def _noise(self, fit: _Fit, *, plain: bool = False) -> _Noise:
+        """Of a fit; `plain` leaves the runs alone."""
         seen = np.flatnonzero(fit.held | (1.0 - fit.taken > _SEEN))
         if not len(fit.judged):
             return _Noise(np.inf, _WIDTH, np.inf, False)
@@ -362,34 +377,32 @@ class _Search:
             return noise
         some = seen[np.linspace(0, len(seen) - 1, min(len(seen), _LOOKED_AT)).astype(int)]
         spread = np.where(fit.held, 1.0 + fit.taken, np.maximum(1.0 - fit.taken, _SEEN))[some]
-        beside = self._of(np.abs(fit.residual[some] - self._level(some, fit, gross)) / np.sqrt(spread), fit, True)
+        beside = self._of(np.abs(fit.residual[some] - self._level(some, fit)) / np.sqrt(spread), fit, True)
         return beside if beside.scale < _PATTERN * noise.scale else noise
 
     def _of(self, size: Array, fit: _Fit, pattern: bool) -> _Noise:
         """The noise of predicted residuals (sizes), of which those beyond the limit have no say."""
-        count, limit, scale, dof = len(size), np.inf, 0.0, 0.0
+        limit, scale = np.inf, 0.0
         for _ in range(_ROUNDS):
             inside = size <= limit * scale if scale else np.ones(len(size), dtype=bool)
-            scale, dof = _bulk(size[inside], fit.degrees_of_freedom)
-            dof = min(dof, max(fit.degrees_of_freedom, 3.0))
+            scale, tails = _bulk(size[inside], fit.degrees_of_freedom)
+            most = max(fit.degrees_of_freedom, 3.0)
             beyond = size[size > _SUSPECTED * scale] / scale
             width = max(_WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else _WIDTH
-            count = len(beyond)
-            while (fewer := int(np.sum(beyond > (limit := _limit(dof, width, count, len(size)))))) < count:
-                count = fewer
+            count = 0
+            while (more := int(np.sum(beyond > (limit := _limit(tails, most, width, count, len(size)))))) > count:
+                count = more
             if np.array_equal(inside, size <= limit * scale):
                 break
-        return _Noise(scale, width, limit, pattern, dof)
+        return _Noise(scale, width, limit, pattern, tails)
 
-    def _level(self, which: IntArray, fit: _Fit, gross: IntArray) -> Array:
+    def _level(self, which: IntArray, fit: _Fit) -> Array:
         """(k,) what the neighbours in the run say: a line on both sides, or 0 where there are too few."""
-        out = np.zeros(self.n, dtype=bool)
-        out[gross] = True
-        return np.nan_to_num(self._run.levels(which, fit.residual, out)[0])
+        return np.nan_to_num(self._run.levels(which, fit.residual)[0])
 
-    def _asked(self, held: IntArray, fit: _Fit, gross: IntArray) -> tuple[IntArray, _Fit, _Noise]:
+    def _asked(self, held: IntArray, fit: _Fit) -> tuple[IntArray, _Fit, _Noise]:
         """What is to be judged together: those held out, those that stand out beside them, and all look-alikes."""
-        noise = self._noise(fit, gross)
+        noise = self._noise(fit)
         every = np.arange(self.n)
         fresh = np.abs(fit.predicted(every)) > min(noise.limit, _SUSPECTED + 1.0) * noise.scale
         asked = np.union1d(held, np.flatnonzero(fresh & ~fit.held))
@@ -398,43 +411,42 @@ class _Search:
             asked = np.union1d(asked, others[best[saved[best] > cost - self._alike(cost)]])
         if len(asked) > len(held):
             fit = self._fit(asked)
-            noise = self._noise(fit, gross)
+            noise = self._noise(fit)
         return asked, fit, noise
 
     def _alike(self, cost: float) -> float:
         return 2.0 * max(_ALIKE, _ROUGH * cost)
 
     def _judged(
-        self, asked: IntArray, fit: _Fit, noise: _Noise, gross: IntArray
+        self, asked: IntArray, fit: _Fit, noise: _Noise
     ) -> tuple[IntArray, dict[int, IntArray]]:
         """Those with gross errors; and for each that may as well be sound, all such that only tell of each other."""
         if not len(asked) or not np.isfinite(noise.scale):
             return self._none, {}
-        out = np.zeros(self.n, dtype=bool)
-        out[gross] = True
         spread = noise.scale * np.sqrt(np.where(fit.held, 1.0 + fit.taken, 1.0)[asked])
-        asked = asked[~self._run.explained(asked, fit.residual, out, spread, noise.limit)]
+        asked = asked[~self._run.explained(asked, fit.residual, spread, noise.limit)]
         found = np.zeros(self.n, dtype=bool)
         if not len(asked):
             return self._none, {}
         reached = reach(fit.part, fit.solution, 0, fit.weight, asked)
         for block in _blocks(reached):
             mine = asked[block]
-            inverse, pulled = self._joint(fit, noise, reached, block, mine, gross)
+            inverse, pulled = self._joint(fit, noise, reached, block, mine)
             found[mine[best_set(inverse, pulled, noise.limit)]] = True
-        return self._agreed(found, asked, fit, noise, gross)
+        # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
+        return (np.flatnonzero(found), {}) if noise.pattern else self._agreed(found, asked, fit, noise)
 
     def _joint(
-        self, fit: _Fit, noise: _Noise, reached: Reach, at: IntArray, mine: IntArray, gross: IntArray
+        self, fit: _Fit, noise: _Noise, reached: Reach, at: IntArray, mine: IntArray
     ) -> tuple[Array, Array]:
         """A and b of some readings (`residuals/agreement.py`)."""
         some = Reach(reached.shared[at], reached.own[at], reached.point[at])
-        residual = fit.residual[mine] - (self._level(mine, fit, gross) if noise.pattern else 0.0)
+        residual = fit.residual[mine] - (self._level(mine, fit) if noise.pattern else 0.0)
         products = some.products(some, fit.solution.covariance)
         return predicted_by_others(products, residual / noise.scale, fit.weight[mine])
 
     def _agreed(
-        self, found: BoolArray, asked: IntArray, fit: _Fit, noise: _Noise, gross: IntArray
+        self, found: BoolArray, asked: IntArray, fit: _Fit, noise: _Noise
     ) -> tuple[IntArray, dict[int, IntArray]]:
         """The same with all sets compared where readings only tell of each other."""
         fewest = 1 if len(asked) <= _TOGETHER else 2
@@ -444,7 +456,7 @@ class _Search:
             which = np.unique(np.concatenate(wanted))
             reached = reach(fit.part, fit.solution, 0, fit.weight, which)
         for mine in wanted:
-            inverse, pulled = self._joint(fit, noise, reached, np.searchsorted(which, mine), mine, gross)
+            inverse, pulled = self._joint(fit, noise, reached, np.searchsorted(which, mine), mine)
             sets = compared_sets(inverse, pulled, noise.limit, noise.width, _ALIKE)
             found[mine] = False
             found[mine[sets.gross]] = True
@@ -465,7 +477,7 @@ class _Search:
         index = index[np.argsort(near[index], kind="stable")]
         reached = reach(fit.part, fit.solution, 0, fit.weight, held)
         whole = reach(fit.part, fit.solution, 0, fit.weight, index)
-        off = fit.residual - (self._level(np.arange(self.n), fit, held) if noise.pattern else 0.0)
+        off = fit.residual - (self._level(np.arange(self.n), fit) if noise.pattern else 0.0)
         residual, kept = off[index] / noise.scale, 1.0 - fit.taken[index]
         for number, k in enumerate(held):
             one = Reach(reached.shared[[number]], reached.own[[number]], reached.point[[number]])
@@ -481,11 +493,14 @@ class _Search:
     def _named(self, held: IntArray, fit: _Fit, noise: _Noise, apart: dict[int, IntArray]) -> list[Outlier]:
         """What is held out, with what may as well be wrong in its place."""
         rows, out = self.readings.row, dict[int, Outlier]()
+        # What stands out as well with the others set aside is no look-alike: it follows a course that many share.
+        clear = fit.predicted(np.arange(self.n))
         for k, cost, others, saved in self._alternatives(held, fit, noise):
             root = float(np.sqrt(cost)) * float(np.sign(fit.residual[k]) or 1.0)
             deviation = float(fit.residual[k] * self.sigma[k])
             words = f"it is off by {_size(deviation)} from what all others say, {abs(root):.1f} times its scatter"
             alike = others[saved > max(cost - self._alike(cost), 0.5 * noise.limit**2)]
+            alike = alike[(np.abs(clear[alike]) < noise.limit * noise.scale) & (not noise.pattern)]
             if len(alike):
                 partner = [int(j) for j in alike if self.place[j] == self.place[k]]
                 names = ", ".join(str(int(rows[j])) for j in sorted(partner or alike)[:4])
