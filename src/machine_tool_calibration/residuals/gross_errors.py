@@ -286,20 +286,19 @@ class _Search:
         """Readings with gross errors, and their look-alikes."""
         if self._only_noise():
             return []
-        held, always = self._start(), np.ones(self.n, dtype=bool)
-        apart: dict[int, IntArray] = {}
-        fit = self._fit(held)
+        asked = self._start()
+        # What was asked once is asked again, so that the set comes to rest.
         for _ in range(_ROUNDS):
-            asked, joint, noise = self._asked(held, fit)
-            last, (held, apart) = held, self._judged(asked, joint, noise)
-            always &= np.isin(np.arange(self.n), held)
-            if np.array_equal(held, last):
+            joint = self._fit(asked)
+            held = self._judged(asked, joint, self._noise(joint))
+            fit = self._fit(held)
+            agreed, apart = self._agreed(asked, held, fit, self._noise(fit))
+            if not np.array_equal(agreed, held):
+                held, fit = agreed, self._fit(agreed)
+            more = np.union1d(asked, self._beside(held, fit, self._noise(fit)))
+            if len(more) == len(asked):
                 break
-            fit = self._fit(held)
-        else:
-            # The set does not stay: what is in all of them.
-            held, apart = np.flatnonzero(always), {}
-            fit = self._fit(held)
+            asked = more
         return self._named(held, fit, self._noise(fit), apart)
 
     def suspected(self) -> IntArray:
@@ -400,41 +399,31 @@ class _Search:
         """(k,) what the neighbours in the run say: a line on both sides, or 0 where there are too few."""
         return np.nan_to_num(self._run.levels(which, fit.residual)[0])
 
-    def _asked(self, held: IntArray, fit: _Fit) -> tuple[IntArray, _Fit, _Noise]:
-        """What is to be judged together: those held out, those that stand out beside them, and all look-alikes."""
-        noise = self._noise(fit)
-        every = np.arange(self.n)
-        fresh = np.abs(fit.predicted(every)) > min(noise.limit, _SUSPECTED + 1.0) * noise.scale
-        asked = np.union1d(held, np.flatnonzero(fresh & ~fit.held))
+    def _beside(self, held: IntArray, fit: _Fit, noise: _Noise) -> IntArray:
+        """What stands out beside a set of gross errors, or explains as much as one of them."""
+        fresh = np.abs(fit.predicted(np.arange(self.n))) > min(noise.limit, _SUSPECTED + 1.0) * noise.scale
+        out = [np.flatnonzero(fresh)]
         for _, cost, others, saved in self._alternatives(held, fit, noise):
             best = np.argsort(-saved)[:3]
-            asked = np.union1d(asked, others[best[saved[best] > cost - self._alike(cost)]])
-        if len(asked) > len(held):
-            fit = self._fit(asked)
-            noise = self._noise(fit)
-        return asked, fit, noise
+            out.append(others[best[saved[best] > cost - self._alike(cost)]])
+        return np.unique(np.concatenate(out))
 
     def _alike(self, cost: float) -> float:
         return 2.0 * max(_ALIKE, _ROUGH * cost)
 
-    def _judged(
-        self, asked: IntArray, fit: _Fit, noise: _Noise
-    ) -> tuple[IntArray, dict[int, IntArray]]:
-        """Those with gross errors; and for each that may as well be sound, all such that only tell of each other."""
+    def _judged(self, asked: IntArray, fit: _Fit, noise: _Noise) -> IntArray:
+        """Those of the readings asked for, which are held out, that have gross errors."""
         if not len(asked) or not np.isfinite(noise.scale):
-            return self._none, {}
+            return self._none
         spread = noise.scale * np.sqrt(np.where(fit.held, 1.0 + fit.taken, 1.0)[asked])
         asked = asked[~self._run.explained(asked, fit.residual, spread, noise.limit)]
-        found = np.zeros(self.n, dtype=bool)
         if not len(asked):
-            return self._none, {}
-        reached = reach(fit.part, fit.solution, 0, fit.weight, asked)
+            return self._none
+        reached, found = reach(fit.part, fit.solution, 0, fit.weight, asked), [self._none]
         for block in _blocks(reached):
             mine = asked[block]
-            inverse, pulled = self._joint(fit, noise, reached, block, mine)
-            found[mine[best_set(inverse, pulled, noise.limit)]] = True
-        # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
-        return (np.flatnonzero(found), {}) if noise.pattern else self._agreed(found, asked, fit, noise)
+            found.append(mine[best_set(*self._joint(fit, noise, reached, block, mine), noise.limit)])
+        return np.sort(np.concatenate(found))
 
     def _joint(
         self, fit: _Fit, noise: _Noise, reached: Reach, at: IntArray, mine: IntArray
@@ -446,18 +435,26 @@ class _Search:
         return predicted_by_others(products, residual / noise.scale, fit.weight[mine])
 
     def _agreed(
-        self, found: BoolArray, asked: IntArray, fit: _Fit, noise: _Noise
+        self, asked: IntArray, held: IntArray, fit: _Fit, noise: _Noise
     ) -> tuple[IntArray, dict[int, IntArray]]:
-        """The same with all sets compared where readings only tell of each other."""
-        fewest = 1 if len(asked) <= _TOGETHER else 2
-        wanted = [mine for mine in self._groups if found[mine].sum() >= fewest]
+        """The same with all sets compared where readings only tell of each other.
+
+        Returns:
+            Gross errors; and for each that may as well be sound, all such that only tell of each other.
+        """
         apart: dict[int, IntArray] = {}
-        if wanted:
-            which = np.unique(np.concatenate(wanted))
-            reached = reach(fit.part, fit.solution, 0, fit.weight, which)
+        # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
+        if noise.pattern or not np.isfinite(noise.scale):
+            return held, apart
+        touched, found = np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
+        touched[asked], found[held] = True, True
+        fewest = 1 if len(asked) <= _TOGETHER else 2
+        wanted = [mine for mine in self._groups if touched[mine].sum() >= fewest]
+        which = np.unique(np.concatenate([self._none, *wanted]))
+        reached = reach(fit.part, fit.solution, 0, fit.weight, which)
         for mine in wanted:
-            inverse, pulled = self._joint(fit, noise, reached, np.searchsorted(which, mine), mine)
-            sets = compared_sets(inverse, pulled, noise.limit, noise.width, _ALIKE)
+            joint = self._joint(fit, noise, reached, np.searchsorted(which, mine), mine)
+            sets = compared_sets(*joint, noise.limit, noise.width, _ALIKE)
             found[mine] = False
             found[mine[sets.gross]] = True
             if len(sets.ambiguous):
