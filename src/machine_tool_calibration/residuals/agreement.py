@@ -22,7 +22,7 @@ from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.session.session import Readings
 
 __all__ = [
-    "HELD_OUT", "Run", "Sets", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns",
+    "HELD_OUT", "Neighbours", "Sets", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns",
     "predicted_by_others", "same_place",
 ]  # fmt: skip
 
@@ -200,8 +200,11 @@ def same_place(readings: Readings) -> IntArray:
     return groups(readings.setup, *places, *senses, *readings.labels.values())
 
 
-class Run:
-    """The readings run by run, in the order of time: what neighbours predict of each other, whatever the model lacks."""
+class Neighbours:
+    """Readings next to each other in time in a run, and those that repeat each other in other runs.
+
+    What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
+    """
 
     def __init__(self, readings: Readings) -> None:
         """Order them.
@@ -211,43 +214,54 @@ class Run:
         """
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
-        self.run = groups(readings.repeat, readings.setup, *others)
-        self.order = np.argsort(self.run, kind="stable")
-        self.position = np.empty(len(self.order), dtype=np.int64)
-        self.position[self.order] = np.arange(len(self.order))
+        approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
+        self.run = _Ordered(groups(readings.repeat, readings.setup, *others))
+        self.repeats = _Ordered(groups(same_place(readings), *approach))
 
-    def levels(self, which: IntArray, residual: Array) -> Array:
-        """(5, k) what the neighbours in time say: a line on both sides, before, and after; the median before, and after.
+    def course(self, which: IntArray, residual: Array) -> Array:
+        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
 
         Args:
-            which: (k,) readings.
+            which: (k,) the readings.
             residual: (n,) of all.
         """
-        step = np.arange(1, _NEIGHBOURS + 1)
-        along = np.concatenate([-step, step])
-        near = self.position[which][:, None] + along
-        inside = (near >= 0) & (near < len(self.order))
-        near = self.order[np.clip(near, 0, len(self.order) - 1)]
-        inside &= self.run[near] == self.run[which][:, None]
-        value = np.where(inside, residual[near], np.nan)
-        before, after = slice(0, _NEIGHBOURS), slice(_NEIGHBOURS, None)
-        lines = [_line(along[side].astype(float), value[:, side]) for side in (slice(None), before, after)]
-        return np.stack([*lines, *(_median(value[:, side][:, : _NEIGHBOURS - 1], 3) for side in (before, after))])
+        return np.nan_to_num(_line(*self.run.near(which, residual)))
 
     def explained(self, which: IntArray, residual: Array, noise: Array, limit: float) -> BoolArray:
-        """(k,) whether a smooth course of the run predicts the reading: a pattern that many share, no gross error.
+        """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
 
         Args:
-            which: (k,) readings.
+            which: (k,) the readings.
             residual: (n,) of all.
             noise: (k,) standard deviation of their deviations.
             limit: of a deviation, in standard deviations.
         """
-        level = self.levels(which, residual)
-        off = np.abs(residual[which] - level)
+        along, values = self.run.near(which, residual)
+        level = [_line(along, values), _median(self.repeats.near(which, residual)[1], 1)]
+        for side in (slice(None, _NEIGHBOURS), slice(_NEIGHBOURS, None)):
+            level += [_line(along[side], values[:, side]), _median(values[:, side], 3)]
         with np.errstate(invalid="ignore"):
-            near = off < limit * np.sqrt(noise**2 + (_TOLERANCE * level) ** 2)
-            return np.asarray((near & (np.abs(level) > _LEVEL * noise)).any(axis=0))
+            off = np.abs(residual[which] - level) < limit * np.sqrt(noise**2 + (_TOLERANCE * np.array(level)) ** 2)
+            return np.asarray((off & (np.abs(level) > _LEVEL * noise)).any(axis=0))
+
+
+class _Ordered:
+    """Readings group by group, in the order of time."""
+
+    def __init__(self, group: IntArray) -> None:
+        self.group = group
+        self.order = np.argsort(group, kind="stable")
+        self.position = np.empty(len(group), dtype=np.int64)
+        self.position[self.order] = np.arange(len(group))
+
+    def near(self, which: IntArray, residual: Array) -> tuple[Array, Array]:
+        """(8,) steps to the next readings of the group before and after, and (k, 8) their residuals, NaN where none."""
+        along = np.setdiff1d(np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0)
+        near = self.position[which][:, None] + along
+        inside = (near >= 0) & (near < len(self.order))
+        near = self.order[np.clip(near, 0, len(self.order) - 1)]
+        inside &= self.group[near] == self.group[which][:, None]
+        return along.astype(float), np.where(inside, residual[near], np.nan)
 
 
 def _median(values: Array, fewest: int) -> Array:

@@ -32,7 +32,7 @@ from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.agreement import (
     HELD_OUT,
-    Run,
+    Neighbours,
     best_set,
     compared_sets,
     groups_of_points,
@@ -187,34 +187,32 @@ class _Fit:
         """Of the scatter of those that took part."""
         return max(float(np.sum(1.0 - np.clip(self.taken[~self.held], 0.0, 1.0))), 1.0)
 
-    def deviation(self, which: IntArray) -> Array:
-        """(k,) of readings from what all others predict, over the declared uncertainty."""
-        kept = np.where(self.held, 1.0, np.maximum(1.0 - self.taken, _SEEN))
-        return np.asarray(self.residual[which] / kept[which])
-
-    def predicted(self, which: IntArray) -> Array:
-        """(k,) predicted residuals in units of the declared uncertainty, 0 of those that cannot be judged."""
-        root = np.sqrt(np.where(self.held, 1.0 + self.taken, np.maximum(1.0 - self.taken, _SEEN)))
-        seen = self.held | (1.0 - self.taken > _SEEN)
-        return np.asarray(np.where(seen, self.residual / root, 0.0)[which])
+    @property
+    def spread(self) -> Array:
+        """(n,) standard deviation of the residuals over that of the noise; infinite where they say nothing."""
+        kept = np.where(self.held, 1.0 + self.taken, 1.0 - self.taken)
+        return np.asarray(np.sqrt(np.where(kept > _SEEN, kept, np.inf)))
 
 
 @dataclass(frozen=True)
 class _Noise:
-    """What a predicted residual is compared with.
+    """What predicted residuals are compared with.
 
     Attributes:
         scale: standard deviation of the bulk over the declared uncertainty.
         width: of gross errors, in these.
         limit: predicted residual beyond which a reading is rather gross than noise.
-        pattern: whether the courses of the runs are no noise, and taken off.
+        level: (n,) what the courses of the runs say, taken off the residuals; None where they are noise.
     """
 
     scale: float
     width: float
     limit: float
-    pattern: bool
-    dof: object = None
+    level: Array | None = None
+
+    def left(self, residual: Array) -> Array:
+        """(n,) residuals without the courses of the runs, in units of the scale."""
+        return np.asarray((residual if self.level is None else residual - self.level) / self.scale)
 
 
 def _noise_density(size: Array, dof: float) -> Array:
@@ -308,15 +306,15 @@ class _Search:
         held = self._start()
         fit = self._fit(held)
         noise = self._noise(fit)
-        return held if (np.abs(fit.predicted(held)) > noise.limit * noise.scale).any() else self._none
+        return held if (np.abs(noise.left(fit.residual) / fit.spread)[held] > noise.limit).any() else self._none
 
     @property
     def _none(self) -> IntArray:
         return np.zeros(0, dtype=np.int64)
 
     @cached_property
-    def _run(self) -> Run:
-        return Run(self.readings)
+    def _neighbours(self) -> Neighbours:
+        return Neighbours(self.readings)
 
     @cached_property
     def _robust(self) -> tuple[Array, Array, Array]:
@@ -339,7 +337,7 @@ class _Search:
         theta, local = self.problem.zero
         fit = self._fit(self._none, (theta, local[0]))
         noise = self._noise(fit, plain=True)
-        return noise.scale < _MISFIT and bool((np.abs(fit.predicted(fit.judged)) < noise.limit * noise.scale).all())
+        return noise.scale < _MISFIT and bool((np.abs(fit.residual / fit.spread) < noise.limit * noise.scale).all())
 
     def _start(self) -> IntArray:
         """Readings that a robust fit suspects."""
@@ -368,41 +366,43 @@ class _Search:
 
     def _noise(self, fit: _Fit, *, plain: bool = False) -> _Noise:
         """Of a fit; `plain` leaves the runs alone."""
-        seen = np.flatnonzero(fit.held | (1.0 - fit.taken > _SEEN))
+        seen = np.flatnonzero(np.isfinite(fit.spread))
         if not len(fit.judged):
-            return _Noise(np.inf, _WIDTH, np.inf, False)
-        noise = self._of(np.abs(fit.predicted(seen)), fit, False)
+            return _Noise(np.inf, _WIDTH, np.inf)
+        noise = self._of(fit, seen, fit.residual)
         if plain:
             return noise
         some = seen[np.linspace(0, len(seen) - 1, min(len(seen), _LOOKED_AT)).astype(int)]
-        spread = np.where(fit.held, 1.0 + fit.taken, np.maximum(1.0 - fit.taken, _SEEN))[some]
-        beside = self._of(np.abs(fit.residual[some] - self._level(some, fit)) / np.sqrt(spread), fit, True)
-        return beside if beside.scale < _PATTERN * noise.scale else noise
+        beside = self._of(fit, some, fit.residual - self._levels(some, fit))
+        if beside.scale > _PATTERN * noise.scale:
+            return noise
+        return replace(beside, level=self._levels(np.arange(self.n), fit))
 
-    def _of(self, size: Array, fit: _Fit, pattern: bool) -> _Noise:
-        """The noise of predicted residuals (sizes), of which those beyond the limit have no say."""
-        limit, scale = np.inf, 0.0
+    def _levels(self, which: IntArray, fit: _Fit) -> Array:
+        """(n,) of some readings what the neighbours in the run say: a line on both sides, or 0 without neighbours."""
+        out = np.zeros(self.n)
+        out[which] = self._neighbours.course(which, fit.residual)
+        return out
+
+    def _of(self, fit: _Fit, which: IntArray, residual: Array) -> _Noise:
+        """The noise of some predicted residuals, of which those beyond the limit have no say."""
+        size, most = np.abs(residual / fit.spread)[which], max(fit.degrees_of_freedom, 3.0)
+        inside = np.ones(len(size), dtype=bool)
         for _ in range(_ROUNDS):
-            inside = size <= limit * scale if scale else np.ones(len(size), dtype=bool)
             scale, tails = _bulk(size[inside], fit.degrees_of_freedom)
-            most = max(fit.degrees_of_freedom, 3.0)
             beyond = size[size > _SUSPECTED * scale] / scale
             width = max(_WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else _WIDTH
             count = 0
             while (more := int(np.sum(beyond > (limit := _limit(tails, most, width, count, len(size)))))) > count:
                 count = more
-            if np.array_equal(inside, size <= limit * scale):
+            last, inside = inside, size <= limit * scale
+            if np.array_equal(inside, last):
                 break
-        return _Noise(scale, width, limit, pattern, tails)
-
-    def _level(self, which: IntArray, fit: _Fit) -> Array:
-        """(k,) what the neighbours in the run say: a line on both sides, or 0 where there are too few."""
-        return np.nan_to_num(self._run.levels(which, fit.residual)[0])
+        return _Noise(scale, width, limit)
 
     def _beside(self, held: IntArray, fit: _Fit, noise: _Noise) -> IntArray:
         """What stands out beside a set of gross errors, or explains as much as one of them."""
-        fresh = np.abs(fit.predicted(np.arange(self.n))) > min(noise.limit, _SUSPECTED + 1.0) * noise.scale
-        out = [np.flatnonzero(fresh)]
+        out = [np.flatnonzero(np.abs(noise.left(fit.residual) / fit.spread) > min(noise.limit, _SUSPECTED + 1.0))]
         for _, cost, others, saved in self._alternatives(held, fit, noise):
             best = np.argsort(-saved)[:3]
             out.append(others[best[saved[best] > cost - self._alike(cost)]])
@@ -415,8 +415,7 @@ class _Search:
         """Those of the readings asked for, which are held out, that have gross errors."""
         if not len(asked) or not np.isfinite(noise.scale):
             return self._none
-        spread = noise.scale * np.sqrt(np.where(fit.held, 1.0 + fit.taken, 1.0)[asked])
-        asked = asked[~self._run.explained(asked, fit.residual, spread, noise.limit)]
+        asked = asked[~self._neighbours.explained(asked, fit.residual, noise.scale * fit.spread[asked], noise.limit)]
         if not len(asked):
             return self._none
         reached, found = reach(fit.part, fit.solution, 0, fit.weight, asked), [self._none]
@@ -430,9 +429,8 @@ class _Search:
     ) -> tuple[Array, Array]:
         """A and b of some readings (`residuals/agreement.py`)."""
         some = Reach(reached.shared[at], reached.own[at], reached.point[at])
-        residual = fit.residual[mine] - (self._level(mine, fit) if noise.pattern else 0.0)
         products = some.products(some, fit.solution.covariance)
-        return predicted_by_others(products, residual / noise.scale, fit.weight[mine])
+        return predicted_by_others(products, noise.left(fit.residual)[mine], fit.weight[mine])
 
     def _agreed(
         self, asked: IntArray, held: IntArray, fit: _Fit, noise: _Noise
@@ -444,7 +442,7 @@ class _Search:
         """
         apart: dict[int, IntArray] = {}
         # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
-        if noise.pattern or not np.isfinite(noise.scale):
+        if noise.level is not None or not np.isfinite(noise.scale):
             return held, apart
         touched, found = np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
         touched[asked], found[held] = True, True
@@ -457,7 +455,7 @@ class _Search:
             sets = compared_sets(*joint, noise.limit, noise.width, _ALIKE)
             found[mine] = False
             found[mine[sets.gross]] = True
-            if len(sets.ambiguous):
+            if len(sets.gross) and len(sets.ambiguous):
                 apart |= {int(k): mine[sets.ambiguous] for k in mine[np.union1d(sets.ambiguous, sets.gross)]}
         return np.flatnonzero(found), apart
 
@@ -474,30 +472,30 @@ class _Search:
         index = index[np.argsort(near[index], kind="stable")]
         reached = reach(fit.part, fit.solution, 0, fit.weight, held)
         whole = reach(fit.part, fit.solution, 0, fit.weight, index)
-        off = fit.residual - (self._level(np.arange(self.n), fit) if noise.pattern else 0.0)
-        residual, kept = off[index] / noise.scale, 1.0 - fit.taken[index]
+        left = noise.left(fit.residual)
+        residual, kept = left[index], 1.0 - fit.taken[index]
         for number, k in enumerate(held):
             one = Reach(reached.shared[[number]], reached.own[[number]], reached.point[[number]])
             first, last = (0, len(index)) if everything else np.searchsorted(near[index], [near[k], near[k] + 1])
             pool = slice(int(first), int(last))
             others = Reach(whole.shared[pool], whole.own[pool], whole.point[pool])
             tied = one.products(others, fit.solution.covariance)[0]
-            variance, deviation = 1.0 + fit.taken[k], off[k] / noise.scale
-            left, share = residual[pool] - tied * deviation / variance, kept[pool] + tied**2 / variance
-            saved = np.where(share > _SEEN, left**2 / np.maximum(share, _SEEN), 0.0)
+            variance, deviation = 1.0 + fit.taken[k], left[k]
+            other, share = residual[pool] - tied * deviation / variance, kept[pool] + tied**2 / variance
+            saved = np.where(share > _SEEN, other**2 / np.maximum(share, _SEEN), 0.0)
             yield int(k), float(deviation**2 / variance), index[pool], saved
 
     def _named(self, held: IntArray, fit: _Fit, noise: _Noise, apart: dict[int, IntArray]) -> list[Outlier]:
         """What is held out, with what may as well be wrong in its place."""
         rows, out = self.readings.row, dict[int, Outlier]()
         # What stands out as well with the others set aside is no look-alike: it follows a course that many share.
-        clear = fit.predicted(np.arange(self.n))
+        clear = np.abs(noise.left(fit.residual) / fit.spread)
         for k, cost, others, saved in self._alternatives(held, fit, noise):
             root = float(np.sqrt(cost)) * float(np.sign(fit.residual[k]) or 1.0)
             deviation = float(fit.residual[k] * self.sigma[k])
             words = f"it is off by {_size(deviation)} from what all others say, {abs(root):.1f} times its scatter"
             alike = others[saved > max(cost - self._alike(cost), 0.5 * noise.limit**2)]
-            alike = alike[(np.abs(clear[alike]) < noise.limit * noise.scale) & (not noise.pattern)]
+            alike = alike[(clear[alike] < noise.limit) & (noise.level is None)]
             if len(alike):
                 partner = [int(j) for j in alike if self.place[j] == self.place[k]]
                 names = ", ".join(str(int(rows[j])) for j in sorted(partner or alike)[:4])
@@ -516,8 +514,8 @@ class _Search:
                 continue
             names = ", ".join(str(int(rows[j])) for j in every if j != k)
             words = f"it, or others of rows {names}, contradict the rest and nothing tells which is right"
-            deviation = float(fit.deviation(np.array([k]))[0])
-            out[k] = Outlier(int(rows[k]), deviation / noise.scale, deviation * float(self.sigma[k]), words, ambiguous=True)
+            size = float(noise.left(fit.residual)[k] / fit.spread[k])
+            out[k] = Outlier(int(rows[k]), size, float(fit.residual[k] * self.sigma[k]), words, ambiguous=True)
         return list(out.values())
 
 
