@@ -33,6 +33,8 @@ HELD_OUT = 1e-8
 _UNSEEN = 1e-6
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
 _FEW, _SETS = 24, 1000
+# Difference in log evidence within which another set is as probable (1 in 50), or what rounding and nonlinearity leave.
+_ALIKE, _ROUGH = 4.0, 1e-3
 # Neighbours on each side of a reading in its run: the fewest by which a line is fitted that one wrong one does not turn.
 _NEIGHBOURS = 4
 # Share of a local level within which neighbours predict a reading: curvature, as of a transient that decays within
@@ -106,7 +108,7 @@ class Sets:
     ambiguous: IntArray
 
 
-def compared_sets(inverse: Array, pulled: Array, limit: float, width: float, alike: float) -> Sets:
+def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> Sets:
     """All sets of gross errors among a few readings, compared; of too many sets, those that the best of fewer grow into.
 
     One step after the other is not enough here: two wrong readings may agree with each other better than each does
@@ -117,11 +119,11 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float, ali
         pulled: (k,) b.
         limit: as of `best_set`.
         width: standard deviation of gross errors, in units of the noise.
-        alike: difference in log evidence within which a set that contradicts the best is as probable.
     """
     k, cost = len(pulled), 0.5 * limit**2
     inverse = inverse + np.eye(k) / max(width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
     most = 0.5 * float(pulled @ np.linalg.solve(inverse, pulled))
+    alike = max(_ALIKE, _ROUGH * most)
     sets, evidence = [np.zeros((1, k), dtype=bool)], [np.zeros(1)]
     left, pull, last = inverse[None], pulled[None], np.array([-1])
     for count in range(1, k):
@@ -227,13 +229,13 @@ class Neighbours:
         """
         return np.nan_to_num(_line(*self.run.near(which, residual)))
 
-    def explained(self, which: IntArray, residual: Array, noise: Array, limit: float) -> BoolArray:
+    def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
         """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
 
         Args:
             which: (k,) the readings.
             residual: (n,) of all.
-            noise: (k,) standard deviation of their deviations.
+            noise: standard deviation of the residuals.
             limit: of a deviation, in standard deviations.
         """
         along, values = self.run.near(which, residual)

@@ -16,7 +16,7 @@ is what is left beside them. Readings of which nothing tells which is wrong (loo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,7 +25,8 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.elimination import Rows
+from machine_tool_calibration.estimation.problem import Part, PartAround
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
@@ -49,28 +50,24 @@ __all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
 _PRIOR = (1.0, 100.0)
 # Least width of gross errors, standard deviations of the noise: less is hardly distinguished from noise.
 _WIDTH = 10.0
-# Predicted residuals from which a reading is judged together with others: few of the sound ones.
-_SUSPECTED = 3.0
+# Predicted residuals from which a reading is judged together with others: few of the sound ones; before and in a set.
+_SUSPECTED, _BESIDE = 3.0, 4.0
 # Not more than this share of the readings: beyond, they are no longer single.
 _MOST = 0.2
 # A reading with less than this share of itself in its residual cannot be judged.
 _SEEN = 0.02
-# Degrees of freedom of the noise that are compared, the last normal; the logarithm of the evidence that long tails need
-# (1 in 20); the share of the readings that is looked at, so that gross errors have no say, and how many at most.
+# Degrees of freedom of the noise and their prior: the last is normal. Of the readings the bulk is looked at, so that
+# gross errors have no say; of many so many.
 _DOFS, _TAILS, _BULK, _LOOKED_AT = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.1, 0.1, 0.1, 0.1, 0.1, 0.5), 0.95, 2000
-# Scatter over the declared uncertainty below which it is rounding.
-_ROUNDING = 0.01
-# Scatter over the declared one from which wrong readings may hide each other, or something is missing.
-_MISFIT = 1.1
+# Scatter over the declared uncertainty below which it is rounding, and from which wrong readings may hide each other.
+_ROUNDING, _MISFIT = 0.01, 1.1
 # What is left beside the courses of the runs, over the whole scatter, below which these are a pattern and no noise.
 _PATTERN = 0.7
-# Difference in log evidence within which another reading is as likely the wrong one (1 in 20), with what rounding and
-# nonlinearity leave of a large one; and the probability that such are overlooked among sets, anywhere in a session.
-_ALIKE, _ROUGH = 4.0, 1e-3
 # Rounds in one model, and models made anew without what was set aside: the set stays after two or three.
 _ROUNDS = 8
-# Sizes up to which all readings are compared: suspected ones with each other (memory), and readings times unknowns.
-_TOGETHER, _COMPARED, _PAIRS = 800, 4e7, 1e6
+# Suspected readings that are judged together, and readings times unknowns up to which it is looked who sees which:
+# memory.
+_TOGETHER, _COMPARED = 800, 4e7
 
 
 @dataclass(frozen=True)
@@ -159,39 +156,39 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
 
 @dataclass(frozen=True)
 class _Fit:
-    """A fit in which some readings are held out.
+    """A fit in which some readings are held out, and the noise by it.
 
     Attributes:
         part: the readings as they were linearised for it, without weights.
         solution: of it.
-        held: (n,) which are held out.
         weight: (n,) of the readings.
         residual: (n,) over the declared uncertainty; of a reading held out, from what all others predict.
-        taken: (n,) variance of the prediction over the reading's: the hat value of those that took part.
+        spread: (n,) its standard deviation over that of the noise; infinite where it says nothing.
+        noise: see there.
     """
 
     part: Part
     solution: Solution
-    held: BoolArray
     weight: Array
     residual: Array
-    taken: Array
-
-    @cached_property
-    def judged(self) -> IntArray:
-        """Readings that took part and show in their residuals."""
-        return np.flatnonzero(~self.held & (1.0 - self.taken > _SEEN))
+    spread: Array
+    noise: _Noise
 
     @property
-    def degrees_of_freedom(self) -> float:
-        """Of the scatter of those that took part."""
-        return max(float(np.sum(1.0 - np.clip(self.taken[~self.held], 0.0, 1.0))), 1.0)
+    def predicted(self) -> Array:
+        """(n,) predicted residuals, in standard deviations."""
+        return np.asarray(self.residual / self.spread / self.noise.scale)
 
-    @property
-    def spread(self) -> Array:
-        """(n,) standard deviation of the residuals over that of the noise; infinite where they say nothing."""
-        kept = np.where(self.held, 1.0 + self.taken, 1.0 - self.taken)
-        return np.asarray(np.sqrt(np.where(kept > _SEEN, kept, np.inf)))
+    def joint(self, which: IntArray) -> Callable[[IntArray], tuple[Array, Array]]:
+        """A and b (`residuals/agreement.py`) of any of some readings, by their places among these."""
+        reached = reach(self.part, self.solution, 0, self.weight, which)
+
+        def of(at: IntArray) -> tuple[Array, Array]:
+            some = Reach(reached.shared[at], reached.own[at], reached.point[at])
+            products = some.products(some, self.solution.covariance)
+            return predicted_by_others(products, self.residual[which[at]] / self.noise.scale, self.weight[which[at]])
+
+        return of
 
 
 @dataclass(frozen=True)
@@ -202,32 +199,51 @@ class _Noise:
         scale: standard deviation of the bulk over the declared uncertainty.
         width: of gross errors, in these.
         limit: predicted residual beyond which a reading is rather gross than noise.
-        level: (n,) what the courses of the runs say, taken off the residuals; None where they are noise.
     """
 
     scale: float
     width: float
     limit: float
-    level: Array | None = None
-
-    def left(self, residual: Array) -> Array:
-        """(n,) residuals without the courses of the runs, in units of the scale."""
-        return np.asarray((residual if self.level is None else residual - self.level) / self.scale)
 
 
-def _noise_density(size: Array, dof: float) -> Array:
-    """Logarithm of Student's density with the quartiles of a standard normal one, but for a constant."""
-    unit = special.stdtrit(dof, 0.75) / special.ndtri(0.75)
+def _noise(size: Array, freedom: float) -> _Noise:
+    """The noise of predicted residuals, of which those beyond the limit have no say.
+
+    Args:
+        size: predicted residuals over the declared uncertainty, without signs.
+        freedom: degrees of freedom of their scatter.
+    """
+    inside = np.ones(len(size), dtype=bool)
+    for _ in range(_ROUNDS):
+        scale, tails = _bulk(size[inside], freedom)
+        beyond = size[size > _SUSPECTED * scale] / scale
+        width = max(_WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else _WIDTH
+        count = 0
+        while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
+            count = more
+        last, inside = inside, size <= limit * scale
+        if np.array_equal(inside, last):
+            break
+    return _Noise(scale, width, limit)
+
+
+def _density(size: Array, dof: float) -> Array:
+    """Logarithm of Student's density with the quartiles of a standard normal one, times sqrt(2 pi)."""
+    unit = _unit(dof)
     constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
     return np.asarray(constant - 0.5 * (dof + 1) * np.log1p((size * unit) ** 2 / dof))
 
 
-def _limit(tails: Array, most: float, width: float, count: int, n: int) -> float:
+def _unit(dof: float) -> float:
+    return float(special.stdtrit(dof, 0.75) / special.ndtri(0.75))
+
+
+def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> float:
     """Where the evidence for a gross error passes that for noise.
 
     Args:
         tails: probabilities of `_DOFS`.
-        most: degrees of freedom at most: of the scale.
+        freedom: degrees of freedom of the scale.
         width: of gross errors.
         count: gross errors so far.
         n: readings.
@@ -235,42 +251,54 @@ def _limit(tails: Array, most: float, width: float, count: int, n: int) -> float
     share = (_PRIOR[0] + count) / (_PRIOR[1] + n)
     z = np.geomspace(1.0, 300.0, 400)
     gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
-    noise = np.stack([_noise_density(z, min(dof, most)) for dof in _DOFS])
+    noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
     beyond = gross > special.logsumexp(noise, axis=0, b=tails[:, None])
     return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
 
 
-def _bulk(size: Array, independent: float) -> tuple[float, Array]:
-    """Scale of noise by maximum likelihood, and probabilities of its degrees of freedom.
+def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
+    """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
 
-    Those far out only count as being beyond.
-
-    Args:
-        size: predicted residuals without signs.
-        independent: how many of them say something of their own: readings of one point mirror each other.
+    Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
     """
     ordered = np.sort(size)
-    told = min(independent / len(ordered), 1.0)
     if len(ordered) > _LOOKED_AT:
-        told *= len(ordered) / _LOOKED_AT
         ordered = ordered[np.linspace(0, len(ordered) - 1, _LOOKED_AT).astype(int)]
     inside = max(int(_BULK * len(ordered)), 1)
     middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
     scales = np.exp(np.linspace(-0.5, 0.5, 41))
     within = ordered[None, :inside] / middle / scales[:, None]
-    best, likelihood = [], []
+    best, evidence = [], []
     for dof in _DOFS:
-        beyond = special.stdtr(dof, -within[:, -1] * special.stdtrit(dof, 0.75) / special.ndtri(0.75))
-        every = _noise_density(within, dof).sum(axis=1) - inside * np.log(scales)
-        every += (len(ordered) - inside) * np.log(np.maximum(2.0 * beyond, 1e-300))
+        beyond = np.log(np.maximum(2.0 * special.stdtr(dof, -within[:, -1] * _unit(dof)), 1e-300))
+        every = _density(within, dof).sum(axis=1) - inside * np.log(scales) + (len(ordered) - inside) * beyond
         best.append(float(scales[int(np.argmax(every))]))
-        likelihood.append(told * float(every.max()))
-    tails = special.softmax(np.array(likelihood) + np.log(_TAILS))
+        evidence.append(min(freedom / len(size), 1.0) * float(every.max()))
+    tails = special.softmax(np.array(evidence) + np.log(_TAILS))
     return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
 
 
+class _WithoutCourses(PartAround):
+    """Readings from which something known was taken off."""
+
+    def __init__(self, inner: Part, course: Array) -> None:
+        super().__init__(inner)
+        self._course = course
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """The part's rows with other residuals."""
+        rows, index = self.inner.rows(group, chunk, theta, local), self.groups[group].rows[:, chunk]
+        return replace(rows, residual=rows.residual - np.where(index >= 0, self._course[index], 0.0))
+
+
 class _Search:
-    """The search in one model."""
+    """The search in one model.
+
+    Attributes:
+        start: shared unknowns and points at which the readings are linearised.
+        pattern: whether courses of the runs were taken off the readings.
+        explained: (n,) which readings a course of their run or their repeats explain.
+    """
 
     def __init__(self, model: MethodModel) -> None:
         self.problem = assemble([model]).problem
@@ -278,80 +306,68 @@ class _Search:
         self.readings = model.observations.readings
         self.sigma = model.sigma
         self.n = self.part.n_readings
-        self.place = same_place(self.readings)
+        theta, local = self.problem.zero
+        self.start = theta, local[0]
+        self.pattern, self.explained = False, np.zeros(self.n, dtype=bool)
 
     def outliers(self) -> list[Outlier]:
         """Readings with gross errors, and their look-alikes."""
         if self._only_noise():
             return []
-        asked = self._start()
-        # What was asked once is asked again, so that the set comes to rest.
+        asked = self._suspects()
         for _ in range(_ROUNDS):
-            joint = self._fit(asked)
-            held = self._judged(asked, joint, self._noise(joint))
+            held = self._judged(asked, self._fit(asked))
             fit = self._fit(held)
-            agreed, apart = self._agreed(asked, held, fit, self._noise(fit))
-            if not np.array_equal(agreed, held):
-                held, fit = agreed, self._fit(agreed)
-            more = np.union1d(asked, self._beside(held, fit, self._noise(fit)))
+            held, alike = self._agreed(asked, held, fit)
+            fit = self._fit(held)
+            # What was asked once is asked again, so that the set comes to rest.
+            more = np.union1d(asked, np.flatnonzero(np.abs(fit.predicted) > min(fit.noise.limit, _BESIDE)))
             if len(more) == len(asked):
                 break
             asked = more
-        return self._named(held, fit, self._noise(fit), apart)
+        return self._named(held, fit, alike)
 
     def suspected(self) -> IntArray:
         """Readings that a robust fit suspects, if one of them lies farther out than noise does."""
         if self._only_noise():
-            return self._none
-        held = self._start()
-        fit = self._fit(held)
-        noise = self._noise(fit)
-        return held if (np.abs(noise.left(fit.residual) / fit.spread)[held] > noise.limit).any() else self._none
-
-    @property
-    def _none(self) -> IntArray:
-        return np.zeros(0, dtype=np.int64)
-
-    @cached_property
-    def _neighbours(self) -> Neighbours:
-        return Neighbours(self.readings)
-
-    @cached_property
-    def _robust(self) -> tuple[Array, Array, Array]:
-        """Shared unknowns and points that gross errors do not reach, with the sizes of the residuals from them."""
-        unknowns = self.problem.size - len(self.problem.constraints) + self.part.dimension * self.part.n_points
-        theta, local, residuals = robust_start(self.problem, unknowns)
-        size = np.abs(residuals[0])
-        return theta, local[0], size / max(1.0 - unknowns / self.n, 0.1) ** 0.5
-
-    @cached_property
-    def _groups(self) -> list[IntArray]:
-        """Groups of readings that only tell of each other."""
-        out = groups_of_points(self.part)
-        if self.n * self.problem.size <= _COMPARED:
-            out += groups_of_unknowns(self.part, self._robust[:2], self.problem.size)
-        return out
+            return np.zeros(0, dtype=np.int64)
+        asked = self._suspects()
+        fit = self._fit(asked)
+        return asked if (np.abs(fit.predicted[asked]) > fit.noise.limit).any() else asked[:0]
 
     def _only_noise(self) -> bool:
         """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
-        theta, local = self.problem.zero
-        fit = self._fit(self._none, (theta, local[0]))
-        noise = self._noise(fit, plain=True)
-        return noise.scale < _MISFIT and bool((np.abs(fit.residual / fit.spread) < noise.limit * noise.scale).all())
+        fit = self._fit(np.zeros(0, dtype=np.int64))
+        return fit.noise.scale < _MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
 
-    def _start(self) -> IntArray:
-        """Readings that a robust fit suspects."""
-        size = self._robust[2]
-        scale = max(float(np.median(size)) / 0.6745, 0.5)
-        suspected = np.flatnonzero(size > _SUSPECTED * scale)
+    def _suspects(self) -> IntArray:
+        """Readings that stand out of a robust solution, which is where all others are linearised from now on.
+
+        What a course of the run or repeats explain is settled here, where no reading was held out.
+        """
+        unknowns = self.problem.size - len(self.problem.constraints) + self.part.dimension * self.part.n_points
+        theta, local, residuals = robust_start(self.problem, unknowns)
+        self.start, every = (theta, local[0]), np.arange(self.n)
+        spare = max(1.0 - unknowns / self.n, 0.1)
+        off, neighbours = residuals[0] / np.sqrt(spare), Neighbours(self.readings)
+        noise = _noise(np.abs(off), spare * self.n)
+        some = every[np.linspace(0, self.n - 1, min(self.n, _LOOKED_AT)).astype(int)]
+        beside = _noise(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
+        self.pattern = beside.scale < _PATTERN * noise.scale
+        noise = beside if self.pattern else noise
+        self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
+        if self.pattern:
+            course = neighbours.course(every, off)
+            self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course
+        size = np.abs(off)
+        suspected = np.flatnonzero(size > _SUSPECTED * max(noise.scale, 0.5))
         most = int(_MOST * self.n)
         return suspected if len(suspected) <= most else np.sort(np.argsort(-size)[:most])
 
-    def _fit(self, held: IntArray, start: tuple[Array, Array] | None = None) -> _Fit:
-        """Least squares with readings held out, linearised beside the robust solution or another start."""
-        weight = np.ones(self.n)
+    def _fit(self, held: IntArray) -> _Fit:
+        """Least squares with readings held out."""
+        weight, theta, local = np.ones(self.n), *self.start
         weight[held] = HELD_OUT
-        theta, local = start or self._robust[:2]
         for _ in range(1 if self.part.linear else 2):
             # At places near the nominal ones: a point that only what is held out could place may be found anywhere.
             near = np.where(np.abs(local) < FAR, local, 0.0)
@@ -359,175 +375,80 @@ class _Search:
             solution = solve(replace(self.problem, parts=[part]), theta, [near])
             theta, local = solution.theta, solution.local[0]
         plain = part.weighted(np.ones(self.n))
-        residual = scaled_residuals(plain, theta, local)
-        out = np.zeros(self.n, dtype=bool)
-        out[held] = True
-        return _Fit(plain, solution, out, weight, residual, taken(plain, solution, 0, weight))
+        residual, hat = scaled_residuals(plain, theta, local), taken(plain, solution, 0, weight)
+        kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
+        spread = np.sqrt(np.where(kept > _SEEN, kept, np.inf))
+        freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
+        seen = np.isfinite(spread)
+        noise = _noise(np.abs(residual / spread)[seen], freedom) if seen.any() else _Noise(np.inf, _WIDTH, np.inf)
+        return _Fit(plain, solution, weight, residual, spread, noise)
 
-    def _noise(self, fit: _Fit, *, plain: bool = False) -> _Noise:
-        """Of a fit; `plain` leaves the runs alone."""
-        seen = np.flatnonzero(np.isfinite(fit.spread))
-        if not len(fit.judged):
-            return _Noise(np.inf, _WIDTH, np.inf)
-        noise = self._of(fit, seen, fit.residual)
-        if plain:
-            return noise
-        some = seen[np.linspace(0, len(seen) - 1, min(len(seen), _LOOKED_AT)).astype(int)]
-        beside = self._of(fit, some, fit.residual - self._levels(some, fit))
-        if beside.scale > _PATTERN * noise.scale:
-            return noise
-        return replace(beside, level=self._levels(np.arange(self.n), fit))
+    def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
+        """Those of the readings asked for, which are held out, that have gross errors."""
+        asked = asked[~self.explained[asked]]
+        if not len(asked) or not np.isfinite(fit.noise.scale):
+            return asked[:0]
+        blocks, joint = [np.arange(len(asked))], fit.joint(asked)
+        if len(asked) > _TOGETHER:
+            point = self.part.point_of_reading()[asked] if self.part.dimension else np.arange(len(asked)) // _TOGETHER
+            order = np.argsort(point, kind="stable")
+            blocks = np.split(order, np.flatnonzero(np.diff(point[order])) + 1)
+        return np.sort(np.concatenate([asked[at[best_set(*joint(at), fit.noise.limit)]] for at in blocks]))
 
-    def _levels(self, which: IntArray, fit: _Fit) -> Array:
-        """(n,) of some readings what the neighbours in the run say: a line on both sides, or 0 without neighbours."""
-        out = np.zeros(self.n)
-        out[which] = self._neighbours.course(which, fit.residual)
+    @cached_property
+    def _groups(self) -> list[IntArray]:
+        """Groups of readings that only tell of each other."""
+        out = groups_of_points(self.part)
+        if self.n * self.problem.size <= _COMPARED:
+            out += groups_of_unknowns(self.part, self.start, self.problem.size)
         return out
 
-    def _of(self, fit: _Fit, which: IntArray, residual: Array) -> _Noise:
-        """The noise of some predicted residuals, of which those beyond the limit have no say."""
-        size, most = np.abs(residual / fit.spread)[which], max(fit.degrees_of_freedom, 3.0)
-        inside = np.ones(len(size), dtype=bool)
-        for _ in range(_ROUNDS):
-            scale, tails = _bulk(size[inside], fit.degrees_of_freedom)
-            beyond = size[size > _SUSPECTED * scale] / scale
-            width = max(_WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else _WIDTH
-            count = 0
-            while (more := int(np.sum(beyond > (limit := _limit(tails, most, width, count, len(size)))))) > count:
-                count = more
-            last, inside = inside, size <= limit * scale
-            if np.array_equal(inside, last):
-                break
-        return _Noise(scale, width, limit)
-
-    def _beside(self, held: IntArray, fit: _Fit, noise: _Noise) -> IntArray:
-        """What stands out beside a set of gross errors, or explains as much as one of them."""
-        out = [np.flatnonzero(np.abs(noise.left(fit.residual) / fit.spread) > min(noise.limit, _SUSPECTED + 1.0))]
-        for _, cost, others, saved in self._alternatives(held, fit, noise):
-            best = np.argsort(-saved)[:3]
-            out.append(others[best[saved[best] > cost - self._alike(cost)]])
-        return np.unique(np.concatenate(out))
-
-    def _alike(self, cost: float) -> float:
-        return 2.0 * max(_ALIKE, _ROUGH * cost)
-
-    def _judged(self, asked: IntArray, fit: _Fit, noise: _Noise) -> IntArray:
-        """Those of the readings asked for, which are held out, that have gross errors."""
-        if not len(asked) or not np.isfinite(noise.scale):
-            return self._none
-        asked = asked[~self._neighbours.explained(asked, fit.residual, noise.scale * fit.spread[asked], noise.limit)]
-        if not len(asked):
-            return self._none
-        reached, found = reach(fit.part, fit.solution, 0, fit.weight, asked), [self._none]
-        for block in _blocks(reached):
-            mine = asked[block]
-            found.append(mine[best_set(*self._joint(fit, noise, reached, block, mine), noise.limit)])
-        return np.sort(np.concatenate(found))
-
-    def _joint(
-        self, fit: _Fit, noise: _Noise, reached: Reach, at: IntArray, mine: IntArray
-    ) -> tuple[Array, Array]:
-        """A and b of some readings (`residuals/agreement.py`)."""
-        some = Reach(reached.shared[at], reached.own[at], reached.point[at])
-        products = some.products(some, fit.solution.covariance)
-        return predicted_by_others(products, noise.left(fit.residual)[mine], fit.weight[mine])
-
-    def _agreed(
-        self, asked: IntArray, held: IntArray, fit: _Fit, noise: _Noise
-    ) -> tuple[IntArray, dict[int, IntArray]]:
+    def _agreed(self, asked: IntArray, held: IntArray, fit: _Fit) -> tuple[IntArray, dict[int, IntArray]]:
         """The same with all sets compared where readings only tell of each other.
 
         Returns:
-            Gross errors; and for each that may as well be sound, all such that only tell of each other.
+            Gross errors; and for each that may as well be sound, all of which that is true.
         """
-        apart: dict[int, IntArray] = {}
+        alike: dict[int, IntArray] = {}
         # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
-        if noise.level is not None or not np.isfinite(noise.scale):
-            return held, apart
+        if self.pattern or not np.isfinite(fit.noise.scale):
+            return held, alike
         touched, found = np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
         touched[asked], found[held] = True, True
         fewest = 1 if len(asked) <= _TOGETHER else 2
         wanted = [mine for mine in self._groups if touched[mine].sum() >= fewest]
-        which = np.unique(np.concatenate([self._none, *wanted]))
-        reached = reach(fit.part, fit.solution, 0, fit.weight, which)
+        which = np.unique(np.concatenate([held[:0], *wanted]))
+        joint = fit.joint(which)
         for mine in wanted:
-            joint = self._joint(fit, noise, reached, np.searchsorted(which, mine), mine)
-            sets = compared_sets(*joint, noise.limit, noise.width, _ALIKE)
+            sets = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise.limit, fit.noise.width)
             found[mine] = False
             found[mine[sets.gross]] = True
             if len(sets.gross) and len(sets.ambiguous):
-                apart |= {int(k): mine[sets.ambiguous] for k in mine[np.union1d(sets.ambiguous, sets.gross)]}
-        return np.flatnonzero(found), apart
+                alike |= {int(k): mine[sets.ambiguous] for k in mine[np.union1d(sets.ambiguous, sets.gross)]}
+        return np.flatnonzero(found & ~self.explained), alike
 
-    def _alternatives(self, held: IntArray, fit: _Fit, noise: _Noise) -> Iterator[tuple[int, float, IntArray, Array]]:
-        """For each reading held out: what it explains, and what others would explain if held out in its place.
-
-        In units of squared predicted residuals; all others where these are few, those of its place or point otherwise.
-        """
-        if not len(held) or not np.isfinite(noise.scale):
-            return
-        near = self.part.point_of_reading() if self.part.dimension else self.place
-        everything = self.n * max(self.problem.size, 1) <= _COMPARED and self.n * len(held) <= _PAIRS
-        index = np.flatnonzero(~fit.held & (everything | np.isin(near, near[held])))
-        index = index[np.argsort(near[index], kind="stable")]
-        reached = reach(fit.part, fit.solution, 0, fit.weight, held)
-        whole = reach(fit.part, fit.solution, 0, fit.weight, index)
-        left = noise.left(fit.residual)
-        residual, kept = left[index], 1.0 - fit.taken[index]
-        for number, k in enumerate(held):
-            one = Reach(reached.shared[[number]], reached.own[[number]], reached.point[[number]])
-            first, last = (0, len(index)) if everything else np.searchsorted(near[index], [near[k], near[k] + 1])
-            pool = slice(int(first), int(last))
-            others = Reach(whole.shared[pool], whole.own[pool], whole.point[pool])
-            tied = one.products(others, fit.solution.covariance)[0]
-            variance, deviation = 1.0 + fit.taken[k], left[k]
-            other, share = residual[pool] - tied * deviation / variance, kept[pool] + tied**2 / variance
-            saved = np.where(share > _SEEN, other**2 / np.maximum(share, _SEEN), 0.0)
-            yield int(k), float(deviation**2 / variance), index[pool], saved
-
-    def _named(self, held: IntArray, fit: _Fit, noise: _Noise, apart: dict[int, IntArray]) -> list[Outlier]:
-        """What is held out, with what may as well be wrong in its place."""
-        rows, out = self.readings.row, dict[int, Outlier]()
-        # What stands out as well with the others set aside is no look-alike: it follows a course that many share.
-        clear = np.abs(noise.left(fit.residual) / fit.spread)
-        for k, cost, others, saved in self._alternatives(held, fit, noise):
-            root = float(np.sqrt(cost)) * float(np.sign(fit.residual[k]) or 1.0)
-            deviation = float(fit.residual[k] * self.sigma[k])
-            words = f"it is off by {_size(deviation)} from what all others say, {abs(root):.1f} times its scatter"
-            alike = others[saved > max(cost - self._alike(cost), 0.5 * noise.limit**2)]
-            alike = alike[(clear[alike] < noise.limit) & (noise.level is None)]
-            if len(alike):
-                partner = [int(j) for j in alike if self.place[j] == self.place[k]]
-                names = ", ".join(str(int(rows[j])) for j in sorted(partner or alike)[:4])
-                words = f"it contradicts {'rows' if len(alike) > 1 else 'row'} {names} and nothing tells which is right"
-                if partner:
-                    differ = float(abs(self.readings.displacement[k] - self.readings.displacement[partner[0]]))
-                    words = f"two readings of one place differ by {_size(differ)} and nothing tells which is right"
-                for j in alike:
-                    other = words if partner else f"it contradicts row {int(rows[k])} and nothing tells which is right"
-                    out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other, ambiguous=True))
-            out[k] = Outlier(int(rows[k]), root, deviation, words, ambiguous=bool(len(alike)))
-        for k, every in apart.items():
-            # Two that are look-alikes are named already; what is wrong in any case was decided with what is not.
-            if k in out and (k not in every or (len(every) == 2 and out[k].ambiguous)):
-                out[k] = replace(out[k], ambiguous=True)
-                continue
-            names = ", ".join(str(int(rows[j])) for j in every if j != k)
-            words = f"it, or others of rows {names}, contradict the rest and nothing tells which is right"
-            size = float(noise.left(fit.residual)[k] / fit.spread[k])
-            out[k] = Outlier(int(rows[k]), size, float(fit.residual[k] * self.sigma[k]), words, ambiguous=True)
-        return list(out.values())
-
-
-def _blocks(reached: Reach) -> list[IntArray]:
-    """Readings in groups that are judged together: all, or point by point where they are many."""
-    k = len(reached.point)
-    if k <= _TOGETHER:
-        return [np.arange(k)]
-    if (reached.point >= 0).all():
-        order = np.argsort(reached.point, kind="stable")
-        return np.split(order, np.flatnonzero(np.diff(reached.point[order])) + 1)
-    return np.array_split(np.arange(k), -(-k // _TOGETHER))
+    def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
+        """What is set aside, in words; with what may as well be wrong in its place."""
+        rows, place = self.readings.row, same_place(self.readings)
+        near = self.part.point_of_reading() if self.part.dimension else place
+        gone = np.zeros(self.n, dtype=bool)
+        gone[[*held, *alike]] = True
+        left = np.bincount(near, ~gone)
+        out = []
+        for k in np.flatnonzero(gone):
+            deviation, times = float(fit.residual[k] * self.sigma[k]), float(fit.predicted[k])
+            others = [int(j) for j in alike.get(int(k), ()) if j != k]
+            words = f"it is off by {_size(deviation)} from what all others say, {abs(times):.1f} times its scatter"
+            if others:
+                words = f"it, or others of rows {', '.join(str(int(rows[j])) for j in others)}, contradict the rest"
+                if len(others) == 1 and place[others[0]] == place[k]:
+                    differ = abs(self.readings.displacement[k] - self.readings.displacement[others[0]])
+                    words = f"two readings of one place differ by {_size(float(differ))}"
+                words += " and nothing tells which is right"
+            if not left[near[k]]:
+                words += "; no other reading of its place is left"
+            out.append(Outlier(int(rows[k]), times, deviation, words, ambiguous=int(k) in alike))
+        return out
 
 
 def _size(deviation: float) -> str:
