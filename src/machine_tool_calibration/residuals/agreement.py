@@ -36,7 +36,7 @@ _FEW, _SETS = 24, 1000
 # Difference in log evidence within which another set is as probable (1 in 50), or what rounding and nonlinearity leave.
 _ALIKE, _ROUGH = 4.0, 1e-3
 # Neighbours on each side of a reading in its run: the fewest by which a line is fitted that one wrong one does not turn.
-_NEIGHBOURS = 4
+_NEIGHBOURS, _AGREEING = 4, 3
 # Share of a local level within which neighbours predict a reading: curvature, as of a transient that decays within
 # three readings.
 _TOLERANCE = 0.1
@@ -239,12 +239,15 @@ class Neighbours:
             limit: of a deviation, in standard deviations.
         """
         along, values = self.run.near(which, residual)
-        level = [_line(along, values), _median(self.repeats.near(which, residual)[1], 1)]
-        for side in (slice(None, _NEIGHBOURS), slice(_NEIGHBOURS, None)):
-            level += [_line(along[side], values[:, side]), _median(values[:, side], 3)]
-        with np.errstate(invalid="ignore"):
-            off = np.abs(residual[which] - level) < limit * np.sqrt(noise**2 + (_TOLERANCE * np.array(level)) ** 2)
-            return np.asarray((off & (np.abs(level) > _LEVEL * noise)).any(axis=0))
+        repeats, out = self.repeats.near(which, residual)[1], np.zeros(len(which), dtype=bool)
+        before, after = (values[:, along < 0], along[along < 0]), (values[:, along > 0], along[along > 0])
+        for near, steps in (before, after, (repeats, None)):
+            # Most of the neighbours deviate themselves: a course, or what reproduces, is not made by a single one.
+            most = np.sum(np.abs(near) > _LEVEL * noise, axis=1) >= _AGREEING
+            for level in [_median(near, _AGREEING)] + ([_line(steps, near)] if steps is not None else []):
+                within = limit * np.sqrt(noise**2 + (_TOLERANCE * level) ** 2)
+                out |= most & (np.abs(residual[which] - level) < within)
+        return out
 
 
 class _Ordered:
