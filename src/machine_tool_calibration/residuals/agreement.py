@@ -40,8 +40,8 @@ _NEIGHBOURS, _AGREEING = 4, 3
 # Share of a local level within which neighbours predict a reading: curvature, as of a transient that decays within
 # three readings.
 _TOLERANCE = 0.1
-# A local level below so many times the noise explains nothing: noise makes it.
-_LEVEL = 3.0
+# Neighbours within so many times the noise do not deviate.
+_LEVEL = 2.0
 
 
 def predicted_by_others(products: Array, deviation: Array, weight: Array) -> tuple[Array, Array]:

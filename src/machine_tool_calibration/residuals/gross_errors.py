@@ -206,17 +206,19 @@ class _Noise:
     limit: float
 
 
-def _noise(size: Array, freedom: float) -> _Noise:
+def _noise(size: Array, freedom: float, explained: BoolArray | None = None) -> _Noise:
     """The noise of predicted residuals, of which those beyond the limit have no say.
 
     Args:
         size: predicted residuals over the declared uncertainty, without signs.
         freedom: degrees of freedom of their scatter.
+        explained: which are no gross errors, however large.
     """
+    single = size if explained is None else size[~explained]
     inside = np.ones(len(size), dtype=bool)
     for _ in range(_ROUNDS):
         scale, tails = _bulk(size[inside], freedom)
-        beyond = size[size > _SUSPECTED * scale] / scale
+        beyond = single[single > _SUSPECTED * scale] / scale
         width = max(_WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else _WIDTH
         count = 0
         while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
@@ -380,7 +382,7 @@ class _Search:
         spread = np.sqrt(np.where(kept > _SEEN, kept, np.inf))
         freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
-        noise = _noise(np.abs(residual / spread)[seen], freedom) if seen.any() else _Noise(np.inf, _WIDTH, np.inf)
+        noise = _noise(np.abs(residual / spread)[seen], freedom, self.explained[seen]) if seen.any() else _Noise(np.inf, _WIDTH, np.inf)
         return _Fit(plain, solution, weight, residual, spread, noise)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
