@@ -33,8 +33,8 @@ HELD_OUT = 1e-8
 _UNSEEN = 1e-6
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
 _FEW, _SETS = 24, 1000
-# Difference in log evidence within which another set is as probable (1 in 50), or what rounding and nonlinearity leave.
-_ALIKE, _ROUGH = 4.0, 1e-3
+# Difference in log evidence within which another set may be true (1 in 50).
+_ALIKE = 4.0
 # Neighbours on each side of a reading in its run: the fewest by which a line is fitted that one wrong one does not turn.
 _NEIGHBOURS, _AGREEING = 4, 3
 # Share of a local level within which neighbours predict a reading: curvature, as of a transient that decays within
@@ -123,12 +123,11 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> 
     k, cost = len(pulled), 0.5 * limit**2
     inverse = inverse + np.eye(k) / max(width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
     most = 0.5 * float(pulled @ np.linalg.solve(inverse, pulled))
-    alike = max(_ALIKE, _ROUGH * most)
     sets, evidence = [np.zeros((1, k), dtype=bool)], [np.zeros(1)]
     left, pull, last = inverse[None], pulled[None], np.array([-1])
     for count in range(1, k):
         # All that so many may explain is less than what counts.
-        if most - count * cost < max(float(one.max()) for one in evidence) - alike:
+        if most - count * cost < max(float(one.max()) for one in evidence) - _ALIKE:
             break
         seen = np.einsum("sjj->sj", left)
         able = ~sets[-1] & (seen > _UNSEEN)
@@ -148,14 +147,14 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> 
         pull, last = pull[parent] - column * step[:, None], new
         sets.append(grown[first])
         evidence.append(evidence[-1][parent] + 0.5 * step**2 - np.log(root) - cost)
-    return _compared(np.concatenate(sets), np.concatenate(evidence), alike)
+    return _compared(np.concatenate(sets), np.concatenate(evidence))
 
 
-def _compared(sets: BoolArray, evidence: Array, alike: float) -> Sets:
+def _compared(sets: BoolArray, evidence: Array) -> Sets:
     best = sets[int(np.argmax(evidence))]
     # One that calls more or fewer of the same readings gross contradicts nothing.
     nested = (sets <= best).all(axis=1) | (sets >= best).all(axis=1)
-    others = sets[(evidence > evidence.max() - alike) & ~nested]
+    others = sets[(evidence > evidence.max() - _ALIKE) & ~nested]
     return Sets(np.flatnonzero(best), np.flatnonzero((others != best).any(axis=0)))
 
 

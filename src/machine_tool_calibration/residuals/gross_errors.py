@@ -417,8 +417,7 @@ class _Search:
             return held, alike
         touched, found = np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
         touched[asked], found[held] = True, True
-        fewest = 1 if len(asked) <= _TOGETHER else 2
-        wanted = [mine for mine in self._groups if touched[mine].sum() >= fewest]
+        wanted = [mine for mine in self._groups if touched[mine].any()]
         which = np.unique(np.concatenate([held[:0], *wanted]))
         joint = fit.joint(which)
         for mine in wanted:
@@ -436,9 +435,9 @@ class _Search:
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
         left = np.bincount(near, ~gone)
-        out = []
+        out, predicted = [], fit.predicted
         for k in np.flatnonzero(gone):
-            deviation, times = float(fit.residual[k] * self.sigma[k]), float(fit.predicted[k])
+            deviation, times = float(fit.residual[k] * self.sigma[k]), float(predicted[k])
             others = [int(j) for j in alike.get(int(k), ()) if j != k]
             words = f"it is off by {_size(deviation)} from what all others say, {abs(times):.1f} times its scatter"
             if others:
