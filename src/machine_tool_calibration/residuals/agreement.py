@@ -33,8 +33,8 @@ HELD_OUT = 1e-8
 _UNSEEN = 1e-6
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
 _FEW, _SETS = 24, 1000
-# Difference in log evidence within which another set may be true (1 in 50).
-_ALIKE = 4.0
+# Difference in log evidence within which another set may be true (1 in 400).
+_ALIKE = 6.0
 # Neighbours on each side of a reading in its run: the fewest by which a line is fitted that one wrong one does not turn.
 _NEIGHBOURS, _AGREEING = 4, 3
 # Share of a local level within which neighbours predict a reading: curvature, as of a transient that decays within
@@ -220,13 +220,15 @@ class Neighbours:
         self.repeats = _Ordered(groups(same_place(readings), *approach))
 
     def course(self, which: IntArray, residual: Array) -> Array:
-        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
+        """(k,) what the neighbours in time on both sides say of readings; of few their median; 0 where there are fewer.
 
         Args:
             which: (k,) the readings.
             residual: (n,) of all.
         """
-        return np.nan_to_num(_line(*self.run.near(which, residual)))
+        along, values = self.run.near(which, residual)
+        few = np.isfinite(values).sum(axis=1) < _NEIGHBOURS + 2
+        return np.nan_to_num(np.where(few, _median(values, _AGREEING), _line(along, values)))
 
     def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
         """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.

@@ -58,7 +58,7 @@ _MOST = 0.2
 _SEEN = 0.02
 # Degrees of freedom of the noise and their prior: the last is normal. Of the readings the bulk is looked at, so that
 # gross errors have no say; of many so many.
-_DOFS, _TAILS, _BULK, _LOOKED_AT = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.1, 0.1, 0.1, 0.1, 0.1, 0.5), 0.95, 2000
+_DOFS, _TAILS, _BULK, _LOOKED_AT = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2, 0.5), 0.95, 2000
 # Scatter over the declared uncertainty below which it is rounding, and from which wrong readings may hide each other.
 _ROUNDING, _MISFIT = 0.01, 1.1
 # What is left beside the courses of the runs, over the whole scatter, below which these are a pattern and no noise.
