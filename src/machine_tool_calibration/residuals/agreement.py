@@ -16,32 +16,137 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.session.session import Readings
 
 __all__ = [
-    "HELD_OUT", "Neighbours", "Sets", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns",
+    "BESIDE", "COMPARED", "HELD_OUT", "LOOKED_AT", "MISFIT", "MOST", "PATTERN", "PRIOR", "ROUNDS", "SEEN", "SUSPECTED", "TOGETHER",
+    "WIDTH", "Neighbours", "Noise", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns", "noise_of",
     "predicted_by_others", "same_place",
 ]  # fmt: skip
 
+PRIOR = (1.0, 100.0)
+"""Prior of an error being gross: 1 in 100, known as well as from a hundred readings, of which one had such."""
+WIDTH = 10.0
+"""Least width of gross errors, standard deviations of the noise: less is hardly distinguished from noise."""
+# Degrees of freedom of the noise and their prior: the last is normal, 3 or 4 are rare.
+_DOFS, _TAILS = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2, 0.5)
+# Share of the readings whose distribution is looked at, so that gross errors have no say, and how many at most.
+_BULK, LOOKED_AT = 0.95, 2000
+# Scatter over the declared uncertainty below which it is rounding.
+_ROUNDING = 0.01
+# Difference in log evidence within which another set may be true (1 in 400).
+_ALIKE = 6.0
+# Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
+_FEW, _SETS = 24, 1000
+SUSPECTED, BESIDE = 3.0, 4.0
+"""Predicted residuals from which a reading is judged with others (few sound ones), at first and beside a set."""
+SEEN, _UNSEEN = 0.02, 1e-6
+"""A reading with less than this share of itself in its residual cannot be judged (curvature; and rounding)."""
+MOST = 0.2
+"""Not more than this share of the readings: beyond, they are no longer single."""
+MISFIT = 1.1
+"""Scatter over the declared uncertainty from which several wrong readings may hide each other (masking)."""
+PATTERN = 0.7
+"""Scatter about the courses of the runs over the whole one, below which they are a pattern and no noise."""
+# Neighbours on each side in a run, and how many of them must deviate: one wrong one makes no course.
+_NEIGHBOURS, _AGREEING = 4, 3
+# Neighbours within so many times the noise do not deviate.
+_LEVEL = 2.0
+# Share of a course within which it predicts a reading: curvature of a transient that decays within three readings.
+_TOLERANCE = 0.1
+ROUNDS = 8
+"""Rounds in one model, and models made anew without what was set aside: the set stays after two or three."""
+TOGETHER, COMPARED = 800, 4e7
+"""Readings that are judged together, and readings times unknowns up to which it is looked who sees which: memory."""
 HELD_OUT = 1e-8
 """Weight of a reading that is held out: it still places what nothing else places."""
 
-# A residual that holds less than this of its reading's variance says nothing of it: rounding.
-_UNSEEN = 1e-6
-# Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
-_FEW, _SETS = 24, 1000
-# Difference in log evidence within which another set may be true (1 in 400).
-_ALIKE = 6.0
-# Neighbours on each side of a reading in its run: the fewest by which a line is fitted that one wrong one does not turn.
-_NEIGHBOURS, _AGREEING = 4, 3
-# Share of a local level within which neighbours predict a reading: curvature, as of a transient that decays within
-# three readings.
-_TOLERANCE = 0.1
-# Neighbours within so many times the noise do not deviate.
-_LEVEL = 2.0
+
+@dataclass(frozen=True)
+class Noise:
+    """What predicted residuals are compared with.
+
+    Attributes:
+        scale: standard deviation of the bulk over the declared uncertainty.
+        width: of gross errors, in these.
+        limit: predicted residual beyond which a reading is rather gross than noise.
+    """
+
+    scale: float
+    width: float
+    limit: float
+
+
+def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) -> Noise:
+    """The noise of predicted residuals, of which those beyond the limit have no say.
+
+    Args:
+        size: their sizes over the declared uncertainty.
+        freedom: degrees of freedom of their scatter.
+        explained: which are no gross errors, however large.
+    """
+    if not len(size):
+        return Noise(np.inf, WIDTH, np.inf)
+    single = size if explained is None else size[~explained]
+    inside = np.ones(len(size), dtype=bool)
+    for _ in range(ROUNDS):
+        scale, tails = _bulk(size[inside], freedom)
+        beyond = single[single > SUSPECTED * scale] / scale
+        width = max(WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else WIDTH
+        count = 0
+        while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
+            count = more
+        last, inside = inside, size <= limit * scale
+        if np.array_equal(inside, last):
+            break
+    return Noise(scale, width, limit)
+
+
+def _density(size: Array, dof: float) -> Array:
+    """Logarithm of Student's density with the quartiles of a standard normal one, times sqrt(2 pi)."""
+    unit = _unit(dof)
+    constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
+    return np.asarray(constant - 0.5 * (dof + 1) * np.log1p((size * unit) ** 2 / dof))
+
+
+def _unit(dof: float) -> float:
+    return float(special.stdtrit(dof, 0.75) / special.ndtri(0.75))
+
+
+def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> float:
+    """Where the evidence for a gross error passes that for noise; `tails` are the probabilities of `_DOFS`."""
+    share = (PRIOR[0] + count) / (PRIOR[1] + n)
+    z = np.geomspace(1.0, 300.0, 400)
+    gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
+    noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
+    beyond = gross > special.logsumexp(noise, axis=0, b=tails[:, None])
+    return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
+
+
+def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
+    """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
+
+    Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
+    """
+    ordered = np.sort(size)
+    if len(ordered) > LOOKED_AT:
+        ordered = ordered[np.linspace(0, len(ordered) - 1, LOOKED_AT).astype(int)]
+    inside = max(int(_BULK * len(ordered)), 1)
+    middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
+    scales = np.exp(np.linspace(-0.5, 0.5, 41))
+    within = ordered[None, :inside] / middle / scales[:, None]
+    best, evidence = [], []
+    for dof in _DOFS:
+        beyond = np.log(np.maximum(2.0 * special.stdtr(dof, -within[:, -1] * _unit(dof)), 1e-300))
+        every = _density(within, dof).sum(axis=1) - inside * np.log(scales) + (len(ordered) - inside) * beyond
+        best.append(float(scales[int(np.argmax(every))]))
+        evidence.append(min(freedom / len(size), 1.0) * float(every.max()))
+    tails = special.softmax(np.array(evidence) + np.log(_TAILS))
+    return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
 
 
 def predicted_by_others(products: Array, deviation: Array, weight: Array) -> tuple[Array, Array]:
@@ -95,21 +200,8 @@ def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
     return np.flatnonzero(gross)
 
 
-@dataclass(frozen=True)
-class Sets:
-    """Explanations of a few readings.
-
-    Attributes:
-        gross: indices of the set with the most evidence.
-        ambiguous: indices of all in which others that are probable differ from it; empty where none is.
-    """
-
-    gross: IntArray
-    ambiguous: IntArray
-
-
-def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> Sets:
-    """All sets of gross errors among a few readings, compared; of too many sets, those that the best of fewer grow into.
+def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> tuple[IntArray, IntArray]:
+    """All sets of gross errors among a few readings; where these are too many, those that the best of fewer grow into.
 
     One step after the other is not enough here: two wrong readings may agree with each other better than each does
     with the sound ones.
@@ -119,6 +211,9 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> 
         pulled: (k,) b.
         limit: as of `best_set`.
         width: standard deviation of gross errors, in units of the noise.
+
+    Returns:
+        The set with the most evidence, and the readings in which others that are probable differ from it.
     """
     k, cost = len(pulled), 0.5 * limit**2
     inverse = inverse + np.eye(k) / max(width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
@@ -150,12 +245,12 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> 
     return _compared(np.concatenate(sets), np.concatenate(evidence))
 
 
-def _compared(sets: BoolArray, evidence: Array) -> Sets:
+def _compared(sets: BoolArray, evidence: Array) -> tuple[IntArray, IntArray]:
     best = sets[int(np.argmax(evidence))]
     # One that calls more or fewer of the same readings gross contradicts nothing.
     nested = (sets <= best).all(axis=1) | (sets >= best).all(axis=1)
     others = sets[(evidence > evidence.max() - _ALIKE) & ~nested]
-    return Sets(np.flatnonzero(best), np.flatnonzero((others != best).any(axis=0)))
+    return np.flatnonzero(best), np.flatnonzero((others != best).any(axis=0))
 
 
 def groups_of_points(part: Part) -> list[IntArray]:
@@ -274,8 +369,8 @@ def _median(values: Array, fewest: int) -> Array:
     """Median of each row's finite values; NaN of fewer than asked for."""
     count = np.isfinite(values).sum(axis=1)
     ordered, row = np.sort(values, axis=1), np.arange(len(values))
-    middle = 0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, np.minimum(count // 2, values.shape[1] - 1)])
-    return np.where(count < fewest, np.nan, middle)
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    return np.where(count < fewest, np.nan, 0.5 * (ordered[row, low] + ordered[row, high]))
 
 
 def _line(along: Array, values: Array) -> Array:

@@ -10,8 +10,9 @@ reading is set aside where
 
 which is a limit for |z| (Box and Tiao 1968). Several readings are judged together (`residuals/agreement.py`): first
 those that a robust fit suspects, then those beside the set at hand that stand out or explain as much, until the set
-stays. What a smooth course of the run explains is no gross error, and where a session is full of such courses, its noise
-is what is left beside them. Readings of which nothing tells which is wrong (look-alikes) are all set aside, and named so.
+stays. What a smooth course of the run explains is no gross error, and where a session is full of such courses, its
+noise is what is left about them. Readings of which nothing tells which is wrong (look-alikes) are all set aside, and
+named so. All numbers that decide stand in `residuals/agreement.py`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
@@ -32,12 +32,24 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.agreement import (
+    BESIDE,
+    COMPARED,
     HELD_OUT,
+    LOOKED_AT,
+    MISFIT,
+    MOST,
+    PATTERN,
+    ROUNDS,
+    SEEN,
+    SUSPECTED,
+    TOGETHER,
     Neighbours,
+    Noise,
     best_set,
     compared_sets,
     groups_of_points,
     groups_of_unknowns,
+    noise_of,
     predicted_by_others,
     same_place,
 )
@@ -45,29 +57,6 @@ from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
-
-# Prior of a reading's error being gross: 1 in 100, known as well as from a hundred readings, of which one was.
-_PRIOR = (1.0, 100.0)
-# Least width of gross errors, standard deviations of the noise: less is hardly distinguished from noise.
-_WIDTH = 10.0
-# Predicted residuals from which a reading is judged together with others: few of the sound ones; before and in a set.
-_SUSPECTED, _BESIDE = 3.0, 4.0
-# Not more than this share of the readings: beyond, they are no longer single.
-_MOST = 0.2
-# A reading with less than this share of itself in its residual cannot be judged.
-_SEEN = 0.02
-# Degrees of freedom of the noise and their prior: the last is normal. Of the readings the bulk is looked at, so that
-# gross errors have no say; of many so many.
-_DOFS, _TAILS, _BULK, _LOOKED_AT = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2, 0.5), 0.95, 2000
-# Scatter over the declared uncertainty below which it is rounding, and from which wrong readings may hide each other.
-_ROUNDING, _MISFIT = 0.01, 1.1
-# What is left beside the courses of the runs, over the whole scatter, below which these are a pattern and no noise.
-_PATTERN = 0.7
-# Rounds in one model, and models made anew without what was set aside: the set stays after two or three.
-_ROUNDS = 8
-# Suspected readings that are judged together, and readings times unknowns up to which it is looked who sees which:
-# memory.
-_TOGETHER, _COMPARED = 800, 4e7
 
 
 @dataclass(frozen=True)
@@ -139,7 +128,7 @@ def _rows(session: Session, found: list[Outlier]) -> BoolArray:
 def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
     """All models; one that draws more from the readings than unknowns is made anew without what was set aside."""
     found: list[Outlier] = []
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         try:
             more = _Search(build(session.without(_rows(session, found), as_lost=True) if found else session)).outliers()
         except (ModelError, np.linalg.LinAlgError):
@@ -149,7 +138,7 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
         found += more
         if not more:
             break
-    if len(found) > _MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+    if len(found) > MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
         return []
     return sorted(found, key=lambda o: -abs(o.studentized))
 
@@ -172,7 +161,7 @@ class _Fit:
     weight: Array
     residual: Array
     spread: Array
-    noise: _Noise
+    noise: Noise
 
     @property
     def predicted(self) -> Array:
@@ -189,95 +178,6 @@ class _Fit:
             return predicted_by_others(products, self.residual[which[at]] / self.noise.scale, self.weight[which[at]])
 
         return of
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """What predicted residuals are compared with.
-
-    Attributes:
-        scale: standard deviation of the bulk over the declared uncertainty.
-        width: of gross errors, in these.
-        limit: predicted residual beyond which a reading is rather gross than noise.
-    """
-
-    scale: float
-    width: float
-    limit: float
-
-
-def _noise(size: Array, freedom: float, explained: BoolArray | None = None) -> _Noise:
-    """The noise of predicted residuals, of which those beyond the limit have no say.
-
-    Args:
-        size: predicted residuals over the declared uncertainty, without signs.
-        freedom: degrees of freedom of their scatter.
-        explained: which are no gross errors, however large.
-    """
-    single = size if explained is None else size[~explained]
-    inside = np.ones(len(size), dtype=bool)
-    for _ in range(_ROUNDS):
-        scale, tails = _bulk(size[inside], freedom)
-        beyond = single[single > _SUSPECTED * scale] / scale
-        width = max(_WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else _WIDTH
-        count = 0
-        while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
-            count = more
-        last, inside = inside, size <= limit * scale
-        if np.array_equal(inside, last):
-            break
-    return _Noise(scale, width, limit)
-
-
-def _density(size: Array, dof: float) -> Array:
-    """Logarithm of Student's density with the quartiles of a standard normal one, times sqrt(2 pi)."""
-    unit = _unit(dof)
-    constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
-    return np.asarray(constant - 0.5 * (dof + 1) * np.log1p((size * unit) ** 2 / dof))
-
-
-def _unit(dof: float) -> float:
-    return float(special.stdtrit(dof, 0.75) / special.ndtri(0.75))
-
-
-def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> float:
-    """Where the evidence for a gross error passes that for noise.
-
-    Args:
-        tails: probabilities of `_DOFS`.
-        freedom: degrees of freedom of the scale.
-        width: of gross errors.
-        count: gross errors so far.
-        n: readings.
-    """
-    share = (_PRIOR[0] + count) / (_PRIOR[1] + n)
-    z = np.geomspace(1.0, 300.0, 400)
-    gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
-    noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
-    beyond = gross > special.logsumexp(noise, axis=0, b=tails[:, None])
-    return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
-
-
-def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
-    """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
-
-    Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
-    """
-    ordered = np.sort(size)
-    if len(ordered) > _LOOKED_AT:
-        ordered = ordered[np.linspace(0, len(ordered) - 1, _LOOKED_AT).astype(int)]
-    inside = max(int(_BULK * len(ordered)), 1)
-    middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
-    scales = np.exp(np.linspace(-0.5, 0.5, 41))
-    within = ordered[None, :inside] / middle / scales[:, None]
-    best, evidence = [], []
-    for dof in _DOFS:
-        beyond = np.log(np.maximum(2.0 * special.stdtr(dof, -within[:, -1] * _unit(dof)), 1e-300))
-        every = _density(within, dof).sum(axis=1) - inside * np.log(scales) + (len(ordered) - inside) * beyond
-        best.append(float(scales[int(np.argmax(every))]))
-        evidence.append(min(freedom / len(size), 1.0) * float(every.max()))
-    tails = special.softmax(np.array(evidence) + np.log(_TAILS))
-    return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
 
 
 class _WithoutCourses(PartAround):
@@ -317,13 +217,13 @@ class _Search:
         if self._only_noise():
             return []
         asked = self._suspects()
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             held = self._judged(asked, self._fit(asked))
             fit = self._fit(held)
             held, alike = self._agreed(asked, held, fit)
             fit = self._fit(held)
             # What was asked once is asked again, so that the set comes to rest.
-            more = np.union1d(asked, np.flatnonzero(np.abs(fit.predicted) > min(fit.noise.limit, _BESIDE)))
+            more = np.union1d(asked, np.flatnonzero(np.abs(fit.predicted) > min(fit.noise.limit, BESIDE)))
             if len(more) == len(asked):
                 break
             asked = more
@@ -340,7 +240,7 @@ class _Search:
     def _only_noise(self) -> bool:
         """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
         fit = self._fit(np.zeros(0, dtype=np.int64))
-        return fit.noise.scale < _MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
+        return fit.noise.scale < MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
 
     def _suspects(self) -> IntArray:
         """Readings that stand out of a robust solution, which is where all others are linearised from now on.
@@ -352,18 +252,18 @@ class _Search:
         self.start, every = (theta, local[0]), np.arange(self.n)
         spare = max(1.0 - unknowns / self.n, 0.1)
         off, neighbours = residuals[0] / np.sqrt(spare), Neighbours(self.readings)
-        noise = _noise(np.abs(off), spare * self.n)
-        some = every[np.linspace(0, self.n - 1, min(self.n, _LOOKED_AT)).astype(int)]
-        beside = _noise(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
-        self.pattern = beside.scale < _PATTERN * noise.scale
+        noise = noise_of(np.abs(off), spare * self.n)
+        some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
+        beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
+        self.pattern = beside.scale < PATTERN * noise.scale
         noise = beside if self.pattern else noise
         self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
         if self.pattern:
             course = neighbours.course(every, off)
             self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course
         size = np.abs(off)
-        suspected = np.flatnonzero(size > _SUSPECTED * max(noise.scale, 0.5))
-        most = int(_MOST * self.n)
+        suspected = np.flatnonzero(size > SUSPECTED * max(noise.scale, 0.5))
+        most = int(MOST * self.n)
         return suspected if len(suspected) <= most else np.sort(np.argsort(-size)[:most])
 
     def _fit(self, held: IntArray) -> _Fit:
@@ -379,10 +279,10 @@ class _Search:
         plain = part.weighted(np.ones(self.n))
         residual, hat = scaled_residuals(plain, theta, local), taken(plain, solution, 0, weight)
         kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
-        spread = np.sqrt(np.where(kept > _SEEN, kept, np.inf))
+        spread = np.sqrt(np.where(kept > SEEN, kept, np.inf))
         freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
-        noise = _noise(np.abs(residual / spread)[seen], freedom, self.explained[seen]) if seen.any() else _Noise(np.inf, _WIDTH, np.inf)
+        noise = noise_of(np.abs(residual / spread)[seen], freedom, self.explained[seen])
         return _Fit(plain, solution, weight, residual, spread, noise)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
@@ -391,8 +291,8 @@ class _Search:
         if not len(asked) or not np.isfinite(fit.noise.scale):
             return asked[:0]
         blocks, joint = [np.arange(len(asked))], fit.joint(asked)
-        if len(asked) > _TOGETHER:
-            point = self.part.point_of_reading()[asked] if self.part.dimension else np.arange(len(asked)) // _TOGETHER
+        if len(asked) > TOGETHER:
+            point = self.part.point_of_reading()[asked] if self.part.dimension else np.arange(len(asked)) // TOGETHER
             order = np.argsort(point, kind="stable")
             blocks = np.split(order, np.flatnonzero(np.diff(point[order])) + 1)
         return np.sort(np.concatenate([asked[at[best_set(*joint(at), fit.noise.limit)]] for at in blocks]))
@@ -401,7 +301,7 @@ class _Search:
     def _groups(self) -> list[IntArray]:
         """Groups of readings that only tell of each other."""
         out = groups_of_points(self.part)
-        if self.n * self.problem.size <= _COMPARED:
+        if self.n * self.problem.size <= COMPARED:
             out += groups_of_unknowns(self.part, self.start, self.problem.size)
         return out
 
@@ -421,11 +321,11 @@ class _Search:
         which = np.unique(np.concatenate([held[:0], *wanted]))
         joint = fit.joint(which)
         for mine in wanted:
-            sets = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise.limit, fit.noise.width)
+            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise.limit, fit.noise.width)
             found[mine] = False
-            found[mine[sets.gross]] = True
-            if len(sets.gross) and len(sets.ambiguous):
-                alike |= {int(k): mine[sets.ambiguous] for k in mine[np.union1d(sets.ambiguous, sets.gross)]}
+            found[mine[gross]] = True
+            if len(gross) and len(other):
+                alike |= {int(k): mine[other] for k in mine[np.union1d(other, gross)]}
         return np.flatnonzero(found & ~self.explained), alike
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
