@@ -68,8 +68,8 @@ def test_one_that_explains_by_chance_what_two_did_better() -> None:
 def test_the_more_readings_are_wrong_the_more_is_in_doubt() -> None:
     """Where hardly any reading is wrong, the fewest that explain it are; where many are, others may be together."""
     residual = NOISE.copy()
-    residual[[0, 1]] += [20.0, -25.0]
-    assert not len(explained(LOCAL, residual, limit=7.0)[1])
+    residual[[0, 1]] += [30.0, -45.0]
+    assert not len(explained(LOCAL, residual, limit=4.5)[1])
     assert len(explained(LOCAL, residual, limit=3.0)[1])
 
 

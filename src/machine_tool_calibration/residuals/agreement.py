@@ -23,9 +23,9 @@ from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.session.session import Readings
 
 __all__ = [
-    "BESIDE", "COMPARED", "HELD_OUT", "LOOKED_AT", "MISFIT", "MOST", "PATTERN", "PRIOR", "ROUNDS", "SEEN", "SUSPECTED", "TOGETHER",
-    "WIDTH", "Neighbours", "Noise", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns", "noise_of",
-    "predicted_by_others", "same_place",
+    "BESIDE", "COMPARED", "HELD_OUT", "LOOKED_AT", "MISFIT", "MOST", "PATTERN", "PRIOR", "ROUNDS", "SEEN", "SUSPECTED",
+    "TOGETHER", "WIDTH", "Neighbours", "Noise", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns",
+    "noise_of", "predicted_by_others", "same_place",
 ]  # fmt: skip
 
 PRIOR = (1.0, 100.0)
@@ -123,7 +123,7 @@ def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> fl
     z = np.geomspace(1.0, 300.0, 400)
     gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
     noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
-    beyond = gross > special.logsumexp(noise, axis=0, b=tails[:, None])
+    beyond = gross > np.logaddexp.reduce(noise + np.log(np.maximum(tails, 1e-300))[:, None])
     return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
 
 
