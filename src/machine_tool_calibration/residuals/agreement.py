@@ -38,8 +38,8 @@ _DOFS, _TAILS = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2
 _BULK, LOOKED_AT = 0.95, 2000
 # Scatter over the declared uncertainty below which it is rounding.
 _ROUNDING = 0.01
-# Difference in log evidence within which another set may be true (1 in 400).
-_ALIKE = 6.0
+# Difference in log evidence within which another set may be true (1 in 1000).
+_ALIKE = 7.0
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
 _FEW, _SETS = 24, 1000
 SUSPECTED, BESIDE = 3.0, 4.0
