@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What readings say of each other: jointly through the model, and as neighbours in time in a run.
+"""Evidence for gross errors: the noise, sets of readings that explain the residuals, and neighbours in time.
 
-Of a few readings with the deviations d from what all others predict, with covariance C in units of the noise, the
-explanation "those of the set S have gross errors" has the evidence
+All numbers that decide stand here. Of a few readings with the deviations d from what all others predict, with
+covariance C in units of the noise, the explanation "those of the set S have gross errors" has the evidence
 
     log p(d | S) - log p(d | none) = b_S' (A_SS)^-1 b_S / 2 - |S| c,    A = C^-1,  b = A d,
 
-where c is what the explanation of one reading costs (prior odds and width of gross errors). Many readings are searched
-step by step, few that only tell of each other by comparing all sets.
+where c is what the explanation of one reading costs: prior odds, width of gross errors and tails of the noise, which
+together are a limit of a single predicted residual, c = limit^2 / 2 (Box and Tiao 1968). Many readings are searched
+step by step; few that only tell of each other by comparing all sets.
 """
 
 from __future__ import annotations
@@ -315,15 +316,18 @@ class Neighbours:
         self.repeats = _Ordered(groups(same_place(readings), *approach))
 
     def course(self, which: IntArray, residual: Array) -> Array:
-        """(k,) what the neighbours in time on both sides say of readings; of few their median; 0 where there are fewer.
+        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
 
         Args:
             which: (k,) the readings.
             residual: (n,) of all.
         """
         along, values = self.run.near(which, residual)
+        line, level = _line(along, values), _median(values, _AGREEING)
+        # At the ends of a run a wrong neighbour turns the line: what is nearer.
         few = np.isfinite(values).sum(axis=1) < _NEIGHBOURS + 2
-        return np.nan_to_num(np.where(few, _median(values, _AGREEING), _line(along, values)))
+        other = few & ~(np.abs(residual[which] - line) < np.abs(residual[which] - level))
+        return np.nan_to_num(np.where(other, level, line))
 
     def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
         """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
