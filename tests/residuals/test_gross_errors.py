@@ -12,8 +12,8 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.residuals.gross_errors import find_outliers, set_aside
 from machine_tool_calibration.residuals.leverage import leverage
-from machine_tool_calibration.residuals.outliers import find_outliers, set_aside
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, TrackingPlan, simulate

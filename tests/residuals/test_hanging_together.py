@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.outliers import Outlier, find_outliers
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 

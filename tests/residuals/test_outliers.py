@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.outliers import find_outliers
+from machine_tool_calibration.residuals.gross_errors import find_outliers
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 

@@ -28,8 +28,8 @@ from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.restated import changed, declared
 from machine_tool_calibration.model.result import EffectSet, ErrorMap, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.noise import Noise
-from machine_tool_calibration.residuals.outliers import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 

@@ -5,7 +5,8 @@ The readings are linearised at some place and the weighted problem is solved aga
 weight min(1, k s / |r|) (Huber 1964, k = 1.345), s from the median of the absolute residuals, until s is at rest; then
 the readings are linearised anew. Far out the weight falls faster still. As s starts large and shrinks, the place from
 which it sets out hardly matters.
-Nothing here judges single readings, which takes what each of them is expected to leave (see `residuals/outliers.py`).
+Nothing here judges single readings, which takes what each of them is expected to leave
+(see `residuals/gross_errors.py`).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from machine_tool_calibration.methods.joint.small_angles import random_of, settl
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
-from machine_tool_calibration.residuals.outliers import Outlier, set_aside
+from machine_tool_calibration.residuals.gross_errors import Outlier, set_aside
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.combinations import Combination, wrong_together
-from machine_tool_calibration.residuals.outliers import find_outliers
+from machine_tool_calibration.residuals.agreement import compared_sets
+from machine_tool_calibration.residuals.gross_errors import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 # Four stations read a point in space twice; nothing but the sum of their readings tells of an error in one of them.
@@ -19,37 +19,37 @@ LOCAL = np.concatenate([STATIONS, STATIONS])
 NOISE = np.array([0.4, -0.9, 0.2, 0.5, -0.3, 0.8, -0.6, 0.1])
 
 
-def explained(local: Array, residual: Array, share: float = 0.001) -> Combination:
-    """Readings of a point that nothing else is known of, in a session with such a share of wrong ones."""
+def explained(local: Array, residual: Array, limit: float = 4.7) -> tuple[IntArray, IntArray]:
+    """Readings of a point that nothing else is known of; the limit falls with the share of gross errors."""
     free = np.eye(len(local)) - local @ np.linalg.pinv(local)
-    return wrong_together(free, free @ residual, 4.7, share, width=200.0, doubt=0.01)
+    return compared_sets(free, free @ residual, limit, width=200.0)
 
 
 def test_three_of_eight_are_told_from_one_another() -> None:
     residual = NOISE.copy()
     residual[[0, 1, 2]] += [170.0, -990.0, 105.0]
     found = explained(LOCAL, residual)
-    assert found.wrong.tolist() == [0, 1, 2]
-    assert not len(found.doubtful)
+    assert found[0].tolist() == [0, 1, 2]
+    assert not len(found[1])
 
 
 def test_either_of_two_where_no_third_tells() -> None:
     residual = NOISE[[0, 1, 2, 4]].copy()
     residual[3] += 50.0
     found = explained(LOCAL[[0, 1, 2, 4]], residual)
-    assert found.doubtful.tolist() == [0, 3]
+    assert found[1].tolist() == [0, 3]
 
 
 def test_one_of_four_stations_read_once_leaves_all_in_doubt() -> None:
     residual = NOISE[:4].copy()
     residual[2] += 80.0
     found = explained(STATIONS, residual)
-    assert found.doubtful.tolist() == [0, 1, 2, 3]
+    assert found[1].tolist() == [0, 1, 2, 3]
 
 
 def test_sound_readings_are_all_kept() -> None:
     found = explained(LOCAL, NOISE)
-    assert not len(found.wrong)
+    assert not len(found[0])
 
 
 def test_one_that_explains_by_chance_what_two_did_better() -> None:
@@ -62,22 +62,22 @@ def test_one_that_explains_by_chance_what_two_did_better() -> None:
     residual = pair @ np.linalg.lstsq(pair, single[:, 0], rcond=None)[0]
     residual *= 3.8 / np.linalg.norm(residual - single @ np.linalg.lstsq(single, residual, rcond=None)[0])
     found = explained(local, residual)
-    assert {0, 1, 6} <= set(found.doubtful.tolist())
+    assert {0, 1, 6} <= set(found[1].tolist())
 
 
 def test_the_more_readings_are_wrong_the_more_is_in_doubt() -> None:
     """Where hardly any reading is wrong, the fewest that explain it are; where many are, others may be together."""
     residual = NOISE.copy()
-    residual[[0, 1]] += [20.0, -25.0]
-    assert not len(explained(LOCAL, residual, share=0.001).doubtful)
-    assert len(explained(LOCAL, residual, share=0.1).doubtful)
+    residual[[0, 1]] += [30.0, -45.0]
+    assert not len(explained(LOCAL, residual, limit=4.5)[1])
+    assert len(explained(LOCAL, residual, limit=3.0)[1])
 
 
 def test_six_of_many() -> None:
     """Not all combinations are compared, but those that the likeliest of fewer readings grow into."""
     rng = np.random.default_rng(4)
     residual = rng.normal(size=24) + np.where(np.arange(24) < 6, 50.0 * (1 + np.arange(24)), 0.0)
-    assert explained(np.ones((24, 1)), residual, share=0.05).wrong.tolist() == list(range(6))
+    assert explained(np.ones((24, 1)), residual, limit=3.5)[0].tolist() == list(range(6))
 
 
 def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:

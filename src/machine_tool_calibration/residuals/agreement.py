@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence for gross errors: the noise, sets of readings that explain the residuals, and neighbours in time.
+
+All numbers that decide stand here. Of a few readings with the deviations d from what all others predict, with
+covariance C in units of the noise, the explanation "those of the set S have gross errors" has the evidence
+
+    log p(d | S) - log p(d | none) = b_S' (A_SS)^-1 b_S / 2 - |S| c,    A = C^-1,  b = A d,
+
+where c is what the explanation of one reading costs: prior odds, width of gross errors and tails of the noise, which
+together are a limit of a single predicted residual, c = limit^2 / 2 (Box and Tiao 1968). Many readings are searched
+step by step; few that only tell of each other by comparing all sets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.session.session import Readings
+
+__all__ = [
+    "BESIDE", "COMPARED", "HELD_OUT", "LOOKED_AT", "MISFIT", "MOST", "PATTERN", "PRIOR", "ROUNDS", "SEEN", "SUSPECTED",
+    "TOGETHER", "WIDTH", "Neighbours", "Noise", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns",
+    "noise_of", "predicted_by_others", "same_place",
+]  # fmt: skip
+
+PRIOR = (1.0, 100.0)
+"""Prior of an error being gross: 1 in 100, known as well as from a hundred readings, of which one had such."""
+WIDTH = 10.0
+"""Least width of gross errors, standard deviations of the noise: less is hardly distinguished from noise."""
+# Degrees of freedom of the noise and their prior: the last is normal, 3 or 4 are rare.
+_DOFS, _TAILS = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2, 0.5)
+# Share of the readings whose distribution is looked at, so that gross errors have no say, and how many at most.
+_BULK, LOOKED_AT = 0.95, 2000
+# Scatter over the declared uncertainty below which it is rounding.
+_ROUNDING = 0.01
+# Difference in log evidence within which another set may be true (1 in 1000).
+_ALIKE = 7.0
+# Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
+_FEW, _SETS = 24, 1000
+SUSPECTED, BESIDE = 3.0, 4.0
+"""Predicted residuals from which a reading is judged with others (few sound ones), at first and beside a set."""
+SEEN, _UNSEEN = 0.02, 1e-6
+"""A reading with less than this share of itself in its residual cannot be judged (curvature; and rounding)."""
+MOST = 0.2
+"""Not more than this share of the readings: beyond, they are no longer single."""
+MISFIT = 1.1
+"""Scatter over the declared uncertainty from which several wrong readings may hide each other (masking)."""
+PATTERN = 0.7
+"""Scatter about the courses of the runs over the whole one, below which they are a pattern and no noise."""
+# Neighbours on each side in a run, and how many of them must deviate: one wrong one makes no course.
+_NEIGHBOURS, _AGREEING = 4, 3
+# Neighbours within so many times the noise do not deviate.
+_LEVEL = 2.0
+# Share of a course within which it predicts a reading: curvature of a transient that decays within three readings.
+_TOLERANCE = 0.1
+ROUNDS = 8
+"""Rounds in one model, and models made anew without what was set aside: the set stays after two or three."""
+TOGETHER, COMPARED = 800, 4e7
+"""Readings that are judged together, and readings times unknowns up to which it is looked who sees which: memory."""
+HELD_OUT = 1e-8
+"""Weight of a reading that is held out: it still places what nothing else places."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What predicted residuals are compared with.
+
+    Attributes:
+        scale: standard deviation of the bulk over the declared uncertainty.
+        width: of gross errors, in these.
+        limit: predicted residual beyond which a reading is rather gross than noise.
+    """
+
+    scale: float
+    width: float
+    limit: float
+
+
+def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) -> Noise:
+    """The noise of predicted residuals, of which those beyond the limit have no say.
+
+    Args:
+        size: their sizes over the declared uncertainty.
+        freedom: degrees of freedom of their scatter.
+        explained: which are no gross errors, however large.
+    """
+    if not len(size):
+        return Noise(np.inf, WIDTH, np.inf)
+    single = size if explained is None else size[~explained]
+    inside = np.ones(len(size), dtype=bool)
+    for _ in range(ROUNDS):
+        scale, tails = _bulk(size[inside], freedom)
+        beyond = single[single > SUSPECTED * scale] / scale
+        width = max(WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else WIDTH
+        count = 0
+        while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
+            count = more
+        last, inside = inside, size <= limit * scale
+        if np.array_equal(inside, last):
+            break
+    return Noise(scale, width, limit)
+
+
+def _density(size: Array, dof: float) -> Array:
+    """Logarithm of Student's density with the quartiles of a standard normal one, times sqrt(2 pi)."""
+    unit = _unit(dof)
+    constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(0.5 * dof) + np.log(unit)
+    return np.asarray(constant - 0.5 * (dof + 1) * np.log1p((size * unit) ** 2 / dof))
+
+
+def _unit(dof: float) -> float:
+    return float(special.stdtrit(dof, 0.75) / special.ndtri(0.75))
+
+
+def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> float:
+    """Where the evidence for a gross error passes that for noise; `tails` are the probabilities of `_DOFS`."""
+    share = (PRIOR[0] + count) / (PRIOR[1] + n)
+    z = np.geomspace(1.0, 300.0, 400)
+    gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
+    noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
+    beyond = gross > np.logaddexp.reduce(noise + np.log(np.maximum(tails, 1e-300))[:, None])
+    return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
+
+
+def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
+    """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
+
+    Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
+    """
+    ordered = np.sort(size)
+    if len(ordered) > LOOKED_AT:
+        ordered = ordered[np.linspace(0, len(ordered) - 1, LOOKED_AT).astype(int)]
+    inside = max(int(_BULK * len(ordered)), 1)
+    middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
+    scales = np.exp(np.linspace(-0.5, 0.5, 41))
+    within = ordered[None, :inside] / middle / scales[:, None]
+    best, evidence = [], []
+    for dof in _DOFS:
+        beyond = np.log(np.maximum(2.0 * special.stdtr(dof, -within[:, -1] * _unit(dof)), 1e-300))
+        every = _density(within, dof).sum(axis=1) - inside * np.log(scales) + (len(ordered) - inside) * beyond
+        best.append(float(scales[int(np.argmax(every))]))
+        evidence.append(min(freedom / len(size), 1.0) * float(every.max()))
+    tails = special.softmax(np.array(evidence) + np.log(_TAILS))
+    return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
+
+
+def predicted_by_others(products: Array, deviation: Array, weight: Array) -> tuple[Array, Array]:
+    """A and b (above) of a few readings, from a fit in which they took part with weights.
+
+    Args:
+        products: (k, k) covariance of the predictions of these readings.
+        deviation: (k,) of the readings from these predictions.
+        weight: (k,) with which each took part, between `HELD_OUT` and 1.
+    """
+    # With h the variance of a prediction without them, h / (1 + w h) is the one at hand. Of what they alone determine,
+    # all of it is theirs.
+    root = np.sqrt(weight)
+    share, vectors = np.linalg.eigh(root[:, None] * products * root)
+    shared = share < 1.0 - _UNSEEN
+    share, some = np.maximum(share[shared], 0.0), vectors[:, shared]
+    inverse = some @ np.linalg.solve((some.T * weight) @ some + np.diag(share / (1.0 - share)), some.T)
+    inverse = root[:, None] * inverse * root
+    return inverse, weight * deviation + inverse @ ((1.0 - weight) * deviation)
+
+
+def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
+    """The set of gross errors with the most evidence, found step by step: the worst is added, the others judged anew.
+
+    Args:
+        inverse: (k, k) A.
+        pulled: (k,) b.
+        limit: a single predicted residual of so many standard deviations is as likely gross as noise: c = limit^2 / 2.
+    """
+    left, pull = inverse.copy(), pulled.copy()
+    gross = np.zeros(len(pulled), dtype=bool)
+    while True:
+        seen = np.diag(left)
+        size = np.where(gross | (seen < _UNSEEN), 0.0, np.abs(pull) / np.sqrt(np.maximum(seen, _UNSEEN)))
+        worst = int(np.argmax(size))
+        if size[worst] <= limit:
+            break
+        gross[worst] = True
+        column = left[:, worst] / left[worst, worst]
+        pull = pull - column * pull[worst]
+        left = left - np.outer(column, left[worst])
+    # What was added early may not stand out any longer beside what came later.
+    while gross.any():
+        out = np.flatnonzero(gross)
+        spread = np.linalg.inv(inverse[np.ix_(out, out)])
+        size = np.abs(spread @ pulled[out]) / np.sqrt(np.diag(spread))
+        least = int(np.argmin(size))
+        if size[least] > limit:
+            break
+        gross[out[least]] = False
+    return np.flatnonzero(gross)
+
+
+def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> tuple[IntArray, IntArray]:
+    """All sets of gross errors among a few readings; where these are too many, those that the best of fewer grow into.
+
+    One step after the other is not enough here: two wrong readings may agree with each other better than each does
+    with the sound ones.
+
+    Args:
+        inverse: (k, k) A.
+        pulled: (k,) b.
+        limit: as of `best_set`.
+        width: standard deviation of gross errors, in units of the noise.
+
+    Returns:
+        The set with the most evidence, and the readings in which others that are probable differ from it.
+    """
+    k, cost = len(pulled), 0.5 * limit**2
+    inverse = inverse + np.eye(k) / max(width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
+    most = 0.5 * float(pulled @ np.linalg.solve(inverse, pulled))
+    sets, evidence = [np.zeros((1, k), dtype=bool)], [np.zeros(1)]
+    left, pull, last = inverse[None], pulled[None], np.array([-1])
+    for count in range(1, k):
+        # All that so many may explain is less than what counts.
+        if most - count * cost < max(float(one.max()) for one in evidence) - _ALIKE:
+            break
+        seen = np.einsum("sjj->sj", left)
+        able = ~sets[-1] & (seen > _UNSEEN)
+        if comb(k, count) <= _SETS:
+            able &= np.arange(k) > last[:, None]
+        else:
+            able[np.argsort(-evidence[-1])[_SETS // k :]] = False
+        if not able.any():
+            break
+        parent, new = np.nonzero(able)
+        grown = sets[-1][parent] | (np.arange(k) == new[:, None])
+        first = np.unique(grown @ 2.0 ** np.arange(k), return_index=True)[1]
+        parent, new = parent[first], new[first]
+        root = np.sqrt(seen[parent, new])
+        column, step = left[parent, :, new] / root[:, None], pull[parent, new] / root
+        left = left[parent] - column[:, :, None] * column[:, None, :]
+        pull, last = pull[parent] - column * step[:, None], new
+        sets.append(grown[first])
+        evidence.append(evidence[-1][parent] + 0.5 * step**2 - np.log(root) - cost)
+    return _compared(np.concatenate(sets), np.concatenate(evidence))
+
+
+def _compared(sets: BoolArray, evidence: Array) -> tuple[IntArray, IntArray]:
+    best = sets[int(np.argmax(evidence))]
+    # One that calls more or fewer of the same readings gross contradicts nothing.
+    nested = (sets <= best).all(axis=1) | (sets >= best).all(axis=1)
+    others = sets[(evidence > evidence.max() - _ALIKE) & ~nested]
+    return np.flatnonzero(best), np.flatnonzero((others != best).any(axis=0))
+
+
+def groups_of_points(part: Part) -> list[IntArray]:
+    """The readings of each point, of which all others say next to nothing; none where the part has no points."""
+    if not part.dimension:
+        return []
+    point = part.point_of_reading()
+    order = np.argsort(point, kind="stable")
+    return [mine for mine in np.split(order, np.flatnonzero(np.diff(point[order])) + 1) if 1 < len(mine) <= _FEW]
+
+
+def groups_of_unknowns(part: Part, start: tuple[Array, Array], size: int) -> list[IntArray]:
+    """Groups of readings that see shared unknowns which no others see, those of the fewest readings joined first.
+
+    Args:
+        part: the readings.
+        start: shared unknowns and points at which they are linearised.
+        size: number of shared unknowns.
+    """
+    sees = np.zeros((part.n_readings, size), dtype=bool)
+    for group, chunk in part.chunks():
+        layout, rows = part.groups[group], part.rows(group, chunk, *start)
+        for slot, index in enumerate(layout.rows[:, chunk]):
+            there = index >= 0
+            columns = np.concatenate([rows.block[:, slot, there], rows.dense[:, slot, there]])
+            unknowns = np.concatenate([part.block_index[layout.block[slot]], part.dense_index])
+            sees[index[there][:, None], unknowns] |= columns.T != 0
+    count = sees.sum(axis=0)
+    name = np.arange(part.n_readings)
+    for unknown in np.argsort(count, kind="stable"):
+        if 1 < count[unknown] <= _FEW:
+            joined = np.isin(name, name[sees[:, unknown]])
+            if joined.sum() <= _FEW:
+                name[joined] = name[joined][0]
+    every, size_of = np.unique(name, return_counts=True)
+    return [np.flatnonzero(name == one) for one in every[size_of > 1]]
+
+
+def same_place(readings: Readings) -> IntArray:
+    """(n,) index shared by readings that repeat each other, whatever the direction of approach."""
+    places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
+    senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
+    return groups(readings.setup, *places, *senses, *readings.labels.values())
+
+
+class Neighbours:
+    """Readings next to each other in time in a run, and those that repeat each other in other runs.
+
+    What they share is a course of the run, or reproduces: no gross error, whatever the model lacks.
+    """
+
+    def __init__(self, readings: Readings) -> None:
+        """Order them.
+
+        Args:
+            readings: in the order of time; those along x and along y of a part are two runs.
+        """
+        others = [readings.labels["target"]] if "target" in readings.labels else []
+        others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
+        approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
+        self.run = _Ordered(groups(readings.repeat, readings.setup, *others))
+        self.repeats = _Ordered(groups(same_place(readings), *approach))
+
+    def course(self, which: IntArray, residual: Array) -> Array:
+        """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
+
+        Args:
+            which: (k,) the readings.
+            residual: (n,) of all.
+        """
+        along, values = self.run.near(which, residual)
+        line, level = _line(along, values), _median(values, _AGREEING)
+        # At the ends of a run a wrong neighbour turns the line: what is nearer.
+        few = np.isfinite(values).sum(axis=1) < _NEIGHBOURS + 2
+        other = few & ~(np.abs(residual[which] - line) < np.abs(residual[which] - level))
+        return np.nan_to_num(np.where(other, level, line))
+
+    def explained(self, which: IntArray, residual: Array, noise: float, limit: float) -> BoolArray:
+        """(k,) whether a smooth course of the run, before or after the reading, or its repeats predict it.
+
+        Args:
+            which: (k,) the readings.
+            residual: (n,) of all.
+            noise: standard deviation of the residuals.
+            limit: of a deviation, in standard deviations.
+        """
+        along, values = self.run.near(which, residual)
+        repeats, out = self.repeats.near(which, residual)[1], np.zeros(len(which), dtype=bool)
+        before, after = (values[:, along < 0], along[along < 0]), (values[:, along > 0], along[along > 0])
+        for near, steps in (before, after, (repeats, None)):
+            # Most of the neighbours deviate themselves: a course, or what reproduces, is not made by a single one.
+            most = np.sum(np.abs(near) > _LEVEL * noise, axis=1) >= _AGREEING
+            for level in [_median(near, _AGREEING)] + ([_line(steps, near)] if steps is not None else []):
+                within = limit * np.sqrt(noise**2 + (_TOLERANCE * level) ** 2)
+                out |= most & (np.abs(residual[which] - level) < within)
+        return out
+
+
+class _Ordered:
+    """Readings group by group, in the order of time."""
+
+    def __init__(self, group: IntArray) -> None:
+        self.group = group
+        self.order = np.argsort(group, kind="stable")
+        self.position = np.empty(len(group), dtype=np.int64)
+        self.position[self.order] = np.arange(len(group))
+
+    def near(self, which: IntArray, residual: Array) -> tuple[Array, Array]:
+        """(8,) steps to the next readings of the group before and after, and (k, 8) their residuals, NaN where none."""
+        along = np.setdiff1d(np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0)
+        near = self.position[which][:, None] + along
+        inside = (near >= 0) & (near < len(self.order))
+        near = self.order[np.clip(near, 0, len(self.order) - 1)]
+        inside &= self.group[near] == self.group[which][:, None]
+        return along.astype(float), np.where(inside, residual[near], np.nan)
+
+
+def _median(values: Array, fewest: int) -> Array:
+    """Median of each row's finite values; NaN of fewer than asked for."""
+    count = np.isfinite(values).sum(axis=1)
+    ordered, row = np.sort(values, axis=1), np.arange(len(values))
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    return np.where(count < fewest, np.nan, 0.5 * (ordered[row, low] + ordered[row, high]))
+
+
+def _line(along: Array, values: Array) -> Array:
+    """Value at 0 of the line by medians of slopes and heights (Theil 1950; Sen 1968); NaN of fewer than four values."""
+    one, other = np.triu_indices(len(along), 1)
+    slope = _median((values[:, other] - values[:, one]) / (along[other] - along[one]), 6)
+    return _median(values - slope[:, None] * along, 4)

@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gross errors: a chip under the probe, a broken beam, a wrong count.
+
+A gross error is an explanation of one reading. Its prior probability is 1 in 100, or what the session shows; if it is
+there, the reading's predicted residual (its deviation from what all others predict, over its standard deviation, which
+allows for the leverage) is normal with a wide standard deviation; otherwise it is noise, normal or Student's t. A
+reading is set aside where
+
+    share * N(z; 0, width) > (1 - share) * p(z | noise),
+
+which is a limit for |z| (Box and Tiao 1968). Several readings are judged together (`residuals/agreement.py`): first
+those that a robust fit suspects, then those beside the set at hand that stand out or explain as much, until the set
+stays. What a smooth course of the run explains is no gross error, and where a session is full of such courses, its
+noise is what is left about them. Readings of which nothing tells which is wrong (look-alikes) are all set aside, and
+named so. All numbers that decide stand in `residuals/agreement.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.elimination import Rows
+from machine_tool_calibration.estimation.problem import Part, PartAround
+from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
+from machine_tool_calibration.estimation.solve import Solution, solve
+from machine_tool_calibration.model.model import MethodModel, assemble
+from machine_tool_calibration.residuals.agreement import (
+    BESIDE,
+    COMPARED,
+    HELD_OUT,
+    LOOKED_AT,
+    MISFIT,
+    MOST,
+    PATTERN,
+    ROUNDS,
+    SEEN,
+    SUSPECTED,
+    TOGETHER,
+    Neighbours,
+    Noise,
+    best_set,
+    compared_sets,
+    groups_of_points,
+    groups_of_unknowns,
+    noise_of,
+    predicted_by_others,
+    same_place,
+)
+from machine_tool_calibration.residuals.leverage import Reach, reach, taken
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A reading that was set aside.
+
+    Attributes:
+        row: its number in the recording.
+        studentized: its predicted residual: deviation from what all others predict, over its standard deviation.
+        deviation: that deviation, m.
+        reason: in words.
+        ambiguous: whether it, or another one that was set aside with it, is wrong.
+    """
+
+    row: int
+    studentized: float
+    deviation: float
+    reason: str = "it does not belong to the rest"
+    ambiguous: bool = False
+
+
+def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
+    """Set aside the readings with gross errors.
+
+    Args:
+        session: the measurement; what it says to be sound is never among them.
+        build: makes the model of a session.
+
+    Returns:
+        Outliers, the largest first, and the session without these readings. None where the data does not allow the
+        model, which its own fit will say.
+    """
+    found = _found(session, build)
+    return found, session.without(_rows(session, found)) if found else session
+
+
+def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
+    """The same, with these readings as lost ones: what they alone measured is then named.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session.
+    """
+    found = _found(session, build)
+    return found, session.without(_rows(session, found), as_lost=True) if found else session
+
+
+@single_blas()
+def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) -> IntArray:
+    """Rows of the readings that may be wrong, or see something that the model lacks, if any of them lies far out.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session.
+    """
+    try:
+        search = _Search(build(session))
+        rows = search.readings.row[search.suspected()]
+    except (ModelError, np.linalg.LinAlgError):
+        rows = np.zeros(0, dtype=np.int64)
+    return rows[~np.isin(rows, list(session.sound))]
+
+
+def _rows(session: Session, found: list[Outlier]) -> BoolArray:
+    return np.isin(session.readings.row, [o.row for o in found])
+
+
+@single_blas()
+def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
+    """All models; one that draws more from the readings than unknowns is made anew without what was set aside."""
+    found: list[Outlier] = []
+    for _ in range(ROUNDS):
+        try:
+            more = _Search(build(session.without(_rows(session, found), as_lost=True) if found else session)).outliers()
+        except (ModelError, np.linalg.LinAlgError):
+            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
+            return []
+        more = [o for o in more if o.row not in session.sound]
+        found += more
+        if not more:
+            break
+    if len(found) > MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+        return []
+    return sorted(found, key=lambda o: -abs(o.studentized))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fit in which some readings are held out, and the noise by it.
+
+    Attributes:
+        part: the readings as they were linearised for it, without weights.
+        solution: of it.
+        weight: (n,) of the readings.
+        residual: (n,) over the declared uncertainty; of a reading held out, from what all others predict.
+        spread: (n,) its standard deviation over that of the noise; infinite where it says nothing.
+        noise: see there.
+    """
+
+    part: Part
+    solution: Solution
+    weight: Array
+    residual: Array
+    spread: Array
+    noise: Noise
+
+    @property
+    def predicted(self) -> Array:
+        """(n,) predicted residuals, in standard deviations."""
+        return np.asarray(self.residual / self.spread / self.noise.scale)
+
+    def joint(self, which: IntArray) -> Callable[[IntArray], tuple[Array, Array]]:
+        """A and b (`residuals/agreement.py`) of any of some readings, by their places among these."""
+        reached = reach(self.part, self.solution, 0, self.weight, which)
+
+        def of(at: IntArray) -> tuple[Array, Array]:
+            some = Reach(reached.shared[at], reached.own[at], reached.point[at])
+            products = some.products(some, self.solution.covariance)
+            return predicted_by_others(products, self.residual[which[at]] / self.noise.scale, self.weight[which[at]])
+
+        return of
+
+
+class _WithoutCourses(PartAround):
+    """Readings from which something known was taken off."""
+
+    def __init__(self, inner: Part, course: Array) -> None:
+        super().__init__(inner)
+        self._course = course
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """The part's rows with other residuals."""
+        rows, index = self.inner.rows(group, chunk, theta, local), self.groups[group].rows[:, chunk]
+        return replace(rows, residual=rows.residual - np.where(index >= 0, self._course[index], 0.0))
+
+
+class _Search:
+    """The search in one model.
+
+    Attributes:
+        start: shared unknowns and points at which the readings are linearised.
+        pattern: whether courses of the runs were taken off the readings.
+        explained: (n,) which readings a course of their run or their repeats explain.
+    """
+
+    def __init__(self, model: MethodModel) -> None:
+        self.problem = assemble([model]).problem
+        self.part = self.problem.parts[0]
+        self.readings = model.observations.readings
+        self.sigma = model.sigma
+        self.n = self.part.n_readings
+        theta, local = self.problem.zero
+        self.start = theta, local[0]
+        self.pattern, self.explained = False, np.zeros(self.n, dtype=bool)
+
+    def outliers(self) -> list[Outlier]:
+        """Readings with gross errors, and their look-alikes."""
+        if self._only_noise():
+            return []
+        asked = self._suspects()
+        for _ in range(ROUNDS):
+            held = self._judged(asked, self._fit(asked))
+            fit = self._fit(held)
+            held, alike = self._agreed(asked, held, fit)
+            fit = self._fit(held)
+            # What was asked once is asked again, so that the set comes to rest.
+            more = np.union1d(asked, np.flatnonzero(np.abs(fit.predicted) > min(fit.noise.limit, BESIDE)))
+            if len(more) == len(asked):
+                break
+            asked = more
+        return self._named(held, fit, alike)
+
+    def suspected(self) -> IntArray:
+        """Readings that a robust fit suspects, if one of them lies farther out than noise does."""
+        if self._only_noise():
+            return np.zeros(0, dtype=np.int64)
+        asked = self._suspects()
+        fit = self._fit(asked)
+        return asked if (np.abs(fit.predicted[asked]) > fit.noise.limit).any() else asked[:0]
+
+    def _only_noise(self) -> bool:
+        """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
+        fit = self._fit(np.zeros(0, dtype=np.int64))
+        return fit.noise.scale < MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
+
+    def _suspects(self) -> IntArray:
+        """Readings that stand out of a robust solution, which is where all others are linearised from now on.
+
+        What a course of the run or repeats explain is settled here, where no reading was held out.
+        """
+        unknowns = self.problem.size - len(self.problem.constraints) + self.part.dimension * self.part.n_points
+        theta, local, residuals = robust_start(self.problem, unknowns)
+        self.start, every = (theta, local[0]), np.arange(self.n)
+        spare = max(1.0 - unknowns / self.n, 0.1)
+        off, neighbours = residuals[0] / np.sqrt(spare), Neighbours(self.readings)
+        noise = noise_of(np.abs(off), spare * self.n)
+        some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
+        beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
+        self.pattern = beside.scale < PATTERN * noise.scale
+        noise = beside if self.pattern else noise
+        self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
+        if self.pattern:
+            course = neighbours.course(every, off)
+            self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course
+        size = np.abs(off)
+        suspected = np.flatnonzero(size > SUSPECTED * max(noise.scale, 0.5))
+        most = int(MOST * self.n)
+        return suspected if len(suspected) <= most else np.sort(np.argsort(-size)[:most])
+
+    def _fit(self, held: IntArray) -> _Fit:
+        """Least squares with readings held out."""
+        weight, theta, local = np.ones(self.n), *self.start
+        weight[held] = HELD_OUT
+        for _ in range(1 if self.part.linear else 2):
+            # At places near the nominal ones: a point that only what is held out could place may be found anywhere.
+            near = np.where(np.abs(local) < FAR, local, 0.0)
+            part = Reweighted(self.part, weight, None if self.part.linear else (theta, near))
+            solution = solve(replace(self.problem, parts=[part]), theta, [near])
+            theta, local = solution.theta, solution.local[0]
+        plain = part.weighted(np.ones(self.n))
+        residual, hat = scaled_residuals(plain, theta, local), taken(plain, solution, 0, weight)
+        kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
+        spread = np.sqrt(np.where(kept > SEEN, kept, np.inf))
+        freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
+        seen = np.isfinite(spread)
+        noise = noise_of(np.abs(residual / spread)[seen], freedom, self.explained[seen])
+        return _Fit(plain, solution, weight, residual, spread, noise)
+
+    def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:
+        """Those of the readings asked for, which are held out, that have gross errors."""
+        asked = asked[~self.explained[asked]]
+        if not len(asked) or not np.isfinite(fit.noise.scale):
+            return asked[:0]
+        blocks, joint = [np.arange(len(asked))], fit.joint(asked)
+        if len(asked) > TOGETHER:
+            point = self.part.point_of_reading()[asked] if self.part.dimension else np.arange(len(asked)) // TOGETHER
+            order = np.argsort(point, kind="stable")
+            blocks = np.split(order, np.flatnonzero(np.diff(point[order])) + 1)
+        return np.sort(np.concatenate([asked[at[best_set(*joint(at), fit.noise.limit)]] for at in blocks]))
+
+    @cached_property
+    def _groups(self) -> list[IntArray]:
+        """Groups of readings that only tell of each other."""
+        out = groups_of_points(self.part)
+        if self.n * self.problem.size <= COMPARED:
+            out += groups_of_unknowns(self.part, self.start, self.problem.size)
+        return out
+
+    def _agreed(self, asked: IntArray, held: IntArray, fit: _Fit) -> tuple[IntArray, dict[int, IntArray]]:
+        """The same with all sets compared where readings only tell of each other.
+
+        Returns:
+            Gross errors; and for each that may as well be sound, all of which that is true.
+        """
+        alike: dict[int, IntArray] = {}
+        # Where courses of the runs are missing in the model, readings of a point do not agree, whichever are wrong.
+        if self.pattern or not np.isfinite(fit.noise.scale):
+            return held, alike
+        touched, found = np.zeros(self.n, dtype=bool), np.zeros(self.n, dtype=bool)
+        touched[asked], found[held] = True, True
+        wanted = [mine for mine in self._groups if touched[mine].any()]
+        which = np.unique(np.concatenate([held[:0], *wanted]))
+        joint = fit.joint(which)
+        for mine in wanted:
+            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise.limit, fit.noise.width)
+            found[mine] = False
+            found[mine[gross]] = True
+            if len(gross) and len(other):
+                alike |= {int(k): mine[other] for k in mine[np.union1d(other, gross)]}
+        return np.flatnonzero(found & ~self.explained), alike
+
+    def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
+        """What is set aside, in words; with what may as well be wrong in its place."""
+        rows, place = self.readings.row, same_place(self.readings)
+        near = self.part.point_of_reading() if self.part.dimension else place
+        gone = np.zeros(self.n, dtype=bool)
+        gone[[*held, *alike]] = True
+        left = np.bincount(near, ~gone)
+        out, predicted = [], fit.predicted
+        for k in np.flatnonzero(gone):
+            deviation, times = float(fit.residual[k] * self.sigma[k]), float(predicted[k])
+            others = [int(j) for j in alike.get(int(k), ()) if j != k]
+            words = f"it is off by {_size(deviation)} from what all others say, {abs(times):.1f} times its scatter"
+            if others:
+                words = f"it, or others of rows {', '.join(str(int(rows[j])) for j in others)}, contradict the rest"
+                if len(others) == 1 and place[others[0]] == place[k]:
+                    differ = abs(self.readings.displacement[k] - self.readings.displacement[others[0]])
+                    words = f"two readings of one place differ by {_size(float(differ))}"
+                words += " and nothing tells which is right"
+            if not left[near[k]]:
+                words += "; no other reading of its place is left"
+            out.append(Outlier(int(rows[k]), times, deviation, words, ambiguous=int(k) in alike))
+        return out
+
+
+def _size(deviation: float) -> str:
+    size = abs(deviation)
+    return f"{size * 1e6:.3g} µm" if size < 1e-3 else f"{size * 1e3:.3g} mm" if size < 1.0 else f"{size:.3g} m"

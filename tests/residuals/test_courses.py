@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What many readings in a row share is no gross error; what stands out of it is one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, set_aside, suspected_rows
+from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+NOISE = 1.5e-7
+HEAD = """format: mtcal-session/1
+method: direct
+machine: {chain: w-X-b-t, travel: {x: [0.0, 0.5]}}
+repeats: 1
+standard_uncertainty: {displacement: 1.5e-07}
+datum: offset
+terms: [EXX]
+setups:
+- {id: A}
+"""
+
+
+def found_in(session: Session) -> list[Outlier]:
+    """What is set aside by the method's own model."""
+    return find_outliers(session, lambda part: build_model(part)[0])[0]
+
+
+def warming(folder: Path, constants: tuple[float, float], size: float, gross: dict[int, float]) -> Session:
+    """One place read 570 times in three hours while the frame warms up; then five others."""
+    rng = np.random.default_rng(4)
+    time = 19.0 * np.arange(575)
+    course = size * (0.6 * np.exp(-time / constants[0]) + 0.4 * np.exp(-time / constants[1]))
+    displacement = np.where(np.arange(575) < 570, course, 0.0) + NOISE * rng.standard_normal(575)
+    displacement[list(gross)] += NOISE * np.array(list(gross.values()))
+    x = 0.1 + 0.05 * np.maximum(np.arange(575) - 569, 0)
+    rows = zip(time, x, displacement, strict=True)
+    lines = ["time,setup,repeat,x,dir_x,gx,gy,gz,displacement"]
+    lines += [f"{t:.1f},A,0,{place:.3f},1,1,0,0,{value:.12g}" for t, place, value in rows]
+    (folder / "session.yaml").write_text(HEAD, encoding="utf-8")
+    (folder / "observations.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return read_session(folder)
+
+
+@pytest.mark.parametrize("size", [116e-6, 15e-6, 3e-6])
+@pytest.mark.parametrize("constants", [(70.0, 600.0), (300.0, 3600.0), (1200.0, 1500.0)])
+def test_a_transient_loses_no_reading(tmp_path: Path, size: float, constants: tuple[float, float]) -> None:
+    assert found_in(warming(tmp_path, constants, size, {})) == []
+
+
+def test_gross_errors_within_a_transient_are_found(tmp_path: Path) -> None:
+    errors = {60: 40.0, 150: -20.0, 151: 30.0, 400: -15.0}
+    found = found_in(warming(tmp_path, (300.0, 3600.0), 15e-6, errors))
+    assert {o.row for o in found} == set(errors)
+
+
+def test_an_answer_does_not_depend_on_what_was_asked_before() -> None:
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=3, effects=(FlawSpec(id="backlash_y", size=1e-6),))
+    session = simulate(spec).session
+
+    def build(part: Session) -> MethodModel:
+        return build_model(part)[0]
+
+    first = set_aside(session, build)[0]
+    suspected_rows(session, build)
+    assert set_aside(session, build)[0] == first
+
+
+def test_a_place_that_is_lost_is_said() -> None:
+    """Of a place that was read twice, nothing tells which reading is right."""
+    plan = PRESETS["straightness"].model_copy(update={"repeats": 2})
+    session = simulate(SimulationSpec(plan=plan, seed=5)).session
+    readings = session.readings
+    displacement = readings.displacement.copy()
+    displacement[4] += 3e-4
+    wrong = session.with_readings(replace(readings, displacement=displacement))
+    rejected = identify(wrong).rejected
+    assert {r.row for r in rejected} == set(np.flatnonzero(readings.columns["x"] == readings.columns["x"][4]).tolist())
+    assert all("no other reading of its place is left" in r.reason for r in rejected)
