@@ -16,7 +16,7 @@ from machine_tool_calibration.diagnosis.search.candidates import Candidate, betw
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GOOD_ENOUGH, GROSS, LIKELY, SURE
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GOOD_ENOUGH, GROSS, LIKELY, SMALL, SURE
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
@@ -341,18 +341,17 @@ def _verdict(found: Diagnosis) -> str:
 
 @single_blas()
 def _good_enough(found: Diagnosis) -> bool:
-    """Whether what is left beside the accepted effects is below the readings' noise and hardly moves the map."""
-    joint = found.fits[-1]
+    """Whether what is left beside the accepted effects is small: beside the noise, or in what it does to the map."""
+    joint, fitted = found.fits[-1], found.fitted[-1]
     pool = Pool(joint)
     left = np.zeros(len(pool))
     for name, signal in found.look.signals.items():
         left -= signal if name not in found.accepted else 0.0
-    if rms(left / pool.sigma) > 1.0:
-        return False
-    without = changed(joint, [left[piece] for piece in pool.pieces])
-    with_all = declared(joint)
-    moved = map_change(found.fitted[-1].map_of(with_all), found.fitted[-1].map_of(without))
-    uncertainty = map_rms(found.fitted[-1].error_map.uncertainty)
+    size = rms(left / pool.sigma)
+    if not SMALL < size <= 1.0:
+        return size <= SMALL
+    without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
+    moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)
     return moved is not None and uncertainty is not None and moved < GOOD_ENOUGH * 2.0 * uncertainty
 
 
