@@ -16,7 +16,6 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 
-
 @pytest.fixture(scope="module")
 def plates() -> ModuleType:
     """The functions of tests/methods/direct/plates.py."""

@@ -19,7 +19,6 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 
-
 def with_added(session: Session, change: np.ndarray) -> Session:
     readings = session.readings
     return session.with_readings(replace(readings, displacement=readings.displacement + change))

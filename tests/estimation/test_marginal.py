@@ -17,7 +17,9 @@ from ..inner_products import N, columns, gram_of, log_marginal
 def test_prior_of_sizes_has_half_at_none(families: int) -> None:
     gram = gram_of(columns(1, 1), columns(2, max(families, 1)), columns(3, 1)[:, 0])
     place = np.arange(families) if families else np.zeros(0, dtype=np.int64)
-    grid = size_grid(replace(gram, inner=gram.inner[: 1 + families, : 1 + families], family=place, data=gram.data[: 1 + families]))
+    grid = size_grid(
+        replace(gram, inner=gram.inner[: 1 + families, : 1 + families], family=place, data=gram.data[: 1 + families])
+    )
     weight = np.exp([prior for _, prior, _ in grid])
     # What lies beyond the ends of the grid has the rest.
     assert 0.95 < weight.sum() <= 1.0 + 1e-9

@@ -11,8 +11,16 @@ from machine_tool_calibration.planning.sensing import approached, first_repetiti
 from machine_tool_calibration.session.session import Session
 
 Simulated = Callable[..., Session]
-EVERY = ("tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "step_diagonal_three_orders", "probing_cross",
-         "iso230_2", "drilled_plate")
+EVERY = (
+    "tracking_2d",
+    "tracking_3d",
+    "rotary_axis",
+    "step_diagonal",
+    "step_diagonal_three_orders",
+    "probing_cross",
+    "iso230_2",
+    "drilled_plate",
+)
 
 
 def named(options: list[Option], kind: str) -> Option:
@@ -45,7 +53,11 @@ def test_every_option_is_a_session_that_the_method_understands(simulated: Simula
 def test_an_instrument_that_travels_is_mounted_again_and_a_clamped_part_is_not(simulated: Simulated) -> None:
     again = named(further_options(simulated("tracking_2d")), "again")
     assert [setup.id for setup in again.session.description.setups] == [
-        *"ABCD", "again_A", "again_B", "again_C", "again_D",
+        *"ABCD",
+        "again_A",
+        "again_B",
+        "again_C",
+        "again_D",
     ]
     assert "mounting" in again.aside
     probing = simulated("probing_cross")

@@ -32,16 +32,34 @@ def simulate(capsys, *words):
 
 def test_written_session_reads_back_to_the_last_bit(tmp_path, capsys):
     folder = tmp_path / "out"
-    status, out, _ = simulate(capsys, "--method", "tracking_interferometer", "--dimension", "3", "--seed", "5",
-                              "--effect", "backlash_y", "--size", "2e-6", folder, "--json")
+    status, out, _ = simulate(
+        capsys,
+        "--method",
+        "tracking_interferometer",
+        "--dimension",
+        "3",
+        "--seed",
+        "5",
+        "--effect",
+        "backlash_y",
+        "--size",
+        "2e-6",
+        folder,
+        "--json",
+    )
     assert status == 0
     summary = json.loads(out)
     assert summary["observations"] == 1000
     assert summary["effects"][0] | {"size": 2e-6} == {"id": "backlash_y", "size": 2e-6, "unit": "m"}
     session = read_session(folder)
     truth = json.loads((folder / "truth.json").read_text())
-    again = spec_from(None, plan=truth["spec"]["plan"], method="tracking_interferometer",
-                      effects=[{"id": "backlash_y", "size": 2e-6}], fields={"seed": 5})
+    again = spec_from(
+        None,
+        plan=truth["spec"]["plan"],
+        method="tracking_interferometer",
+        effects=[{"id": "backlash_y", "size": 2e-6}],
+        fields={"seed": 5},
+    )
     simulated = simulation.simulate(again)
     np.testing.assert_array_equal(session.readings.displacement, simulated.session.readings.displacement)
     assert session.description == simulated.session.description
@@ -75,8 +93,22 @@ def test_a_session_in_the_way_is_kept(tmp_path, capsys):
 def test_spec_file_and_options_on_top(tmp_path, capsys):
     spec = tmp_path / "spec.yaml"
     spec.write_text("plan: {method: probing, part: pins}\nseed: 3\nnoise: 2e-6\neffects: [{id: probe_pretravel}]\n")
-    status, out, _ = simulate(capsys, spec, tmp_path / "s", "--seed", "4", "--plan", "repeats=2", "--json",
-                              "--effect", "workpiece_thermal:amplitude=5e-6", "--chips", "0.03", "--missing", "0.01")
+    status, out, _ = simulate(
+        capsys,
+        spec,
+        tmp_path / "s",
+        "--seed",
+        "4",
+        "--plan",
+        "repeats=2",
+        "--json",
+        "--effect",
+        "workpiece_thermal:amplitude=5e-6",
+        "--chips",
+        "0.03",
+        "--missing",
+        "0.01",
+    )
     assert status == 0
     summary = json.loads(out)
     assert (summary["seed"], summary["observations"], summary["standard_uncertainty"]) == (4, 2 * 704, 2e-6)
@@ -145,7 +177,10 @@ def test_wrong_command_line_is_status_2(tmp_path, capsys):
 def test_effects_and_settings_from_words():
     assert parse_effect("EXX") == {"id": "EXX"}
     assert parse_effect("pointer_radial_error:size=1e-6,orders=[5, 3],weights=[1, 0.5]") == {
-        "id": "pointer_radial_error", "size": 1e-6, "parameters": {"orders": [5, 3], "weights": [1, 0.5]}}
+        "id": "pointer_radial_error",
+        "size": 1e-6,
+        "parameters": {"orders": [5, 3], "weights": [1, 0.5]},
+    }
     assert parse_setting("stations=[[0, 0, 1e-3]]") == ("stations", [[0, 0, 1e-3]])
 
 
@@ -156,8 +191,9 @@ def test_example_machines_can_be_built_and_written_again(path):
     again = build_machine(MachineSpec.model_validate(document))
     points = np.random.default_rng(1).uniform(0, 0.1, (20, 3))
     np.testing.assert_allclose(again.position(points), machine.position(points), atol=2e-9)
-    np.testing.assert_allclose(again.on_table(points, points[:, 0] * 30), machine.on_table(points, points[:, 0] * 30),
-                               atol=2e-7)
+    np.testing.assert_allclose(
+        again.on_table(points, points[:, 0] * 30), machine.on_table(points, points[:, 0] * 30), atol=2e-7
+    )
 
 
 def test_a_machine_file_decides_the_errors(tmp_path, capsys):

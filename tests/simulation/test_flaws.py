@@ -78,8 +78,11 @@ def normals(session):
 def since_datum(session, values):
     """SESSION.md: interferometers read the change since the first reading of a setup (and repeat, and target)."""
     r = session.readings
-    keys = {"tracking_interferometer": [r.setup], "step_diagonal": [r.setup, r.repeat],
-            "rotary_axis": [r.setup, r.repeat, *r.labels.values()]}.get(session.method)
+    keys = {
+        "tracking_interferometer": [r.setup],
+        "step_diagonal": [r.setup, r.repeat],
+        "rotary_axis": [r.setup, r.repeat, *r.labels.values()],
+    }.get(session.method)
     if keys is None:
         return values
     out = values.copy()
@@ -135,13 +138,16 @@ def test_scale(plan):
     check(session, signal, 1e-5 * np.einsum("ni,ni->n", direction(session), session.readings.position()))
 
 
-@pytest.mark.parametrize(("name", "plan", "error"), [
-    ("C0Y", "tracking_2d", lambda x, y, z: (-y, 0 * y, 0 * y)),
-    ("C0Y", "diagonal", lambda x, y, z: (-y, 0 * y, 0 * y)),
-    ("B0Z", "tracking_3d", lambda x, y, z: (z, 0 * z, 0 * z)),
-    ("A0Z", "tracking_3d", lambda x, y, z: (0 * z, -z, 0 * z)),
-    ("C0Y", "plate", lambda x, y, z: (-y, 0 * y, 0 * y)),
-])
+@pytest.mark.parametrize(
+    ("name", "plan", "error"),
+    [
+        ("C0Y", "tracking_2d", lambda x, y, z: (-y, 0 * y, 0 * y)),
+        ("C0Y", "diagonal", lambda x, y, z: (-y, 0 * y, 0 * y)),
+        ("B0Z", "tracking_3d", lambda x, y, z: (z, 0 * z, 0 * z)),
+        ("A0Z", "tracking_3d", lambda x, y, z: (0 * z, -z, 0 * z)),
+        ("C0Y", "plate", lambda x, y, z: (-y, 0 * y, 0 * y)),
+    ],
+)
 def test_squareness(name, plan, error):
     session, signal, _ = put_in(plan, name, 1e-5)
     e = 1e-5 * np.column_stack(error(*session.readings.position().T))
@@ -152,13 +158,16 @@ def test_squareness(name, plan, error):
     check(session, signal, expected)
 
 
-@pytest.mark.parametrize(("name", "plan", "error"), [
-    ("EXX", "tracking_2d", lambda x, y, z: (x, 0 * x, 0 * x)),
-    ("EYX", "tracking_3d", lambda x, y, z: (0 * x, x, 0 * x)),
-    ("ECY", "tracking_2d", lambda x, y, z: (0 * x, x * y, 0 * x)),      # Y carries X
-    ("EBX", "tracking_3d", lambda x, y, z: (z * x, 0 * x, 0 * x)),      # X carries Z
-    ("EBY", "tracking_3d", lambda x, y, z: (z * y, 0 * x, -x * y)),
-])
+@pytest.mark.parametrize(
+    ("name", "plan", "error"),
+    [
+        ("EXX", "tracking_2d", lambda x, y, z: (x, 0 * x, 0 * x)),
+        ("EYX", "tracking_3d", lambda x, y, z: (0 * x, x, 0 * x)),
+        ("ECY", "tracking_2d", lambda x, y, z: (0 * x, x * y, 0 * x)),  # Y carries X
+        ("EBX", "tracking_3d", lambda x, y, z: (z * x, 0 * x, 0 * x)),  # X carries Z
+        ("EBY", "tracking_3d", lambda x, y, z: (z * y, 0 * x, -x * y)),
+    ],
+)
 def test_error_motion(name, plan, error):
     """A linear motion, from -size to +size over the travel: size (2 u / travel - 1)."""
     session, signal, _ = put_in(plan, name, 1e-5, shape="linear")
@@ -181,8 +190,11 @@ def test_carriage_that_turns_about_the_machines_zero():
 def air(session):
     """About -0.95 ppm a kelvin, +0.268 ppm a hectopascal, -0.87 ppm for all humidity, near standard air."""
     c = session.readings.columns
-    return (-0.954e-6 * (c["temperature_air"] - 20) + 2.683e-9 * (c["air_pressure"] - 101325)
-            - 0.87e-6 * (c["relative_humidity"] - 0.5))
+    return (
+        -0.954e-6 * (c["temperature_air"] - 20)
+        + 2.683e-9 * (c["air_pressure"] - 101325)
+        - 0.87e-6 * (c["relative_humidity"] - 0.5)
+    )
 
 
 def station_distance(session):
@@ -270,11 +282,14 @@ def test_a_beam_that_tracks_has_no_cosine_error():
     assert not simulated.truth.signal.any()
 
 
-@pytest.mark.parametrize(("plan", "angle"), [
-    ("tracking_2d", lambda s, beam: np.arctan2(beam[:, 1], beam[:, 0])),
-    ("tracking_3d", lambda s, beam: np.arccos(beam[:, 2])),
-    ("rotary", lambda s, beam: np.arctan2(beam[:, 1], beam[:, 0]) - s.readings.columns["c"]),
-])
+@pytest.mark.parametrize(
+    ("plan", "angle"),
+    [
+        ("tracking_2d", lambda s, beam: np.arctan2(beam[:, 1], beam[:, 0])),
+        ("tracking_3d", lambda s, beam: np.arccos(beam[:, 2])),
+        ("rotary", lambda s, beam: np.arctan2(beam[:, 1], beam[:, 0]) - s.readings.columns["c"]),
+    ],
+)
 def test_retroreflector_form(plan, angle):
     session, signal, _ = put_in(plan, "retroreflector_form", 1e-6, orders=[3], weights=[1.0], phases=[1.0])
     _, beam = station_distance(session)
@@ -290,13 +305,16 @@ def test_lost_motion_varies_along_the_axis(plan, axis):
     check(session, signal, -play * column[f"dir_{axis}"] * g)
 
 
-@pytest.mark.parametrize(("name", "plan", "error"), [
-    ("EYX", "tracking_2d", lambda x, y, z: (0, 1, 0)),
-    ("EZY", "tracking_3d", lambda x, y, z: (0, 0, 1)),
-    ("ECY", "tracking_2d", lambda x, y, z: (0, x, 0)),
-    ("EBY", "tracking_3d", lambda x, y, z: (z, 0, -x)),
-    ("EAX", "tracking_3d", lambda x, y, z: (0, -z, 0)),
-])
+@pytest.mark.parametrize(
+    ("name", "plan", "error"),
+    [
+        ("EYX", "tracking_2d", lambda x, y, z: (0, 1, 0)),
+        ("EZY", "tracking_3d", lambda x, y, z: (0, 0, 1)),
+        ("ECY", "tracking_2d", lambda x, y, z: (0, x, 0)),
+        ("EBY", "tracking_3d", lambda x, y, z: (z, 0, -x)),
+        ("EAX", "tracking_3d", lambda x, y, z: (0, -z, 0)),
+    ],
+)
 def test_reversal_of_straightness_and_angles(name, plan, error):
     session, signal, _ = put_in(plan, f"reversal_{name}", 3e-6)
     column = session.readings.columns
@@ -335,8 +353,12 @@ def test_a_structure_behind_its_sensor():
     drift = Drift(21.0, ((0.8, 3000.0, 0.7), (0.3, 9000.0, 2.0)), 1e-4)
     time = np.linspace(0.0, 9000.0, 4)
     found = solve_ivp(
-        lambda t, y: (drift(t) - y) / 1200.0, (0.0, 9000.0), [float(drift(np.zeros(1))[0])], t_eval=time,
-        rtol=1e-10, atol=1e-12,
+        lambda t, y: (drift(t) - y) / 1200.0,
+        (0.0, 9000.0),
+        [float(drift(np.zeros(1))[0])],
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-12,
     )
     np.testing.assert_allclose(drift.lagged(time, 1200.0), found.y[0], atol=1e-8)
     _, late, _ = put_in("tracking_3d", "thermal_lag_x", 1e-5, tau=1.0)
@@ -431,8 +453,13 @@ def test_probe_pretravel():
 @pytest.mark.parametrize("name", ["EXC", "EYC", "EZC", "EAC", "EBC", "ECC"])
 def test_error_motions_of_the_rotary_axis(name):
     session, signal, _ = put_in("rotary", name, 1e-5, shape="random", seed=3)
-    simulated = simulate(SimulationSpec(plan=PLANS["rotary"], seed=11, effects=[
-        FlawSpec(id=name, size=1e-5, parameters={"shape": "random", "seed": 3})]))
+    simulated = simulate(
+        SimulationSpec(
+            plan=PLANS["rotary"],
+            seed=11,
+            effects=[FlawSpec(id=name, size=1e-5, parameters={"shape": "random", "seed": 3})],
+        )
+    )
     plain = simulate(SimulationSpec(plan=PLANS["rotary"], seed=11))
     c = session.readings.columns["c"]
     motion = simulated.truth.machine.motion(name, c) - plain.truth.machine.motion(name, c)
@@ -455,8 +482,15 @@ def test_every_flaw_can_be_put_into_each_of_its_methods(effect):
             assert np.all(np.isfinite(signal))
 
 
-@pytest.mark.parametrize(("plan", "effect"), [("tracking_2d", "backlash_x"), ("rotary", "backlash_c"),
-                                              ("tracking_2d", "pointer_zero_offset"), ("probing", "unlisted_wave")])
+@pytest.mark.parametrize(
+    ("plan", "effect"),
+    [
+        ("tracking_2d", "backlash_x"),
+        ("rotary", "backlash_c"),
+        ("tracking_2d", "pointer_zero_offset"),
+        ("probing", "unlisted_wave"),
+    ],
+)
 def test_amplitude_is_the_largest_change_of_a_reading(plan, effect):
     spec = SimulationSpec(plan=PLANS[plan], seed=2, effects=[FlawSpec(id=effect, amplitude=7e-6)])
     assert np.max(np.abs(simulate(spec).truth.signal)) == pytest.approx(7e-6, rel=1e-3)

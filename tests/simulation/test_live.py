@@ -23,9 +23,25 @@ from machine_tool_calibration.simulation.sensors import sensed_path
 
 
 def test_live_readings_are_those_of_the_session():
-    effects = ["backlash_y", "thermal_expansion_x", "warmup_x", "refractive_index", "linear_drift", "station_drift",
-               "pointer_zero_offset", "pointer_radial_error", "EYX", "C0Y", "unlisted_wave", "retroreflector_form",
-               "lost_motion_x", "reversal_EYX", "reversal_ECY", "squareness_drift_C0Y", "pointer_axis_offset"]
+    effects = [
+        "backlash_y",
+        "thermal_expansion_x",
+        "warmup_x",
+        "refractive_index",
+        "linear_drift",
+        "station_drift",
+        "pointer_zero_offset",
+        "pointer_radial_error",
+        "EYX",
+        "C0Y",
+        "unlisted_wave",
+        "retroreflector_form",
+        "lost_motion_x",
+        "reversal_EYX",
+        "reversal_ECY",
+        "squareness_drift_C0Y",
+        "pointer_axis_offset",
+    ]
     plan = TrackingPlan(dimension=2, repeats=1, radial={2: (1e-6, 2e-6)}, eccentricity=1e-4)
     simulated = simulate(SimulationSpec(plan=plan, seed=3, noise_factor=0, effects=[FlawSpec(id=e) for e in effects]))
     plain = simulate(SimulationSpec(plan=plan, seed=3, noise_factor=0))
@@ -44,8 +60,13 @@ def test_live_readings_are_those_of_the_session():
     for row in range(len(session.readings)):
         setup = int(session.readings.setup[row])
         start = column["time"][session.readings.setup == setup][0]
-        now = live.scene(column["time"][row], session.readings.position()[row],
-                         {a: column[f"dir_{a.lower()}"][row] for a in "XYZ"}, setup=setup, start=start)
+        now = live.scene(
+            column["time"][row],
+            session.readings.position()[row],
+            {a: column[f"dir_{a.lower()}"][row] for a in "XYZ"},
+            setup=setup,
+            start=start,
+        )
         station = np.array(simulated.truth.expected["stations"])[setup]
         azimuth = column["azimuth"][row]
         origin, direction = live.beam(now, plan.pointer(), azimuth, 0.0, station)
@@ -74,8 +95,18 @@ def test_live_table_is_that_of_the_session():
 
 def test_many_moments_at_once_are_each_alone():
     machine = simulate(SimulationSpec(plan=TrackingPlan(), seed=1)).truth.machine
-    flaws = [choose_flaw(e, seed=2) for e in ("warmup_y", "pitch_periodic_x", "unlisted_rate", "backlash_x",
-                                               "thermal_lag_z", "squareness_thermal_B0Z", "reversal_EBX")]
+    flaws = [
+        choose_flaw(e, seed=2)
+        for e in (
+            "warmup_y",
+            "pitch_periodic_x",
+            "unlisted_rate",
+            "backlash_x",
+            "thermal_lag_z",
+            "squareness_thermal_B0Z",
+            "reversal_EBX",
+        )
+    ]
     live = LiveMachine.prepare(machine, flaws, random_environment(np.random.default_rng(2)))
     time = np.linspace(0, 100, 11)
     place = np.column_stack([np.linspace(0, 0.3, 11), np.full(11, 0.1), np.zeros(11)])

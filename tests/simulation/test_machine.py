@@ -153,8 +153,14 @@ def test_tabulated_machine_agrees_at_the_nodes_and_is_straight_between():
 
 @pytest.mark.parametrize(
     "others",
-    [{"squareness": {"C0Z": 1e-6}}, {"squareness": {"CY": 1e-6}}, {"average_line": {"EXC": 1e-6}}, {"rotation_sign": 0},
-     {"motions": {"A": AxisMotion("A")}}, {"motions": {"X": AxisMotion("Y")}}],
+    [
+        {"squareness": {"C0Z": 1e-6}},
+        {"squareness": {"CY": 1e-6}},
+        {"average_line": {"EXC": 1e-6}},
+        {"rotation_sign": 0},
+        {"motions": {"A": AxisMotion("A")}},
+        {"motions": {"X": AxisMotion("Y")}},
+    ],
 )
 def test_what_the_machine_cannot_have_is_refused(others):
     with pytest.raises(ModelError):

@@ -26,8 +26,9 @@ def test_motions_of_an_axis_are_evaluated_together_as_each_alone():
     spline = CubicSpline(smooth.nodes, smooth.values, bc_type="natural")
     np.testing.assert_allclose(values[:, 0], spline(np.clip(x, -0.2, 0.3)) + ramp, atol=1e-18)
     np.testing.assert_allclose(values[:, 1], ramp, atol=1e-18)
-    np.testing.assert_allclose(values[:, 5], CubicSpline(other.nodes, other.values, bc_type="natural")(
-        np.clip(x, -0.2, 0.3)), atol=1e-17)
+    np.testing.assert_allclose(
+        values[:, 5], CubicSpline(other.nodes, other.values, bc_type="natural")(np.clip(x, -0.2, 0.3)), atol=1e-17
+    )
     assert not values[:, 2:5].any()
 
 
@@ -55,8 +56,13 @@ def test_random_periodic_motion_repeats_after_a_turn():
 
 @pytest.mark.parametrize(
     ("nodes", "values", "kind"),
-    [((0.0, 0.0), (1.0, 2.0), "linear"), ((0.0, 1.0), (1.0,), "cubic"), ((0.0,), (1.0,), "cubic"),
-     ((0.0, 1.0), (1.0, float("nan")), "linear"), ((0.0, 1.0, 2.0), (0.0, 1.0, 2.0), "periodic")],
+    [
+        ((0.0, 0.0), (1.0, 2.0), "linear"),
+        ((0.0, 1.0), (1.0,), "cubic"),
+        ((0.0,), (1.0,), "cubic"),
+        ((0.0, 1.0), (1.0, float("nan")), "linear"),
+        ((0.0, 1.0, 2.0), (0.0, 1.0, 2.0), "periodic"),
+    ],
 )
 def test_unfit_tables_are_refused(nodes, values, kind):
     with pytest.raises(ModelError):

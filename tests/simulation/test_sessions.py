@@ -39,8 +39,18 @@ def perfect(plan, **others):
 
 
 def test_nothing_of_the_estimator_is_used():
-    forbidden = {"error_motions", "table", "tables", "model", "effects", "estimation", "methods", "diagnosis",
-                 "instruments", "planning"}
+    forbidden = {
+        "error_motions",
+        "table",
+        "tables",
+        "model",
+        "effects",
+        "estimation",
+        "methods",
+        "diagnosis",
+        "instruments",
+        "planning",
+    }
     for file in pathlib.Path(simulation.__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             name = node.module if isinstance(node, ast.ImportFrom) else None
@@ -107,8 +117,13 @@ def test_tracking_readings_are_changes_of_the_projection():
     c = session.readings.columns
     target = session.readings.position() + truth.machine.position_error(session.readings.position())
     station = np.array(truth.expected["stations"])[session.readings.setup]
-    beam = np.column_stack([np.cos(c["elevation"]) * np.cos(c["azimuth"]),
-                            np.cos(c["elevation"]) * np.sin(c["azimuth"]), np.sin(c["elevation"])])
+    beam = np.column_stack(
+        [
+            np.cos(c["elevation"]) * np.cos(c["azimuth"]),
+            np.cos(c["elevation"]) * np.sin(c["azimuth"]),
+            np.sin(c["elevation"]),
+        ]
+    )
     path = np.sum((target - station) * beam, axis=1)
     first = np.unique(session.readings.setup, return_index=True)[1]
     np.testing.assert_allclose(session.readings.displacement, path - path[first][session.readings.setup], atol=1e-14)
@@ -165,16 +180,22 @@ def test_linear_run_with_a_tilted_mirror_reads_the_positioning_error():
 def test_diagonal_with_angular_errors_against_a_plane_that_is_moved_by_hand():
     """Yaw of X turns the mirror as well: its plane goes through the functional point with a turned normal."""
     yaw = 2e-5
-    machine = MachineSpec(random=None, motions={"ECX": TableSpec(nodes=(0, 0.12), values=(0, yaw),
-                                                                 interpolation="linear")})
+    machine = MachineSpec(
+        random=None, motions={"ECX": TableSpec(nodes=(0, 0.12), values=(0, yaw), interpolation="linear")}
+    )
     plan = DiagonalPlan(mirror_tilt=0.0, diagonals=("ppp",), linear=(), repeats=1)
     readings = simulate(SimulationSpec(plan=plan, machine=machine, noise_factor=0)).session.readings
     beam = np.ones(3) / np.sqrt(3)
     expected = []
     for p in readings.position():
         angle = yaw * p[0] / 0.12
-        normal = np.array([beam[0] * np.cos(angle) - beam[1] * np.sin(angle),
-                           beam[0] * np.sin(angle) + beam[1] * np.cos(angle), beam[2]])
+        normal = np.array(
+            [
+                beam[0] * np.cos(angle) - beam[1] * np.sin(angle),
+                beam[0] * np.sin(angle) + beam[1] * np.cos(angle),
+                beam[2],
+            ]
+        )
         expected.append(normal @ (p + 0.3 * beam) / (normal @ beam) - 0.3)
     np.testing.assert_allclose(readings.displacement, expected, atol=1e-14)
     flat = readings.position() @ beam
@@ -195,11 +216,13 @@ def test_rotary_axis_readings_are_distances_between_stations_and_targets():
     simulated = simulate(SimulationSpec(plan=RotaryPlan(), seed=6, noise_factor=0))
     session, judged = simulated.session, simulated.truth.expected
     c = session.readings.columns["c"]
-    errors = {name: np.array(values)[np.searchsorted(judged["angles"], c - 1e-9)] for name, values in
-              judged["errors"].items()}
+    errors = {
+        name: np.array(values)[np.searchsorted(judged["angles"], c - 1e-9)] for name, values in judged["errors"].items()
+    }
     p = np.array([judged["targets"][t] for t in session.readings.labels["target"]])
-    nominal = np.column_stack([p[:, 0] * np.cos(c) - p[:, 1] * np.sin(c), p[:, 0] * np.sin(c) + p[:, 1] * np.cos(c),
-                               p[:, 2]])
+    nominal = np.column_stack(
+        [p[:, 0] * np.cos(c) - p[:, 1] * np.sin(c), p[:, 0] * np.sin(c) + p[:, 1] * np.cos(c), p[:, 2]]
+    )
     delta = np.column_stack([errors[f"E{a}C"] for a in "XYZ"])
     epsilon = np.column_stack([errors[f"E{a}C"] for a in "ABC"])
     place = nominal + delta + np.cross(epsilon, nominal)
@@ -253,7 +276,8 @@ def test_probing_is_workpiece_minus_linear_axes_plus_table(columns):
     expected = (
         np.array([form[i] for i in session.readings.labels["point"]])
         - np.sum(n * linear, axis=1)
-        + n[:, 0] * table["EXC"] + n[:, 1] * table["EYC"]
+        + n[:, 0] * table["EXC"]
+        + n[:, 1] * table["EYC"]
         + (p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]) * table["ECC"]
     )
     # second order: errors of 30 um across a surface of 9 mm of curvature, sphere included
@@ -277,8 +301,9 @@ def test_linear_tables_make_the_paper_model_exact_at_any_point():
 
 
 def test_iso_230_2_run_approaches_from_both_sides():
-    simulated = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=2, noise_factor=0,
-                                        effects=[FlawSpec(id="backlash_x", size=2e-6)]))
+    simulated = simulate(
+        SimulationSpec(plan=PRESETS["iso230_2"], seed=2, noise_factor=0, effects=[FlawSpec(id="backlash_x", size=2e-6)])
+    )
     readings = simulated.session.readings
     up, down = readings.columns["dir_x"] == 1, readings.columns["dir_x"] == -1
     assert up.sum() == down.sum() == 55
@@ -293,8 +318,9 @@ def test_drilled_plate_is_the_machines_error_and_a_rigid_misplacement():
     x, y = readings.columns["x"], readings.columns["y"]
     error = simulated.truth.machine.position_error(readings.position())
     rest = readings.displacement - np.where(readings.columns["gx"] == 1, error[:, 0], error[:, 1])
-    columns = np.column_stack([readings.columns["gx"], readings.columns["gy"],
-                               np.where(readings.columns["gx"] == 1, -y, x)])
+    columns = np.column_stack(
+        [readings.columns["gx"], readings.columns["gy"], np.where(readings.columns["gx"] == 1, -y, x)]
+    )
     rigid, *_ = np.linalg.lstsq(columns, rest, rcond=None)
     turned = simulated.truth.expected["misplacement"]["rotation"][0][2]
     assert rigid[2] == pytest.approx(turned, rel=1e-2)
@@ -303,8 +329,9 @@ def test_drilled_plate_is_the_machines_error_and_a_rigid_misplacement():
 
 def test_points_and_directions_of_ones_own():
     plan = DirectPlan(kind="points", points=((0.1, 0.2, 0.3), (0.0, 0.0, 0.1)), directions=((0, 0, 2.0),))
-    machine = MachineSpec(random=None, squareness={"A0Z": 1e-5},
-                          motions={"EZZ": TableSpec(nodes=(0, 1), values=(0, 1e-5))})
+    machine = MachineSpec(
+        random=None, squareness={"A0Z": 1e-5}, motions={"EZZ": TableSpec(nodes=(0, 1), values=(0, 1e-5))}
+    )
     simulated = simulate(SimulationSpec(plan=plan, machine=machine, noise_factor=0))
     np.testing.assert_allclose(simulated.session.readings.displacement, [3e-6, 1e-6], atol=1e-10)
 
@@ -328,8 +355,9 @@ def test_spread_between_mountings_has_the_stated_size():
 
 
 def test_gross_errors_are_where_the_truth_says_and_outwards_for_a_probe():
-    simulated = simulate(SimulationSpec(plan=ProbingPlan(repeats=2), seed=1, chips=Chips(fraction=0.05, size=2e-5),
-                                        noise_factor=0))
+    simulated = simulate(
+        SimulationSpec(plan=ProbingPlan(repeats=2), seed=1, chips=Chips(fraction=0.05, size=2e-5), noise_factor=0)
+    )
     rest = simulated.session.readings.displacement - simulated.truth.clean
     np.testing.assert_array_equal(np.flatnonzero(np.abs(rest) > 1e-9), simulated.truth.outliers)
     assert 15 < len(simulated.truth.outliers) < 65
@@ -351,8 +379,9 @@ def test_repeatability_scatters_the_machine_and_not_the_instrument():
 
 def test_an_independent_multilateration_finds_the_points():
     """Four stations, two dimensions, no noise: the simplest solver returns the true points up to a rigid motion."""
-    simulated = simulate(SimulationSpec(plan=TrackingPlan(dimension=2, repeats=1, pointing="tracking"), seed=2,
-                                        noise_factor=0))
+    simulated = simulate(
+        SimulationSpec(plan=TrackingPlan(dimension=2, repeats=1, pointing="tracking"), seed=2, noise_factor=0)
+    )
     session = simulated.session
     truth = session.readings.position()[:36, :2] + np.array(simulated.truth.expected["position_error"])[:, :2]
     read = session.readings.displacement.reshape(4, 36)
@@ -403,8 +432,13 @@ def test_one_machine_for_several_measurements():
 
 
 def test_a_flaw_of_ones_own():
-    flaw = Flaw("unlisted_mine", "reading: size * x^2", "m", 1e-6,
-                lambda size, parameters, scene: Disturbance(reading=(lambda sight: size * scene.position[:, 0] ** 2,)))
+    flaw = Flaw(
+        "unlisted_mine",
+        "reading: size * x^2",
+        "m",
+        1e-6,
+        lambda size, parameters, scene: Disturbance(reading=(lambda sight: size * scene.position[:, 0] ** 2,)),
+    )
     simulated = simulate(SimulationSpec(plan=DirectPlan(), seed=1), extra=[Chosen(flaw, 2e-6, {})])
     x = simulated.session.readings.columns["x"]
     np.testing.assert_allclose(simulated.truth.signal, 2e-6 * x**2, atol=1e-16)

@@ -86,9 +86,7 @@ UNREACHABLE = """() => {
 }"""
 
 
-def test_from_opening_to_the_report(
-    hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int
-) -> None:
+def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int) -> None:
     asked: list[str] = []
     faults: list[str] = []
 

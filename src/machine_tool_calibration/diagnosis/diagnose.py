@@ -16,7 +16,15 @@ from machine_tool_calibration.diagnosis.search.candidates import Candidate, betw
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GOOD_ENOUGH, GROSS, LIKELY, SMALL, SURE
+from machine_tool_calibration.diagnosis.search.priors import (
+    ACCEPTED,
+    CONTRADICTED,
+    GOOD_ENOUGH,
+    GROSS,
+    LIKELY,
+    SMALL,
+    SURE,
+)
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError

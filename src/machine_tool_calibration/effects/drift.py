@@ -11,6 +11,7 @@ from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["LinearDrift", "StationDrift"]
 
+
 class LinearDrift(Effect):
     """The reading runs away at one rate, in all setups."""
 

@@ -76,9 +76,7 @@ class Gram:
     def of_spread(self) -> Gram:
         """Those of the spread's columns alone, with the first data set."""
         own = self.spread
-        return replace(
-            self, inner=self.inner[np.ix_(own, own)], data=self.data[own, :1], squares=self.squares[:1]
-        )
+        return replace(self, inner=self.inner[np.ix_(own, own)], data=self.data[own, :1], squares=self.squares[:1])
 
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""

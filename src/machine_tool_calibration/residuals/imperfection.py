@@ -7,20 +7,18 @@ comparison, the effect of the catalogue that comes nearest to it would be taken 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.observations import Observations
 
 if TYPE_CHECKING:
     from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["IMPERFECTION_SIZES", "imperfection", "law_tolerance"]
+__all__ = ["IMPERFECTION_SIZES", "imperfection", "law_tolerance", "smooth_share"]
 
 IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.17, 0.5: 0.17, 1.0: 0.11, 2.0: 0.05}
 """Sizes of what every model lacks, in units of the noise, with their prior probabilities: no larger than the readings
@@ -28,9 +26,8 @@ scatter, since what is larger is an effect, or a structure to be named."""
 
 # Highest degree of a coordinate, and of a product of two; highest order of a wave in an angle.
 _DEGREE, _TOGETHER, _ORDER = 4, 3, 4
-# Degrees of the deviation from a law, in time and in the effect's own size; what it must come to, standard uncertainties.
+# Degrees of the deviation from a law, in time and in the effect's own size.
 _IN_TIME, _IN_SIZE = 4, 2
-_SHOWS = 0.1
 
 
 def imperfection(observations: Observations) -> Array:
@@ -57,27 +54,34 @@ def imperfection(observations: Observations) -> Array:
     return np.asarray(columns / max(float(whole), 1e-300))
 
 
-def law_tolerance(pool: Pool, effects: Sequence[tuple[Effect, Array]]) -> Array:
-    """(k, n) by what effects may differ from their laws, each per standard deviation, m: Z b (1 + delta).
+def law_tolerance(pool: Pool, signal: Array, tolerance: float) -> Array:
+    """(j, n) by what an effect may differ from its law, each per standard deviation, m: of Z b (1 + delta) the Z b delta.
 
-    The relative deviation is smooth in time and in the effect's own size; where neither varies there is none.
+    The relative deviation delta is smooth in time; where no time was recorded, in the size of the effect itself.
 
     Args:
         pool: the readings.
-        effects: with the (n,) signal of each, m.
+        signal: (n,) what the effect changes in the readings, m.
+        tolerance: root mean square of delta.
     """
-    out = [np.zeros((0, len(pool)))]
+    functions = smooth_share(pool, signal)
+    # Most of an effect may be taken up by the model: what shows of the deviation is limited by what shows of the effect.
+    inner = np.diag(pool.screen(np.concatenate([signal[None], functions])).gram)[:-1]
+    shown = np.sqrt(np.maximum(inner, 0.0))
+    share = np.minimum(shown[0] / np.maximum(shown[1:], 1e-300), 1.0)
+    return np.asarray(tolerance / np.sqrt(max(len(functions), 1)) * share[:, None] * functions)
+
+
+def smooth_share(pool: Pool, signal: Array) -> Array:
+    """(j, n) a signal times smooth functions, of root mean square 1, of time; of its own size where there is no time."""
     time = np.concatenate([o.clock if o.timed else np.zeros(len(o)) for o in pool.observations])
-    for effect, signal in effects:
-        functions = [np.zeros((0, len(pool)))]
-        for covariate, degree in ((time, _IN_TIME), (signal, _IN_SIZE)):
-            scaled = _scaled(covariate)
-            if scaled is not None:
-                functions.append(np.polynomial.legendre.legvander(scaled, degree).T[1:])
-        shapes = np.concatenate(functions)
-        deviation = shapes * signal * (effect.tolerance / np.sqrt(max(len(shapes), 1)))
-        out.append(deviation[np.abs(deviation / pool.sigma).max(axis=1, initial=0.0) > _SHOWS])
-    return np.concatenate(out)
+    covariate, degree = (time, _IN_TIME) if np.ptp(time) > 0 else (signal, _IN_SIZE)
+    scaled = _scaled(covariate)
+    if scaled is None:
+        return np.zeros((0, len(pool)))
+    functions = np.polynomial.legendre.legvander(scaled, degree).T[1:]
+    functions /= np.sqrt(np.mean(functions**2, axis=1, keepdims=True))
+    return np.asarray(functions * signal)
 
 
 def _angles(observations: Observations) -> list[Array]:

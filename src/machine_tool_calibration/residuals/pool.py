@@ -18,16 +18,13 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.residuals.imperfection import IMPERFECTION_SIZES, imperfection
 
-__all__ = ["IMPERFECT", "LAWS", "RANDOM", "Pool"]
+__all__ = ["IMPERFECT", "RANDOM", "Pool"]
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _SHOWN = 0.3
 
 IMPERFECT = "imperfection"
 """Name of the family of smooth functions that no model has."""
-
-LAWS = "laws"
-"""Name of the family of what laws of effects leave open."""
 
 RANDOM = "random functions"
 """Name of the family of the model's own unknowns that are random functions."""
@@ -39,11 +36,9 @@ class Pool:
 
     Attributes:
         fit: of one or several sessions.
-        laws: (k, n) what laws of effects that hold to some percent leave open, m per standard deviation.
     """
 
     fit: JointFit
-    laws: Array | None = None
 
     @cached_property
     def observations(self) -> tuple[Observations, ...]:
@@ -125,10 +120,6 @@ class Pool:
             columns.append(further)
             place.append(np.full(len(further), len(names), dtype=np.int64))
             names = (*names, RANDOM)
-        if self.laws is not None:
-            columns.append(self.laws)
-            place.append(np.full(len(self.laws), len(names), dtype=np.int64))
-            names = (*names, LAWS)
         return np.concatenate(columns), np.concatenate(place), names
 
     @cached_property
@@ -143,8 +134,7 @@ class Pool:
         """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
         imperfect = ({} if self._imperfect is None else IMPERFECTION_SIZES,)
         random = () if self.fit.random is None else (self.fit.random.sizes,)
-        laws = () if self.laws is None else ({0.0: 0.3, 1.0: 0.7},)
-        return (*(own for own in imperfect if own), *random, *laws)
+        return (*(own for own in imperfect if own), *random)
 
     def _columns_of(self, names: Sequence[str]) -> Array:
         """(q, n) change of each reading per unit of unknowns of the model's terms."""

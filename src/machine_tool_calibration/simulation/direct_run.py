@@ -23,10 +23,19 @@ __all__ = ["DirectPlan", "plan_direct"]
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
 Datum = Literal["none", "offset", "rigid"]
-_DATUM: dict[str, Datum] = {"iso230_2": "none", "straightness": "rigid", "grid_plate": "rigid",
-                            "drilled_plate": "rigid", "points": "none"}
-_INSTRUMENT: dict[str, Instrument] = {"iso230_2": "laser_interferometer", "straightness": "straightedge",
-                                      "grid_plate": "grid_encoder", "drilled_plate": "cmm"}
+_DATUM: dict[str, Datum] = {
+    "iso230_2": "none",
+    "straightness": "rigid",
+    "grid_plate": "rigid",
+    "drilled_plate": "rigid",
+    "points": "none",
+}
+_INSTRUMENT: dict[str, Instrument] = {
+    "iso230_2": "laser_interferometer",
+    "straightness": "straightedge",
+    "grid_plate": "grid_encoder",
+    "drilled_plate": "cmm",
+}
 
 
 class DirectPlan(Plan):

@@ -55,9 +55,15 @@ def _thermal(axis: str) -> Flaw:
         excess = scene.sensed(column) - parameters["reference"]
         return Disturbance(axis={axis: size * excess * (scene.along(axis) - parameters["fixed_point"])})
 
-    return Flaw(f"thermal_expansion_{axis.lower()}",
-                f"position of {axis}: size * ({column} - 20) * ({axis.lower()} - fixed_point)",
-                "1/K", 8e-6, disturb, {"reference": 20.0, "fixed_point": 0.0}, methods=LINEAR)
+    return Flaw(
+        f"thermal_expansion_{axis.lower()}",
+        f"position of {axis}: size * ({column} - 20) * ({axis.lower()} - fixed_point)",
+        "1/K",
+        8e-6,
+        disturb,
+        {"reference": 20.0, "fixed_point": 0.0},
+        methods=LINEAR,
+    )
 
 
 def _warmup(axis: str) -> Flaw:
@@ -66,8 +72,15 @@ def _warmup(axis: str) -> Flaw:
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / parameters["tau"]))})
 
-    return Flaw(f"warmup_{axis.lower()}", f"position of {axis}: size * (1 - exp(-time / tau))", "m", 5e-6, disturb,
-                draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())}, methods=LINEAR)
+    return Flaw(
+        f"warmup_{axis.lower()}",
+        f"position of {axis}: size * (1 - exp(-time / tau))",
+        "m",
+        5e-6,
+        disturb,
+        draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())},
+        methods=LINEAR,
+    )
 
 
 def _pitch(axis: str) -> Flaw:
@@ -77,9 +90,16 @@ def _pitch(axis: str) -> Flaw:
         phase = 2.0 * np.pi * scene.along(axis) / parameters["lead"] + parameters["phase"]
         return Disturbance(axis={axis: size * np.sin(phase)})
 
-    return Flaw(f"pitch_periodic_{axis.lower()}",
-                f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)", "m", 1.5e-6, disturb,
-                {"lead": 0.012}, lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))}, LINEAR)
+    return Flaw(
+        f"pitch_periodic_{axis.lower()}",
+        f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)",
+        "m",
+        1.5e-6,
+        disturb,
+        {"lead": 0.012},
+        lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))},
+        LINEAR,
+    )
 
 
 def _scale_of(size: float, _: Parameters, scene: Scene) -> Disturbance:
@@ -90,8 +110,7 @@ def _squareness(name: str) -> Flaw:
     def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(squareness={name: size})
 
-    return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb,
-                methods=LINEAR)
+    return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb, methods=LINEAR)
 
 
 def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> Table:
@@ -130,8 +149,11 @@ def _motion(name: str) -> Flaw:
     return Flaw(
         name,
         f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size"
-        + ("; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
-           if angular and axis != "C" else ""),
+        + (
+            "; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
+            if angular and axis != "C"
+            else ""
+        ),
         "rad" if angular else "m",
         2e-5 if angular else 3e-6,
         disturb,
@@ -221,8 +243,15 @@ def _squareness_thermal(name: str) -> Flaw:
         warm = 0.5 * (scene.sensed(columns[0]) + scene.sensed(columns[1])) - parameters["reference"]
         return _turned_way(name, size * warm, scene)
 
-    return Flaw(f"squareness_thermal_{name}", f"squareness {name} = size * (mean of {' and '.join(columns)} - 20)",
-                "rad/K", 1e-5, disturb, {"reference": 20.0}, methods=LINEAR)
+    return Flaw(
+        f"squareness_thermal_{name}",
+        f"squareness {name} = size * (mean of {' and '.join(columns)} - 20)",
+        "rad/K",
+        1e-5,
+        disturb,
+        {"reference": 20.0},
+        methods=LINEAR,
+    )
 
 
 def _lag(axis: str) -> Flaw:
@@ -233,9 +262,15 @@ def _lag(axis: str) -> Flaw:
         warm = scene.sensed_late(column, parameters["tau"]) - parameters["reference"]
         return Disturbance(axis={axis: size * warm * (scene.along(axis) - parameters["fixed_point"])})
 
-    return Flaw(f"thermal_lag_{axis.lower()}",
-                f"position of {axis}: size * ({column} behind by tau - 20) * ({axis.lower()} - fixed_point)",
-                "1/K", 1e-5, disturb, {"tau": 1200.0, "reference": 20.0, "fixed_point": 0.0}, methods=LINEAR)
+    return Flaw(
+        f"thermal_lag_{axis.lower()}",
+        f"position of {axis}: size * ({column} behind by tau - 20) * ({axis.lower()} - fixed_point)",
+        "1/K",
+        1e-5,
+        disturb,
+        {"tau": 1200.0, "reference": 20.0, "fixed_point": 0.0},
+        methods=LINEAR,
+    )
 
 
 def _rotary_drift(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
@@ -255,6 +290,14 @@ THERMAL_FLAWS: tuple[Flaw, ...] = (
     *(_squareness_drift(name) for name in _AXES),
     *(_squareness_thermal(name) for name in _AXES),
     *(_lag(axis) for axis in "XYZ"),
-    Flaw("rotary_axis_drift", "axis of the table moves by size * time along direction, and tilts by tilt (rad/m) of it",
-         "m/s", 2e-9, _rotary_drift, {"tilt": 3.0}, _direction, ("rotary_axis", "probing")),
+    Flaw(
+        "rotary_axis_drift",
+        "axis of the table moves by size * time along direction, and tilts by tilt (rad/m) of it",
+        "m/s",
+        2e-9,
+        _rotary_drift,
+        {"tilt": 3.0},
+        _direction,
+        ("rotary_axis", "probing"),
+    ),
 )

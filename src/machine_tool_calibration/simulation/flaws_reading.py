@@ -61,9 +61,7 @@ STATIONS = ("tracking_interferometer", "rotary_axis")
 
 def _air(scene: Scene) -> Array:
     """Refractive index of the air minus that of standard air (updated Edlén equation)."""
-    return deviation(
-        scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity")
-    )
+    return deviation(scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity"))
 
 
 def _refractive_index(size: float, _: Parameters, scene: Scene) -> Disturbance:
@@ -111,9 +109,7 @@ def _mirror(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
 def _harmonics(angle: Array, parameters: Parameters) -> Array:
     """Sum of w cos(k angle + phase) over the orders k."""
     total = np.zeros(np.shape(angle))
-    for order, weight, phase in zip(
-        parameters["orders"], parameters["weights"], parameters["phases"], strict=True
-    ):
+    for order, weight, phase in zip(parameters["orders"], parameters["weights"], parameters["phases"], strict=True):
         total = total + weight * np.cos(order * angle + phase)
     return total
 
@@ -178,28 +174,98 @@ def _pretravel(size: float, parameters: Parameters, _: Scene) -> Disturbance:
 
 
 READING_FLAWS: tuple[Flaw, ...] = (
-    Flaw("refractive_index", "reading: size * (n - n of standard air) * path", "1", 1.0, _refractive_index,
-         methods=LASERS),
+    Flaw(
+        "refractive_index",
+        "reading: size * (n - n of standard air) * path",
+        "1",
+        1.0,
+        _refractive_index,
+        methods=LASERS,
+    ),
     Flaw("dead_path", "reading: size * (n - n of standard air)", "m", 1.0, _dead_path, methods=LASERS),
     Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, _linear_drift),
-    Flaw("station_drift", "each station moves at about size, in its own direction, from its first reading on", "m/s",
-         1e-8, _station_drift, {"vertical": 1.0}, _seed, STATIONS),
-    Flaw("mirror_misalignment", "mirror normal off the beam by size, each setup its own way", "rad", 1e-3, _mirror,
-         draw=_seed, methods=("step_diagonal",)),
-    Flaw("pointer_radial_error", "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)", "m",
-         2e-6, _pointer_radial,
-         {"orders": [5, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
-    Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3, _pointer_zero,
-         methods=("tracking_interferometer",)),
-    Flaw("pointer_axis_offset", "elevation axis in front of the azimuth axis by size, beam beside it by beam (m, where "
-         "it follows the target)", "m", 2e-5, _pointer_axes, {"beam": 0.0}, methods=STATIONS),
-    Flaw("retroreflector_form", "reading: size * sum of w cos(k incidence + phase)", "m", 1e-6, _retroreflector,
-         {"orders": [2, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
-    Flaw("table_thermal_growth", "targets move out by size * (temperature_table - 20) * radius, and up by axial times "
-         "that of their height", "1/K", 1.2e-5, _table_growth, {"axial": 1.0, "reference": 20.0},
-         methods=("rotary_axis",)),
-    Flaw("workpiece_thermal", "workpiece grows by size * (temperature_work - 20) about the table's centre", "1/K",
-         1.2e-5, _workpiece_growth, {"reference": 20.0}, methods=("probing", "direct")),
-    Flaw("probe_pretravel", "reading: size * sum of w cos(k direction of the normal + phase)", "m", 3e-6, _pretravel,
-         {"orders": [2, 3], "weights": [1.0, 0.6]}, _phases, ("probing",)),
+    Flaw(
+        "station_drift",
+        "each station moves at about size, in its own direction, from its first reading on",
+        "m/s",
+        1e-8,
+        _station_drift,
+        {"vertical": 1.0},
+        _seed,
+        STATIONS,
+    ),
+    Flaw(
+        "mirror_misalignment",
+        "mirror normal off the beam by size, each setup its own way",
+        "rad",
+        1e-3,
+        _mirror,
+        draw=_seed,
+        methods=("step_diagonal",),
+    ),
+    Flaw(
+        "pointer_radial_error",
+        "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)",
+        "m",
+        2e-6,
+        _pointer_radial,
+        {"orders": [5, 3], "weights": [1.0, 0.5]},
+        _phases,
+        STATIONS,
+    ),
+    Flaw(
+        "pointer_zero_offset",
+        "beam turned by size: cosine error",
+        "rad",
+        2e-3,
+        _pointer_zero,
+        methods=("tracking_interferometer",),
+    ),
+    Flaw(
+        "pointer_axis_offset",
+        "elevation axis in front of the azimuth axis by size, beam beside it by beam (m, where it follows the target)",
+        "m",
+        2e-5,
+        _pointer_axes,
+        {"beam": 0.0},
+        methods=STATIONS,
+    ),
+    Flaw(
+        "retroreflector_form",
+        "reading: size * sum of w cos(k incidence + phase)",
+        "m",
+        1e-6,
+        _retroreflector,
+        {"orders": [2, 3], "weights": [1.0, 0.5]},
+        _phases,
+        STATIONS,
+    ),
+    Flaw(
+        "table_thermal_growth",
+        "targets move out by size * (temperature_table - 20) * radius, and up by axial times that of their height",
+        "1/K",
+        1.2e-5,
+        _table_growth,
+        {"axial": 1.0, "reference": 20.0},
+        methods=("rotary_axis",),
+    ),
+    Flaw(
+        "workpiece_thermal",
+        "workpiece grows by size * (temperature_work - 20) about the table's centre",
+        "1/K",
+        1.2e-5,
+        _workpiece_growth,
+        {"reference": 20.0},
+        methods=("probing", "direct"),
+    ),
+    Flaw(
+        "probe_pretravel",
+        "reading: size * sum of w cos(k direction of the normal + phase)",
+        "m",
+        3e-6,
+        _pretravel,
+        {"orders": [2, 3], "weights": [1.0, 0.6]},
+        _phases,
+        ("probing",),
+    ),
 )

@@ -19,9 +19,7 @@ from machine_tool_calibration.simulation.tracking_run import TrackingPlan, plan_
 
 __all__ = ["PLANS", "PRESETS", "AnyPlan", "measure"]
 
-AnyPlan = Annotated[
-    TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan, Field(discriminator="method")
-]
+AnyPlan = Annotated[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan, Field(discriminator="method")]
 
 PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan]] = {
     "step_diagonal": DiagonalPlan,

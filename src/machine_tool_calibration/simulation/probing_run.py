@@ -76,18 +76,23 @@ def cross(half: float = 0.082, width: float = 0.018, along: int = 8, spheres: bo
     points = []
     for quarter in range(4):
         c, s = (1, 0, -1, 0)[quarter], (0, 1, 0, -1)[quarter]
-        arm = [(float(x), side * width, 0.0, -side) for x in np.linspace(width + 0.004, half - 0.003, along)
-               for side in (1.0, -1.0)]
+        arm = [
+            (float(x), side * width, 0.0, -side)
+            for x in np.linspace(width + 0.004, half - 0.003, along)
+            for side in (1.0, -1.0)
+        ]
         arm += [(half, float(y), -1.0, 0.0) for y in np.linspace(-width, width, 5)[1:-1]]
-        points += [("work", c * x - s * y, s * x + c * y, c * nx - s * ny, s * nx + c * ny, 0.0)
-                   for x, y, nx, ny in arm]
+        points += [
+            ("work", c * x - s * y, s * x + c * y, c * nx - s * ny, s * nx + c * ny, 0.0) for x, y, nx, ny in arm
+        ]
     if spheres:
         points += _spheres((0.080, 0.065), (-0.075, -0.070), 0.0127)
     return _numbered(points)
 
 
-def pins(count: int = 18, pitch_radius: float = 0.2, radius: float = 0.006, spheres: bool = True
-         ) -> tuple[PartPoint, ...]:
+def pins(
+    count: int = 18, pitch_radius: float = 0.2, radius: float = 0.006, spheres: bool = True
+) -> tuple[PartPoint, ...]:
     """Cylindrical pins on a pitch circle, four points on each, m."""
     points = []
     for k in range(count):
@@ -99,8 +104,9 @@ def pins(count: int = 18, pitch_radius: float = 0.2, radius: float = 0.006, sphe
     return _numbered(points)
 
 
-def cam(count: int = 80, radius: float = 0.06, lift: tuple[float, float] = (0.012, 0.006), spheres: bool = True
-        ) -> tuple[PartPoint, ...]:
+def cam(
+    count: int = 80, radius: float = 0.06, lift: tuple[float, float] = (0.012, 0.006), spheres: bool = True
+) -> tuple[PartPoint, ...]:
     """A smooth disc cam r = radius + lift_1 cos(t) + lift_2 cos(2t + 0.7), normals and curvature from it, m."""
     t = np.arange(count) * 2.0 * np.pi / count
     r = radius + lift[0] * np.cos(t) + lift[1] * np.cos(2.0 * t + 0.7)
@@ -230,8 +236,13 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
         facing = machine.table_direction(outward[label], angle, "C", shift)
         actual = centre + disturbance.functional_point(machine, command) - command
         touched = probed(actual, normal, surface, facing, radius, bend[label])
-        sight = Sight(np.zeros(len(angle)), -normal, np.arctan2(normal[:, 1], normal[:, 0]),
-                      np.zeros(len(angle)), np.zeros(len(angle)))
+        sight = Sight(
+            np.zeros(len(angle)),
+            -normal,
+            np.arctan2(normal[:, 1], normal[:, 0]),
+            np.zeros(len(angle)),
+            np.zeros(len(angle)),
+        )
         return touched + disturbance.added(sight)
 
     def judged(machine: VirtualMachine) -> dict[str, Any]:

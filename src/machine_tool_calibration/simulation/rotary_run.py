@@ -21,8 +21,11 @@ from machine_tool_calibration.simulation.sensors import aim, distance
 __all__ = ["RotaryPlan", "plan_rotary"]
 
 # The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
-_TARGETS = {"P": (-0.1058046, 0.1353414, 0.0), "Q": (0.1288513, 0.0878158, 0.0399797),
-            "K": (0.0249026, -0.1108575, 0.0152662)}
+_TARGETS = {
+    "P": (-0.1058046, 0.1353414, 0.0),
+    "Q": (0.1288513, 0.0878158, 0.0399797),
+    "K": (0.0249026, -0.1108575, 0.0152662),
+}
 _STATIONS = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1))
 
 

@@ -77,9 +77,7 @@ class Simulated:
     truth: Truth
 
 
-def simulate(
-    spec: SimulationSpec, *, machine: VirtualMachine | None = None, extra: Sequence[Chosen] = ()
-) -> Simulated:
+def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, extra: Sequence[Chosen] = ()) -> Simulated:
     """The session of a spec; the same spec gives the same numbers.
 
     Args:
@@ -103,9 +101,7 @@ def simulate(
             random=plan.errors(),
         )
     machine = plan.prepared(machine)
-    environment = random_environment(
-        rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns
-    )
+    environment = random_environment(rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns)
     measurement = measure(plan, environment, rng["setup"])
     shaken = _repeatability(spec, measurement, rng["repeatability"])
     chosen = (
@@ -125,7 +121,13 @@ def simulate(
     displacement[rng["missing"].random(len(raw)) < spec.missing] = np.nan
     session = Session(_describe(spec, measurement, flawed, noise), _readings(measurement, displacement), "simulation")
     truth = Truth(
-        spec.seed, flawed, chosen, clean, clean - before, np.flatnonzero(hit), measurement.datum,
+        spec.seed,
+        flawed,
+        chosen,
+        clean,
+        clean - before,
+        np.flatnonzero(hit),
+        measurement.datum,
         measurement.truth(flawed),
     )
     return Simulated(session, truth)
@@ -169,11 +171,14 @@ def _choose(
     chance = np.random.default_rng([spec.seed, _STREAMS.index("effects"), index])
     chosen = choose_flaw(effect.id, effect.size, effect.parameters, chance, measurement.scene)
     if spec.method not in chosen.flaw.methods:
-        raise CalibrationError(f"effect {effect.id} does not occur in {spec.method}; "
-                               f"it occurs in {', '.join(chosen.flaw.methods)}")
+        raise CalibrationError(
+            f"effect {effect.id} does not occur in {spec.method}; it occurs in {', '.join(chosen.flaw.methods)}"
+        )
     if chosen.flaw.axis not in ("", measurement.scene.axis):
-        raise CalibrationError(f"effect {effect.id} is one of axis {chosen.flaw.axis}, and this plan turns "
-                               f"{measurement.scene.axis}; simulate axis={chosen.flaw.axis}")
+        raise CalibrationError(
+            f"effect {effect.id} is one of axis {chosen.flaw.axis}, and this plan turns "
+            f"{measurement.scene.axis}; simulate axis={chosen.flaw.axis}"
+        )
     if effect.amplitude is None:
         return chosen
     without = since_first(measurement.read(machine, Disturbance()), measurement.datum)

@@ -250,9 +250,7 @@ class Feed:
         self.map, self.number = found, self.number + 1
 
 
-def _calculated(
-    session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress
-) -> LiveMap:
+def _calculated(session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress) -> LiveMap:
     return LiveMap.of_session(session, variant, own)
 
 

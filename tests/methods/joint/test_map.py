@@ -88,9 +88,7 @@ def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
     np.testing.assert_array_equal(alone.error_map.error, identify(session).error_map.error)
 
 
-@pytest.mark.parametrize(
-    ("labels", "message"), [(["a", "a"], "label of its own"), (["a", "b", "c"], "label")]
-)
+@pytest.mark.parametrize(("labels", "message"), [(["a", "a"], "label of its own"), (["a", "b", "c"], "label")])
 def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str) -> None:
     session = several.measured("run", 0).session
     with pytest.raises(ModelError, match=message):

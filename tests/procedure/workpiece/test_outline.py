@@ -72,9 +72,7 @@ def test_smooth_curves_are_sampled_across_their_segments():
 def test_distance_from_an_arc():
     arc = Arc((0.0, 0.0), 1.0, 0.0, np.pi / 2)
     points = np.array([[2.0, 0.0], [0.5, 0.5], [0.0, -1.0], [-1.0, 0.0]])
-    np.testing.assert_allclose(
-        arc.distance(points), [1.0, 1 - np.hypot(0.5, 0.5), np.sqrt(2), np.sqrt(2)], atol=1e-12
-    )
+    np.testing.assert_allclose(arc.distance(points), [1.0, 1 - np.hypot(0.5, 0.5), np.sqrt(2), np.sqrt(2)], atol=1e-12)
     back = arc.turned_back()
     assert back.sweep < 0
     np.testing.assert_allclose(back.distance(points), arc.distance(points), atol=1e-12)

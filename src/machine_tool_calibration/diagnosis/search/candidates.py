@@ -12,9 +12,10 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.residuals.imperfection import law_tolerance
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "shaped_at"]
+__all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "shaped_at", "to_some_percent"]
 
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
@@ -32,15 +33,24 @@ class Shaped:
         shape: these coefficients.
         columns: (k, n) change of each reading of all sessions per unit of each linear coefficient.
         coefficients: the linear ones; empty for a structure of any size.
+        law: (j, n) by what it may differ from its law, m per standard deviation.
+        law_unit: one over the scale of its coefficients for which that is so.
     """
 
     shape: tuple[float, ...]
     columns: Array
     coefficients: tuple[Coefficient, ...] = ()
+    law: Array | None = None
+    law_unit: float = 1.0
+
+    @property
+    def every(self) -> Array:
+        """(k + j, n) its columns, and below them those of its law."""
+        return self.columns if self.law is None else np.concatenate([self.columns, self.law])
 
     def leading(self, count: int) -> Shaped:
         """Its first columns alone."""
-        return replace(self, columns=self.columns[:count], coefficients=self.coefficients[:count])
+        return replace(self, columns=self.columns[:count], coefficients=self.coefficients[:count], law=None)
 
 
 @dataclass(frozen=True)
@@ -129,6 +139,20 @@ def between_the_grid(
                 finer = True
         out.append(candidate)
     return out if finer else None
+
+
+def to_some_percent(pool: Pool, candidate: Candidate, signal: Array, scale: float) -> Candidate:
+    """An effect whose law holds to its tolerance only.
+
+    Args:
+        pool: the readings.
+        candidate: the effect.
+        signal: (n,) what it changes in the readings, m.
+        scale: of its coefficients at which it does.
+    """
+    assert candidate.effect is not None
+    law = law_tolerance(pool, signal, candidate.effect.tolerance)
+    return replace(candidate, shapes=tuple(replace(s, law=law, law_unit=1.0 / scale) for s in candidate.shapes))
 
 
 def _grid(effect: Effect, acting: Sequence[Observations]) -> list[tuple[float, ...]]:

@@ -47,13 +47,14 @@ class Block:
 
     Attributes:
         candidate: index of the candidate.
-        place: where its columns are among all.
+        place: where its columns are among all: its own, and below them those by which it may differ from its law.
         shaped: these columns.
         unit: (k,) largest plausible size of each coefficient over two: what scales count from.
         low: (k,) smallest plausible value of each.
         high: (k,) largest.
         positive: (k,) whether it is expected to be positive.
         log_share: logarithm of the probability of these nonlinear coefficients among the candidate's.
+        largest: scale of its coefficients up to which it is tried: what differs from its law grows with it.
         floor: squared norm, per unit, below which a combination of the columns is rounding of what the model takes up.
     """
 
@@ -66,6 +67,12 @@ class Block:
     positive: BoolArray
     log_share: float
     floor: float = 0.0
+    largest: float = 1.0
+
+    @property
+    def own(self) -> slice:
+        """Where its columns are without those of the law."""
+        return slice(self.place.start, self.place.start + len(self.shaped.columns))
 
     @classmethod
     def of(cls, candidate: int, place: slice, shaped: Shaped, squares: Array, log_share: float = 0.0) -> Block:
@@ -82,12 +89,18 @@ class Block:
             low, high = np.array([(c.least, c.high) for c in shaped.coefficients]).T
             unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
             positive = np.array([c.low == 0.0 for c in shaped.coefficients])
+            if shaped.law is not None:
+                free = np.full(len(shaped.law), np.inf)
+                unit = np.append(unit, np.full(len(free), shaped.law_unit))
+                low, high = np.append(low, -free), np.append(high, free)
+                positive = np.append(positive, np.zeros(len(free), dtype=bool))
         else:
             unit = _ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
             low, high = np.full(len(unit), -np.inf), np.full(len(unit), np.inf)
             positive = np.zeros(len(unit), dtype=bool)
         floor = _ROUNDED * float((squares * unit**2).max(initial=0.0))
-        return cls(candidate, place, shaped, unit, low, high, positive, log_share, floor)
+        largest = 1.0 if shaped.law is None else 1.0 / shaped.law_unit
+        return cls(candidate, place, shaped, unit, low, high, positive, log_share, floor, largest)
 
 
 def columns_of(blocks: Iterable[Block]) -> IntArray:
@@ -164,8 +177,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, onl
     total = np.full((len(blocks), sets), -np.inf)
     most, uncut, scale = np.full((3, len(blocks)), -np.inf)
     for (size, _), every in alike.items():
-        scales = _scales(gram, [blocks[k] for k in every])
-        count = np.isfinite(scales).sum(axis=1)
+        scales, count = _scales(gram, [blocks[k] for k in every])
         showing = np.flatnonzero(count)
         step = max(int(_AT_ONCE / (len(tried) * size * sets)), 1)
         for rows in (showing[first : first + step] for first in range(0, len(showing), step)):
@@ -200,8 +212,11 @@ def _is_bounded(block: Block) -> bool:
     return bool(np.isfinite(block.low).any() or np.isfinite(block.high).any())
 
 
-def _scales(gram: Gram, blocks: Sequence[Block]) -> Array:
-    """(blocks, scales) of blocks of as many columns each, from half the plausible size down; NaN where none shows."""
+def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
+    """(blocks, scales) of blocks of as many columns each, from half the plausible size down, and how many show.
+
+    NaN where none shows or is tried.
+    """
     unit = np.array([block.unit for block in blocks])
     columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
@@ -209,7 +224,8 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> Array:
     steps = np.floor(np.log(np.maximum(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
     every = np.arange(float(_MOST_SCALES))
     shows = (every <= steps[:, None]) & (signal[:, None] > 0)
-    return np.where(shows, SCALE_STEP**-every, np.nan)
+    allowed = SCALE_STEP**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
+    return np.where(shows & allowed, SCALE_STEP**-every, np.nan), shows.sum(axis=1)
 
 
 def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Metric]) -> tuple[Array, Array]:

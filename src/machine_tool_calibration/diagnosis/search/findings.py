@@ -10,6 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
@@ -105,6 +106,17 @@ def fitted_in(metric: Metric, place: slice) -> tuple[Array, Array]:
     return basis, basis.T @ metric.data[place, 0]
 
 
+def posterior_of(metric: Metric, block: Block, point: Point) -> tuple[Array, Array]:
+    """Mean of a block's coefficients, normal about zero with the scale of its point, and their covariance over sigma^2.
+
+    The covariance is that of the noise's variance 1.
+    """
+    deviation = block.unit * point.scale
+    inner = metric.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
+    covariance = np.linalg.inv(inner) * np.outer(deviation, deviation)
+    return covariance @ metric.data[block.place, 0], covariance
+
+
 def _outside(inner: Array) -> BoolArray:
     """(k,) whether there is more than rounding of each column outside the model, given their inner products there."""
     squares = np.diag(inner)
@@ -132,13 +144,15 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Metric, fou
 
     if point is None:
         return Finding(candidate, candidate.shapes[0].shape, rms_with(0.0))
-    place, shaped = found.blocks[point.block].place, found.blocks[point.block].shaped
+    block = found.blocks[point.block]
+    place, shaped = block.own, block.shaped
     metric, log_factor = found.metrics[0], found.log_factor(number)
     basis, along = fitted_in(metric, place)
     inner, squares, gain = metric.inner(place, place), float(metric.squares[0]), float(along @ along)
-    signal, rank = basis @ along, basis.shape[1]
+    rank, count = basis.shape[1], len(shaped.columns)
     variance = max(squares - gain, NOTHING * squares) / max(metric.gram.freedom - rank, 1)
-    deviation = np.sqrt(np.sum(basis**2, axis=1) * variance)
+    mean, covariance = posterior_of(metric, block, point)
+    signal, deviation = mean[:count], np.sqrt(np.diag(covariance)[:count] * variance)
     fitted = zip(shaped.coefficients, signal.tolist(), deviation.tolist(), _outside(inner), strict=True)
     # Readings without any noise leave nothing.
     rest = max(1.0 - gain / squares, NOTHING) if squares > 0 else 1.0

@@ -8,17 +8,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.search.candidates import Candidate
+from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
 from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
-from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of, fitted_in
+from machine_tool_calibration.diagnosis.search.findings import (
+    Finding,
+    alias_groups,
+    basis_of,
+    finding_of,
+    fitted_in,
+    posterior_of,
+)
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, FURTHER, STRUCTURE, THE_SAME
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, EFFECT, FURTHER, LAW, STRUCTURE, THE_SAME
 from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
-from machine_tool_calibration.residuals.imperfection import law_tolerance
+from machine_tool_calibration.residuals.imperfection import smooth_share
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -33,8 +40,8 @@ _ROUNDING = 1e-6
 _LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
 _ABSORBED = 1e-4
-# Searches beside what the laws of the effects found by the last one leave open.
-_LAWS = 2
+# Probability from which an effect's law is tried with its tolerance, and how many are in any case.
+_MAY_BE, _BEST = 0.02, 6
 # Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
@@ -90,9 +97,8 @@ class Look:
         spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise;
             of unknowns that are random functions in theirs.
         variance: of the noise beside them, over that declared.
-        laws: see `Pool`.
         signals: of every member of the most probable set, (n,) what it changes in the readings, m.
-        without_cause: (k, n) columns of the structures in the most probable set.
+        without_cause: (k, n) columns of the structures in the most probable set, and of what its laws leave open.
         expected: (k,) standard deviation of their coefficients.
     """
 
@@ -109,7 +115,6 @@ class Look:
     sets: tuple[tuple[tuple[str, ...], float], ...]
     spread: dict[str, float]
     variance: float
-    laws: Array | None
     signals: Mapping[str, Array]
     without_cause: Array
     expected: Array
@@ -136,26 +141,27 @@ def look_at(
     """
     columns = _columns(Pool(fit), candidates, structures)
     found = _searched(columns, side_by_side)
-    for _ in range(_LAWS):
-        known = [(columns.candidates[k].effect, _signal(columns, found, k)) for k in found.best if k < len(candidates)]
-        laws = law_tolerance(columns.pool, [(effect, signal) for effect, signal in known if effect is not None])
-        if not len(laws):
-            break
-        before = set(found.best)
-        columns = _columns(Pool(fit, laws), candidates, structures)
+    # What may be in is looked at again with laws that hold to some percent.
+    ranked = sorted(
+        (k for k in found.single.best if k < len(candidates)), key=lambda k: -found.single.log_evidence[k, 0]
+    )
+    likely = sorted({*ranked[:_BEST], *(k for k in range(len(candidates)) if found.of(k) > _MAY_BE)})
+    if likely:
+        tried = list(candidates)
+        for k in likely:
+            point = found.best.get(k) or found.single.best[k]
+            signal = _signal(columns, found, k)
+            tried[k] = to_some_percent(columns.pool, candidates[k], signal, point.scale)
+        columns = _columns(columns.pool, tried, structures)
         found = _searched(columns, side_by_side)
-        if set(found.best) == before:
-            break
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
     further = ACCEPTED if side_by_side else FURTHER
-    accepted = _accepted(findings, groups, found, columns.place, further) if still else ()
+    accepted = _accepted(columns, findings, groups, found, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
-    without_cause = [point for k, point in found.best.items() if k >= len(candidates)]
-    further = [columns.blocks[point.block].shaped.columns for point in without_cause]
-    expected = [columns.blocks[point.block].unit * point.scale for point in without_cause]
+    without_cause = [_beside_effects(columns, found, k) for k in found.best]
     return Look(
         fit=fit,
         noise=noise,
@@ -170,10 +176,9 @@ def look_at(
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.metrics[0].ratio, strict=True)),
         variance=found.variance,
-        laws=columns.pool.laws,
         signals={columns.candidates[k].name: _signal(columns, found, k) for k in found.best},
-        without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *further]),
-        expected=np.concatenate([np.zeros(0), *expected]),
+        without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *(further for further, _ in without_cause)]),
+        expected=np.concatenate([np.zeros(0), *(expected for _, expected in without_cause)]),
     )
 
 
@@ -188,11 +193,19 @@ def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
 
 
 def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
-    """(n,) what a member of the most probable set changes in the readings, fitted beside the others, m."""
-    block = columns.blocks[found.best[k].block]
-    metric = found.beside([other for other in found.best if other != k])[0]
-    basis, along = fitted_in(metric, block.place)
-    return np.asarray((basis @ along) @ block.shaped.columns)
+    """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
+    point = found.best.get(k) or found.single.best[k]
+    block = columns.blocks[point.block]
+    metric = found.beside([other for other in found.best if other != k] if k in found.best else [])[0]
+    return np.asarray(posterior_of(metric, block, point)[0] @ block.shaped.every)
+
+
+def _beside_effects(columns: _Columns, found: Posterior, k: int) -> tuple[Array, Array]:
+    """Columns of a structure in the most probable set, or by which an effect differs from its law; what is expected."""
+    point = found.best[k]
+    block = columns.blocks[point.block]
+    first = len(block.shaped.columns) if k < columns.effects else 0
+    return block.shaped.every[first:], (block.unit * point.scale)[first:]
 
 
 @dataclass(frozen=True)
@@ -230,7 +243,7 @@ class _Columns:
 
 def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
     every = [*candidates, *structures]
-    columns = np.concatenate([np.zeros((0, len(pool))), *(s.columns for c in every for s in c.shapes)])
+    columns = np.concatenate([np.zeros((0, len(pool))), *(s.every for c in every for s in c.shapes)])
     projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
     gram, k = gram_of(pool, projected), len(columns)
     # What does not vary within the runs has rounding there.
@@ -241,14 +254,14 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
         for shaped in candidate.shapes:
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
             # their share of the probability, and nothing shows them.
-            leading = [*(count for count in few if count < len(shaped.columns)), len(shaped.columns)]
-            for count in leading:
-                place = slice(first, first + count)
+            leading = [shaped.leading(count) for count in few if count < len(shaped.columns)]
+            for own in (*leading, shaped):
+                place = slice(first, first + len(own.every))
                 squares = before[place]
                 if np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1] > _ABSORBED:
-                    share = -float(np.log(candidate.count * len(leading)))
-                    blocks.append(Block.of(c, place, shaped.leading(count), squares, share))
-            first += len(shaped.columns)
+                    share = -float(np.log(candidate.count * (len(leading) + 1)))
+                    blocks.append(Block.of(c, place, own, squares, share))
+            first += len(shaped.every)
     blocks = _without_repeated(blocks, gram.inner, len(candidates))
     return _Columns(pool, every, len(candidates), projected, np.append(before, projected.squares[k:-1]), gram, blocks)
 
@@ -311,22 +324,23 @@ def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
 
 
 def _accepted(
+    columns: _Columns,
     findings: Sequence[Finding],
     groups: Sequence[tuple[str, ...]],
     found: Posterior,
-    place: Mapping[str, int],
     further: float,
 ) -> tuple[str, ...]:
     """Effects that are in more likely than not; of a group of which some member is, its first if that gains.
 
     Args:
+        columns: of all that was looked for.
         findings: of all effects.
         groups: of look-alikes.
         found: the posterior.
-        place: number of each effect in it.
         further: probability that a further one, or one of its look-alikes, is in, from which it is accepted beside the
             surest.
     """
+    place = columns.place
     sure = [f.name for f in findings if f.probability > ACCEPTED]
     known = {place[name] for name in sure}
     for group in groups:
@@ -335,16 +349,26 @@ def _accepted(
             sure.append(group[0])
     sure.sort(key=lambda name: -found.log_factor(place[name]))
     alike = {name: next((group for group in groups if name in group), (name,)) for name in sure}
-    return tuple(
-        name for name in sure if name == sure[0] or found.of(*(place[other] for other in alike[name])) > further
-    )
+    sure = [n for n in sure if n == sure[0] or found.of(*(place[other] for other in alike[n])) > further]
+    signals = {name: _signal(columns, found, place[name]) for name in sure}
+    return tuple(n for k, n in enumerate(sure) if not any(_of_law(columns.pool, signals, n, m) for m in sure[:k]))
+
+
+def _of_law(pool: Pool, signals: Mapping[str, Array], name: str, other: str) -> bool:
+    """Whether an effect is a small part of what a surer one may differ from its law by: smooth in time as it is."""
+    both = np.concatenate([signals[name][None], signals[other][None], smooth_share(pool, signals[other])])
+    inner = pool.screen(both).gram[:-1, :-1]
+    if inner[0, 0] <= 0.0 or rms(signals[name] / pool.sigma) > LAW * rms(signals[other] / pool.sigma):
+        return False
+    basis = basis_of(inner[1:, 1:])
+    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > ALIKE**2 * inner[0, 0])
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
     out, first, seen = [], 0, columns.seen
     for k, candidate in enumerate(columns.candidates[: columns.effects]):
         place = slice(first, first + len(candidate.shapes[0].columns))
-        first += sum(len(s.columns) for s in candidate.shapes)
+        first += sum(len(s.every) for s in candidate.shapes)
         if k not in seen:
             out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit.released, columns.projected, place)))
     return tuple(out)

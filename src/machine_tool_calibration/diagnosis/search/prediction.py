@@ -126,7 +126,7 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
         look: at all readings, with the size of the noise and of what does not reproduce.
     """
     rows = _rows(Pool(fit), Pool(look.fit))
-    pool = Pool(fit, None if look.laws is None else look.laws[:, rows])
+    pool = Pool(fit)
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
     # Structures without a cause stand beside every effect: what they leave out would count against it.
     further = look.without_cause[:, rows]

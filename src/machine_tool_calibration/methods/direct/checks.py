@@ -120,9 +120,7 @@ def _read(session: Session) -> Iterator[Supposition]:
         yield _less(session, what, np.eye(3), factor)
 
 
-def _lying(
-    session: Session, observed: Callable[[Session], Observations], plane: list[int]
-) -> Iterator[Judgement]:
+def _lying(session: Session, observed: Callable[[Session], Observations], plane: list[int]) -> Iterator[Judgement]:
     """How a plate lies, if its places and its deviations do not belong together."""
 
     def motion(session: Session) -> tuple[Array, bool]:
