@@ -8,15 +8,12 @@ from functools import cache
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.simulation import SimulationSpec, simulate
 
-# Simulated sets of a diagnosis: p-values are made of them, and nothing else.
-SETS = 19
 
-
-def diagnosed(spec: SimulationSpec, seed: int = 1) -> Diagnosis:
+def diagnosed(spec: SimulationSpec) -> Diagnosis:
     """What a diagnosis says of a simulated session."""
-    return _diagnosed(spec.model_dump_json(), seed)
+    return _diagnosed(spec.model_dump_json())
 
 
 @cache
-def _diagnosed(spec: str, seed: int) -> Diagnosis:
-    return diagnose(simulate(SimulationSpec.model_validate_json(spec)).session, seed=seed, sets=SETS)
+def _diagnosed(spec: str) -> Diagnosis:
+    return diagnose(simulate(SimulationSpec.model_validate_json(spec)).session)

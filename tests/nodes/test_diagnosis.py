@@ -162,8 +162,6 @@ def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
     assert put("effects_files", Parameter.Type.STRING_ARRAY, [own])
     assert put("effects", Parameter.Type.STRING_ARRAY, ["my_reversal"])
     assert json.loads(operator.call("estimator/identify", PATIENCE))["reduced_chi_square"] < 1.5
-    assert not put("sets", Parameter.Type.INTEGER, 20)
-    assert not put("seed", Parameter.Type.INTEGER, -1)
     # refused at once, and what was set before stays
     assert not put("effects", Parameter.Type.STRING_ARRAY, ["no_such"])
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, ["/nowhere.yaml"])

@@ -214,7 +214,7 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:
     session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",)), sets=19), Advice(), {})
+    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",))), Advice(), {})
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
     assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
     assert document["fit"]["before"]["rms_residual"] < 4e-7
