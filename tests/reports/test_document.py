@@ -27,7 +27,7 @@ VERDICTS = {
         plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),)
     ),
     "unexplained": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=4e-6),)
+        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=6e-6),)
     ),
     "look-alike": SimulationSpec(
         plan=PRESETS["tracking_2d"], seed=5, effects=(FlawSpec(id="pointer_radial_error", amplitude=4e-6),)
