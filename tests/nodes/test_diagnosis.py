@@ -113,8 +113,19 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
 
 
 def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
-    # a hundred thousand simulated sets: longer than any test waits
-    graph = bench.graph(("estimator",), simulated_time=False, more={"estimator": {"sets": 99_999}})
+    # so many effects that one step takes longer than all that is asked of the node meanwhile
+    waves = [
+        {
+            "id": f"wave_{k}",
+            "enters": "xy"[k % 2],
+            "formula": f"a * sin(x / w + {0.37 * k:.2f}) * cos(y / w - {0.73 * k:.2f})",
+            "coefficients": {"a": {"unit": "m", "low": -1e-5, "high": 1e-5}},
+            "shapes": {"w": {"unit": "m", "low": 0.01, "high": 1.0}},
+        }
+        for k in range(500)
+    ]
+    more = {"estimator": {"effects_files": [bench.write("waves.yaml", {"effects": waves})]}}
+    graph = bench.graph(("estimator",), simulated_time=False, more=more)
     operator = bench.operator(graph)
     session = open_measurement(folder)
     feed(operator, session)
