@@ -19,7 +19,7 @@ from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
 
-from ..diagnosed import SETS, diagnosed
+from ..diagnosed import diagnosed
 
 SIGMA = 3e-7
 
@@ -41,7 +41,7 @@ def test_what_identify_refuses_is_not_called_adequate() -> None:
     with pytest.raises(ModelError, match="which no machine has"):
         identify(stretched)
     with pytest.raises(ModelError, match="which no machine has"):
-        diagnose(stretched, sets=SETS)
+        diagnose(stretched)
 
 
 def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
@@ -74,7 +74,7 @@ def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, am
 def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     hidden = FlawSpec(id="backlash_y", amplitude=3e-6)
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=77, effects=(hidden,))).session
-    done = improve(session, seed=77, sets=SETS)
+    done = improve(session)
     assert done.diagnosis.verdict == "missing_effect"
     assert done.diagnosis.accepted == ("backlash_y",)
     assert 0.7 < done.diagnosis.fits[-1].reduced_chi_square < 1.3
@@ -99,7 +99,7 @@ def test_two_effects_at_once_are_found_one_after_the_other() -> None:
 
 
 def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() -> None:
-    found = look("tracking_2d", 12, FlawSpec(id="unlisted_cubic_path", amplitude=6e-6))
+    found = look("tracking_2d", 12, FlawSpec(id="unlisted_cubic_path", amplitude=1.5e-5))
     assert found.verdict == "unexplained"
     assert found.accepted == ()
     assert found.look.structure[0].covariate in ("path", "path within the setup", "displacement")
@@ -107,7 +107,7 @@ def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() ->
 
 def test_chips_are_named_by_row_and_nothing_else() -> None:
     simulated = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02)))
-    found = diagnose(simulated.session, seed=1, sets=SETS)
+    found = diagnose(simulated.session)
     rows = {o.row for o in found.outliers}
     truth = {int(row) for row in simulated.truth.document()["outliers"]}
     assert found.verdict == "outliers"
@@ -117,7 +117,7 @@ def test_chips_are_named_by_row_and_nothing_else() -> None:
 
 def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=9, effects=(FlawSpec(id="backlash_x", amplitude=1e-6),))
-    one, two = (diagnose(simulate(spec).session, seed=9, sets=SETS) for _ in range(2))
+    one, two = (diagnose(simulate(spec).session) for _ in range(2))
     assert [r.candidate.name for r in one.ranked] == [r.candidate.name for r in two.ranked]
     assert [r.p_value for r in one.ranked] == [r.p_value for r in two.ranked]
 
@@ -126,7 +126,7 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     session = simulate(
         SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))
     ).session
-    found = diagnose(Chosen((session,), effects=("backlash_y",)), seed=1, sets=SETS)
+    found = diagnose(Chosen((session,), effects=("backlash_y",)))
     assert found.verdict == "adequate"
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}
 
@@ -153,7 +153,7 @@ def test_screening_an_effect_says_what_adding_it_gives() -> None:
 
 def test_rounding_is_no_structure() -> None:
     plan = PRESETS["tracking_2d"].model_copy(update={"station_uncertainty": 0.0})
-    found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session, sets=SETS)
+    found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session)
     assert found.verdict == "adequate"
     assert found.accepted == ()
     assert not found.look.structure

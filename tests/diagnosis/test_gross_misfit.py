@@ -18,7 +18,6 @@ from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-from ..diagnosed import SETS
 
 
 def with_added(session: Session, change: np.ndarray) -> Session:
@@ -52,7 +51,7 @@ def each_place_apart(seed: int) -> Session:
 
 @pytest.fixture(scope="module")
 def bent() -> Diagnosis:
-    return diagnose(bent_by_the_path(3), sets=SETS)
+    return diagnose(bent_by_the_path(3))
 
 
 def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) -> None:
@@ -81,7 +80,7 @@ def test_the_words_say_by_how_much_setups_differ(bent: Diagnosis) -> None:
 
 
 def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
-    found = diagnose(each_place_apart(3), sets=SETS)
+    found = diagnose(each_place_apart(3))
     assert found.fits[0].reduced_chi_square > 2
     assert found.contradicted and not found.noisy
     assert found.verdict == "unexplained"
@@ -96,7 +95,7 @@ def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
     """The repeats scatter as much: then it is the declaration."""
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session
     noise = 2.0 * session.sigma * np.random.default_rng(0).normal(size=len(session.readings))
-    found = diagnose(with_added(session, noise), sets=SETS)
+    found = diagnose(with_added(session, noise))
     assert found.fits[0].reduced_chi_square > 2
     assert found.verdict == "adequate"
 
@@ -105,8 +104,7 @@ def test_a_large_effect_that_explains_itself_is_named_all_the_same() -> None:
     found = diagnose(
         simulate(
             SimulationSpec(plan=PRESETS["tracking_2d"], seed=12, effects=(FlawSpec(id="backlash_y", amplitude=2e-5),))
-        ).session,
-        sets=SETS,
+        ).session
     )
     assert found.verdict == "missing_effect"
     assert found.accepted == ("backlash_y",)
@@ -117,7 +115,7 @@ def test_a_gross_error_that_was_lost_in_what_an_effect_leaves_is_set_aside_once_
     session = simulate(spec).session
     displacement = session.readings.displacement.copy()
     displacement[30] += 6e-5
-    found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)), sets=19)
+    found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)))
     assert found.accepted == ("backlash_y",)
     assert [outlier.row for outlier in found.outliers] == [30]
 
@@ -130,7 +128,7 @@ def test_an_effect_that_gross_errors_hid_while_it_hid_them_is_found_with_them() 
     hit = np.sort(1 + rng.permutation(len(session.readings) - 1)[:11])
     change = np.zeros(len(session.readings))
     change[hit] = session.sigma * np.linspace(15.0, 100.0, len(hit)) * rng.choice([-1.0, 1.0], len(hit))
-    found = diagnose(with_added(session, change), sets=SETS)
+    found = diagnose(with_added(session, change))
     assert found.verdict == "missing_effect"
     assert found.accepted == ("reversal_ECY",)
     assert sorted(outlier.row for outlier in found.outliers) == hit.tolist()

@@ -23,7 +23,7 @@ def improved(seed: int, backlash: float = 0.0) -> tuple[Improvement, list[float]
     shares: list[float] = []
     effects = (FlawSpec(id="backlash_y", size=backlash),) if backlash else ()
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed, effects=effects)).session
-    return improve(session, sets=19, progress=lambda what, share: shares.append(share)), shares
+    return improve(session, progress=lambda what, share: shares.append(share)), shares
 
 
 def map_error(done: Improvement, step: int, truth: dict[str, list[list[float]]]) -> float:
@@ -75,7 +75,7 @@ def test_the_map_moves_by_what_the_diagnosis_says() -> None:
 def test_what_is_left_can_be_compared_between_models() -> None:
     """A model that lacks something underestimates what it leaves: how far its map is off the last one is counted."""
     effects = (FlawSpec(id="probe_pretravel", amplitude=4e-6),)
-    done = improve(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=7, effects=effects)).session, sets=19)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=7, effects=effects)).session)
     first, last = done.steps
     assert last.map_change is not None and first.left_at_tool is not None
     before, after = first.residual_volumetric_error(done.steps[-1]), last.residual_volumetric_error(done.steps[-1])
@@ -90,8 +90,8 @@ def test_nothing_is_added_where_nothing_is_missing() -> None:
 
 
 def test_nothing_is_added_for_what_no_effect_explains() -> None:
-    effects = (FlawSpec(id="unlisted_cubic_path", amplitude=4e-6),)
-    done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=6, effects=effects)).session, sets=19)
+    effects = (FlawSpec(id="unlisted_cubic_path", amplitude=1.5e-5),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=6, effects=effects)).session)
     assert done.diagnosis.verdict == "unexplained"
     assert [s.change for s in done.steps] == [""]
 
@@ -99,7 +99,7 @@ def test_nothing_is_added_for_what_no_effect_explains() -> None:
 def test_outliers_are_set_aside_first() -> None:
     spec = SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02))
     simulated = simulate(spec)
-    done = improve(simulated.session, sets=19)
+    done = improve(simulated.session)
     n = len(simulated.truth.outliers)
     assert [s.label for s in done.steps] == ["first model", f"{n} readings set aside"]
     assert done.steps[1].set_aside == (tuple(sorted(simulated.truth.outliers)),)
@@ -110,14 +110,14 @@ def test_outliers_are_set_aside_first() -> None:
 def test_effects_that_are_there_already_stay() -> None:
     effects = (FlawSpec(id="backlash_y", size=1.5e-6), FlawSpec(id="backlash_x", size=1.2e-6))
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session
-    done = improve(Chosen((session,), effects=("backlash_y",)), sets=19)
+    done = improve(Chosen((session,), effects=("backlash_y",)))
     assert [s.result.effects for s in done.steps] == [("backlash_y",), ("backlash_y", "backlash_x")]
     assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
 
 
 def test_direct_readings_see_the_tool_point_itself() -> None:
     effects = (FlawSpec(id="backlash_x", size=2e-6),)
-    done = improve(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=effects)).session, sets=19)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=effects)).session)
     first, last = done.steps
     # One axis, both directions of approach: all of the backlash is unexplained first, and nothing of it in the end.
     assert first.unexplained_at_tool == pytest.approx(2e-6, rel=0.1)

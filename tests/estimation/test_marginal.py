@@ -8,19 +8,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.estimation.marginal import log_prior, metric_at, metrics, ratio_grid
+from machine_tool_calibration.estimation.marginal import metric_at, size_grid
 
 from ..inner_products import N, columns, gram_of, log_marginal
 
 
 @pytest.mark.parametrize("families", [0, 1, 2])
-def test_prior_is_a_distribution_with_half_at_none(families: int) -> None:
-    ratios = ratio_grid(families)
-    weight = np.exp(log_prior(ratios))
-    assert weight.sum() == pytest.approx(1.0)
+def test_prior_of_sizes_has_half_at_none(families: int) -> None:
+    gram = gram_of(columns(1, 1), columns(2, max(families, 1)), columns(3, 1)[:, 0])
+    place = np.arange(families) if families else np.zeros(0, dtype=np.int64)
+    grid = size_grid(replace(gram, inner=gram.inner[: 1 + families, : 1 + families], family=place, data=gram.data[: 1 + families]))
+    weight = np.exp([prior for _, prior, _ in grid])
+    # What lies beyond the ends of the grid has the rest.
+    assert 0.95 < weight.sum() <= 1.0 + 1e-9
     for family in range(families):
-        none = np.array([ratio[family] == 0.0 for ratio in ratios])
-        assert weight[none].sum() == pytest.approx(0.5)
+        none = np.array([ratio[family] == 0.0 for ratio, _, _ in grid])
+        assert weight[none].sum() == pytest.approx(0.5, rel=0.05)
+
+
+def test_a_grid_of_sizes_ends_where_its_weight_ends() -> None:
+    spread = columns(2, 6)
+    for size in (1.0, 50.0, 3000.0):
+        readings = columns(3, 1)[:, 0] + spread @ (size * np.random.default_rng(4).normal(size=6))
+        grid = size_grid(gram_of(columns(1, 1), spread, readings))
+        logs = np.array([log for _, _, log in grid])
+        weight = np.exp(logs - logs.max())
+        sizes = np.array([ratio[0] for ratio, _, _ in grid])
+        assert weight[np.argmax(sizes)] < 2e-3 * weight.sum()
+        assert sizes[np.argmax(weight)] == pytest.approx(size, rel=0.8)
 
 
 def test_folding_is_the_inverse_of_the_covariance() -> None:
@@ -49,8 +64,8 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
     readings = np.random.default_rng(12).normal(size=N) + wide @ [0.0, 0.5, 1.0]
     gram = gram_of(wide, spread, readings)
     member, scale = np.array([1, 2]), np.array([0.7, 1.3])
-    ratios = ratio_grid(1 if spread_columns else 0)
-    for metric, ratio, prior in zip(metrics(gram), ratios, log_prior(ratios), strict=True):
+    for ratio, prior, _ in size_grid(gram):
+        metric = metric_at(gram, ratio, prior)
         beside = metric.beside(member, scale)
         own = wide[:, member] * scale
         covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
@@ -65,7 +80,7 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
 def test_folding_one_after_the_other_is_folding_both() -> None:
     wide = columns(13, 3)
     gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
-    metric = metrics(gram)[-1]
+    metric = metric_at(gram, (2.0,))
     one, two = np.array([0]), np.array([2])
     apart = metric.beside(one, np.array([0.4])).beside(two, np.array([1.1]))
     together = metric.beside(np.array([0, 2]), np.array([0.4, 1.1]))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, log_prior
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, size_grid
 from machine_tool_calibration.estimation.variance_components import components
 
 GROUPS, EACH = 6, 6
@@ -37,12 +37,13 @@ def problem(
     return model, spread, place, readings
 
 
-def projected(model: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """Inner products of [spread, readings] outside the model."""
+def projected(model: np.ndarray, spread: np.ndarray, place: np.ndarray, readings: np.ndarray) -> Gram:
+    """Inner products of spread and readings outside the model."""
     q = np.linalg.qr(model)[0]
     both = np.column_stack([spread, readings])
     both = both - q @ (q.T @ both)
-    return both.T @ both
+    gram = both.T @ both
+    return Gram(gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1], place, len(readings) - model.shape[1])
 
 
 def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarray) -> tuple[float, float]:
@@ -63,14 +64,14 @@ def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarr
 @pytest.mark.parametrize("sizes", [(1.5,), (0.0,), (1.5, 2.0)])
 def test_posterior_is_that_of_the_dense_restricted_likelihood(sizes: tuple[float, ...]) -> None:
     model, spread, place, readings = problem(3, sizes)
-    found = components(projected(model, spread, readings), place, N - 3)
+    found = components(projected(model, spread, place, readings))
     logs, squares = [], []
     for ratio in found.ratios:
         covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
         log, left = log_restricted(model, covariance, readings)
         logs.append(log)
         squares.append(left)
-    expected = np.array(logs) + log_prior(found.ratios)
+    expected = np.array(logs) + [prior for _, prior, _ in size_grid(projected(model, spread, place, readings))]
     assert found.log_weights == pytest.approx(expected - logsumexp(expected), abs=1e-6)
     assert found.squares == pytest.approx(np.array(squares), rel=1e-9)
     assert found.weights.sum() == pytest.approx(1.0)
@@ -80,7 +81,7 @@ def test_a_large_spread_is_found_with_its_size() -> None:
     """Forty groups tell a size within a tenth or two; the prior is far below it and must not hold it back."""
     for seed in range(3):
         model, spread, place, readings = problem(seed, (3.0,), groups=40)
-        found = components(projected(model, spread, readings), place, len(readings) - 3)
+        found = components(projected(model, spread, place, readings))
         low, middle, high = (found.quantile(0, p) for p in (0.025, 0.5, 0.975))
         assert found.probability(0) > 0.999
         assert low < 3.0 < high
@@ -93,7 +94,7 @@ def test_no_spread_is_not_found() -> None:
     found = []
     for seed in range(5):
         model, spread, place, readings = problem(seed, (0.0,))
-        found.append(components(projected(model, spread, readings), place, N - 3))
+        found.append(components(projected(model, spread, place, readings)))
     assert np.median([each.probability(0) for each in found]) < 0.5
     assert np.median([each.quantile(0, 0.5) for each in found]) == 0.0
 
@@ -101,7 +102,7 @@ def test_no_spread_is_not_found() -> None:
 @pytest.mark.parametrize("sizes", [(1.0,), (1.0, 0.5)])
 def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
     model, spread, place, readings = problem(8, sizes)
-    found = components(projected(model, spread, readings), place, N - 3)
+    found = components(projected(model, spread, place, readings))
     for family in range(len(sizes)):
         values = [found.quantile(family, p) for p in np.linspace(0.0, 1.0, 101)]
         assert (np.diff(values) >= 0.0).all()

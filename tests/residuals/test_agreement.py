@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.agreement import compared_sets
+from machine_tool_calibration.residuals.agreement import Noise, compared_sets
 from machine_tool_calibration.residuals.gross_errors import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -22,7 +22,7 @@ NOISE = np.array([0.4, -0.9, 0.2, 0.5, -0.3, 0.8, -0.6, 0.1])
 def explained(local: Array, residual: Array, limit: float = 4.7) -> tuple[IntArray, IntArray]:
     """Readings of a point that nothing else is known of; the limit falls with the share of gross errors."""
     free = np.eye(len(local)) - local @ np.linalg.pinv(local)
-    return compared_sets(free, free @ residual, limit, width=200.0)
+    return compared_sets(free, free @ residual, Noise(1.0, 200.0, limit, 0.5 * limit**2))
 
 
 def test_three_of_eight_are_told_from_one_another() -> None:
@@ -68,9 +68,9 @@ def test_one_that_explains_by_chance_what_two_did_better() -> None:
 def test_the_more_readings_are_wrong_the_more_is_in_doubt() -> None:
     """Where hardly any reading is wrong, the fewest that explain it are; where many are, others may be together."""
     residual = NOISE.copy()
-    residual[[0, 1]] += [30.0, -45.0]
-    assert not len(explained(LOCAL, residual, limit=4.5)[1])
-    assert len(explained(LOCAL, residual, limit=3.0)[1])
+    residual[[0, 1]] += [20.0, -25.0]
+    assert not len(explained(LOCAL, residual, limit=4.9)[1])
+    assert len(explained(LOCAL, residual, limit=2.5)[1])
 
 
 def test_six_of_many() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models
-from machine_tool_calibration.residuals.noise import noise_of, same_place
+from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 
@@ -21,7 +21,7 @@ def fitted(plan: str, off: float) -> Fit:
         # Every second run backwards would approach a place from the other side: no repeat.
         chosen = chosen.model_copy(update={"order": "same"})
     session = simulate(SimulationSpec(plan=chosen, seed=3)).session
-    place = same_place(build_model(session)[0].observations)
+    place = build_model(session)[0].observations.place
     change = off * session.sigma * np.random.default_rng(3).normal(size=place.max() + 1)
     readings = session.readings
     moved = session.with_readings(replace(readings, displacement=readings.displacement + change[place]))

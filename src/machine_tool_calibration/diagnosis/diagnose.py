@@ -16,7 +16,7 @@ from machine_tool_calibration.diagnosis.search.candidates import Candidate, betw
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GOOD_ENOUGH, GROSS, LIKELY, SURE
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GOOD_ENOUGH, GROSS, LIKELY, SMALL, SURE
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
@@ -35,6 +35,8 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["Diagnosis", "diagnose"]
 
+# Rounds of gross errors beside effects.
+_ROUNDS = 4
 # Growth of the map's uncertainty from which it is no longer determined for any purpose.
 _SPOILT = 30.0
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
@@ -146,31 +148,20 @@ def diagnose(
         ModelError: the data does not allow the model.
     """
     chosen = Chosen.of(subject)
-
-    def beside(added: Sequence[str], known: Diagnosis | None = None) -> Diagnosis:
-        """Without the outliers beside these effects; what is known if that is without the same."""
-        build = _alone(chosen, added)
-        each = [find_outliers(session, build) for session in chosen.sessions]
-        aside = tuple(tuple(outliers) for outliers, _ in each)
-        kept = replace(chosen, sessions=tuple(session for _, session in each))
-        if known is not None and _rows(known.set_aside) == _rows(aside):
-            return replace(known, chosen=kept, set_aside=aside)
-        return _search(kept, aside, progress)
-
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
-        progress("looking for outliers", 0.0)
-        found = beside(())
-        if _probable(found):
-            # With the effects in the model some of them belong to the rest again, and others stand out that were lost
-            # in what the effects left: then the search begins anew.
-            found = beside(_probable(found), found)
-        probable = _probable_without_suspects(found, lambda kept: _search(kept, (), progress))
-        if probable:
-            other = beside(probable, found)
-            if other.accepted and _rows(other.set_aside) != _rows(found.set_aside):
-                found = other
+        progress("looking for gross errors", 0.0)
+        added, found = _without_suspects(chosen, progress), None
+        for _ in range(_ROUNDS):
+            # Gross errors beside the effects at hand, then effects without these errors, until neither changes.
+            kept, aside = _without_gross_errors(chosen, added)
+            if found is not None and _rows(found.set_aside) == _rows(aside):
+                found = replace(found, chosen=kept, set_aside=aside)
+                break
+            found = _search(kept, aside, progress)
+            added = _probable(found)
         progress("done", 1.0)
+    assert found is not None
     return found
 
 
@@ -182,19 +173,27 @@ def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:
     return [{outlier.row for outlier in own} for own in outliers]
 
 
-def _probable_without_suspects(found: Diagnosis, search: Callable[[Chosen], Diagnosis]) -> tuple[str, ...]:
-    """Effects that are found without what may be wrong beside those that were; none where nothing lies far out.
+def _without_gross_errors(chosen: Chosen, added: Sequence[str]) -> tuple[Chosen, tuple[tuple[Outlier, ...], ...]]:
+    """What is chosen without the gross errors beside these effects, and these errors, session by session."""
+    build = _alone(chosen, added)
+    each = [find_outliers(session, build) for session in chosen.sessions]
+    kept = replace(chosen, sessions=tuple(session for _, session in each))
+    return kept, tuple(tuple(outliers) for outliers, _ in each)
 
-    Gross errors that an effect hides may in turn hide the effect, which shows among the other readings.
+
+def _without_suspects(chosen: Chosen, progress: Callable[[str, float], None]) -> tuple[str, ...]:
+    """Effects that are found without all that may be wrong; none where nothing lies far out.
+
+    Gross errors that an effect hides may in turn hide the effect, which shows among the other readings (masking).
     """
-    build = _alone(found.chosen, found.accepted)
-    suspected = [suspected_rows(session, build) for session in found.chosen.sessions]
+    build = _alone(chosen, ())
+    suspected = [suspected_rows(session, build) for session in chosen.sessions]
     if not any(map(len, suspected)):
         return ()
-    each = zip(found.chosen.sessions, suspected, strict=True)
+    each = zip(chosen.sessions, suspected, strict=True)
     sessions = tuple(session.without(np.isin(session.readings.row, rows)) for session, rows in each)
     try:
-        return _probable(search(replace(found.chosen, sessions=sessions)))
+        return _probable(_search(replace(chosen, sessions=sessions), (), progress))
     except ModelError:
         # What is left does not allow the model: then it says nothing of what is missing.
         return ()
@@ -341,18 +340,17 @@ def _verdict(found: Diagnosis) -> str:
 
 @single_blas()
 def _good_enough(found: Diagnosis) -> bool:
-    """Whether what is left beside the accepted effects is below the readings' noise and hardly moves the map."""
-    joint = found.fits[-1]
+    """Whether what is left beside the accepted effects is small: beside the noise, or in what it does to the map."""
+    joint, fitted = found.fits[-1], found.fitted[-1]
     pool = Pool(joint)
     left = np.zeros(len(pool))
     for name, signal in found.look.signals.items():
         left -= signal if name not in found.accepted else 0.0
-    if rms(left / pool.sigma) > 1.0:
-        return False
-    without = changed(joint, [left[piece] for piece in pool.pieces])
-    with_all = declared(joint)
-    moved = map_change(found.fitted[-1].map_of(with_all), found.fitted[-1].map_of(without))
-    uncertainty = map_rms(found.fitted[-1].error_map.uncertainty)
+    size = rms(left / pool.sigma)
+    if not SMALL < size <= 1.0:
+        return size <= SMALL
+    without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
+    moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)
     return moved is not None and uncertainty is not None and moved < GOOD_ENOUGH * 2.0 * uncertainty
 
 

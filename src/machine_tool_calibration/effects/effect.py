@@ -84,7 +84,7 @@ class Effect(ABC):
     methods: tuple[str, ...] = ()
     instruments: tuple[str, ...] = ()
     covariates: tuple[str, ...] = ()
-    tolerance: float = 0.07
+    tolerance: float = 0.1
     setup_level: bool = False
     contains: tuple[str, ...] = ()
     definition: Mapping[str, Any] | None = None

@@ -39,8 +39,8 @@ _DOFS, _TAILS = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2
 _BULK, LOOKED_AT = 0.95, 2000
 # Scatter over the declared uncertainty below which it is rounding.
 _ROUNDING = 0.01
-# Difference in log evidence within which another set may be true (1 in 1000).
-_ALIKE = 7.0
+# Difference in log evidence within which another set may be true (1 in 100).
+_ALIKE = 4.5
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
 _FEW, _SETS = 24, 1000
 SUSPECTED, BESIDE = 3.0, 4.0
@@ -75,11 +75,13 @@ class Noise:
         scale: standard deviation of the bulk over the declared uncertainty.
         width: of gross errors, in these.
         limit: predicted residual beyond which a reading is rather gross than noise.
+        odds: logarithm of the prior odds and of the width: what a gross error costs whatever the tails of the noise.
     """
 
     scale: float
     width: float
     limit: float
+    odds: float
 
 
 def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) -> Noise:
@@ -91,7 +93,7 @@ def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) ->
         explained: which are no gross errors, however large.
     """
     if not len(size):
-        return Noise(np.inf, WIDTH, np.inf)
+        return Noise(np.inf, WIDTH, np.inf, np.inf)
     single = size if explained is None else size[~explained]
     inside = np.ones(len(size), dtype=bool)
     for _ in range(ROUNDS):
@@ -104,7 +106,8 @@ def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) ->
         last, inside = inside, size <= limit * scale
         if np.array_equal(inside, last):
             break
-    return Noise(scale, width, limit)
+    odds = float(np.log(width * (PRIOR[1] + len(size)) / (PRIOR[0] + count)))
+    return Noise(scale, width, limit, min(odds, 0.5 * limit**2))
 
 
 def _density(size: Array, dof: float) -> Array:
@@ -201,7 +204,7 @@ def best_set(inverse: Array, pulled: Array, limit: float) -> IntArray:
     return np.flatnonzero(gross)
 
 
-def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> tuple[IntArray, IntArray]:
+def compared_sets(inverse: Array, pulled: Array, noise: Noise) -> tuple[IntArray, IntArray]:
     """All sets of gross errors among a few readings; where these are too many, those that the best of fewer grow into.
 
     One step after the other is not enough here: two wrong readings may agree with each other better than each does
@@ -210,14 +213,15 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> 
     Args:
         inverse: (k, k) A.
         pulled: (k,) b.
-        limit: as of `best_set`.
-        width: standard deviation of gross errors, in units of the noise.
+        noise: its limit as of `best_set`; what may as well be wrong is compared by the prior odds alone.
 
     Returns:
         The set with the most evidence, and the readings in which others that are probable differ from it.
     """
-    k, cost = len(pulled), 0.5 * limit**2
-    inverse = inverse + np.eye(k) / max(width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
+    k, cost = len(pulled), noise.odds
+    inverse = (
+        inverse + np.eye(k) / max(noise.width, float(np.abs(pulled / np.sqrt(np.diag(inverse) + _UNSEEN)).max())) ** 2
+    )
     most = 0.5 * float(pulled @ np.linalg.solve(inverse, pulled))
     sets, evidence = [np.zeros((1, k), dtype=bool)], [np.zeros(1)]
     left, pull, last = inverse[None], pulled[None], np.array([-1])
@@ -243,11 +247,11 @@ def compared_sets(inverse: Array, pulled: Array, limit: float, width: float) -> 
         pull, last = pull[parent] - column * step[:, None], new
         sets.append(grown[first])
         evidence.append(evidence[-1][parent] + 0.5 * step**2 - np.log(root) - cost)
-    return _compared(np.concatenate(sets), np.concatenate(evidence))
+    return _compared(np.concatenate(sets), np.concatenate(evidence), 0.5 * noise.limit**2 - cost)
 
 
-def _compared(sets: BoolArray, evidence: Array) -> tuple[IntArray, IntArray]:
-    best = sets[int(np.argmax(evidence))]
+def _compared(sets: BoolArray, evidence: Array, more: float) -> tuple[IntArray, IntArray]:
+    best = sets[int(np.argmax(evidence - more * sets.sum(axis=1)))]
     # One that calls more or fewer of the same readings gross contradicts nothing.
     nested = (sets <= best).all(axis=1) | (sets >= best).all(axis=1)
     others = sets[(evidence > evidence.max() - _ALIKE) & ~nested]

@@ -321,7 +321,7 @@ class _Search:
         which = np.unique(np.concatenate([held[:0], *wanted]))
         joint = fit.joint(which)
         for mine in wanted:
-            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise.limit, fit.noise.width)
+            gross, other = compared_sets(*joint(np.searchsorted(which, mine)), fit.noise)
             found[mine] = False
             found[mine[gross]] = True
             if len(gross) and len(other):

@@ -143,7 +143,7 @@ class Pool:
         """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
         imperfect = ({} if self._imperfect is None else IMPERFECTION_SIZES,)
         random = () if self.fit.random is None else (self.fit.random.sizes,)
-        laws = () if self.laws is None else ({0.0: 0.5, 1.0: 0.5},)
+        laws = () if self.laws is None else ({0.0: 0.3, 1.0: 0.7},)
         return (*(own for own in imperfect if own), *random, *laws)
 
     def _columns_of(self, names: Sequence[str]) -> Array:

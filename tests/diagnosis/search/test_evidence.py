@@ -12,7 +12,8 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, table
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, log_prior, metrics, ratio_grid
+from machine_tool_calibration.diagnosis.search.priors import POSITIVE
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, Metric, metric_at, size_grid
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
 from ...inner_products import N, columns, gram_of, log_marginal
@@ -21,11 +22,17 @@ EVER = np.inf
 
 
 def block(
-    candidate: int, first: int, unit: Sequence[float], low: float = -EVER, high: float = EVER, share: float = 0.0
+    candidate: int, first: int, unit: Sequence[float], most: float = EVER, share: float = 0.0, positive: bool = False
 ) -> Block:
     k = len(unit)
-    shaped = Shaped((), np.zeros((k, 0)))
-    return Block(candidate, slice(first, first + k), shaped, np.array(unit), np.full(k, low), np.full(k, high), share)
+    shaped, expected = Shaped((), np.zeros((k, 0))), np.full(k, positive)
+    low, high = np.full(k, -most), np.full(k, most)
+    return Block(candidate, slice(first, first + k), shaped, np.array(unit), low, high, expected, share)
+
+
+def metrics(gram: Gram) -> list[Metric]:
+    """One for every size of what does not reproduce."""
+    return [metric_at(gram, ratio, prior) for ratio, prior, _ in size_grid(gram)]
 
 
 def scales_of(signal: float) -> np.ndarray:
@@ -41,8 +48,7 @@ def explicit(readings: np.ndarray, wide: np.ndarray, unit: np.ndarray, spread: n
     signal = float(np.linalg.svd(wide * unit, compute_uv=False)[0])
     scales = scales_of(signal)
     with_it, without = [], []
-    ratios = ratio_grid(1 if spread.shape[1] else 0)
-    for ratio, prior in zip(ratios, log_prior(ratios), strict=True):
+    for ratio, prior, _ in size_grid(gram_of(wide, spread, readings)):
         base = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0)
         without.append(prior + log_marginal(readings, base))
         for scale in scales:
@@ -117,19 +123,29 @@ def test_sums_over_nonlinear_coefficients_have_their_shares() -> None:
     assert both.best[0].block == 1
 
 
-def test_a_sign_that_does_not_occur_is_cut_off() -> None:
-    """No backlash is negative: readings that say so clearly speak against it, and those of the other sign for it."""
+def test_a_sign_that_is_expected_is_a_prior_and_no_wall() -> None:
+    """Where the readings say clearly which sign it is, the evidence is that of either sign times its prior."""
     wide = columns(8, 1)
     noise = np.random.default_rng(9).normal(size=N)
-    factors = {}
-    for sign in (-1.0, 1.0):
+    for sign, odds in ((-1.0, 1.0), (1.0, POSITIVE)):
         gram = gram_of(wide, np.zeros((N, 0)), noise + 1.5 * sign * wide[:, 0])
-        # Half of the prior lies on either side.
-        for low in (-EVER, 0.0):
-            factors[sign, low] = table([block(0, 0, [2.0], low)], metrics(gram), 1).log_factors[0, 0]
-    assert factors[1.0, 0.0] == pytest.approx(factors[1.0, -EVER] + np.log(2.0), abs=1e-3)
-    assert factors[-1.0, -EVER] > 5.0
-    assert factors[-1.0, 0.0] < 0.0
+        either, expected = (
+            table([block(0, 0, [2.0], most=1e3, positive=one)], metrics(gram), 1).log_factors[0, 0]
+            for one in (False, True)
+        )
+        assert either > 5.0
+        # Half of the prior lies on either side where none is expected.
+        assert expected == pytest.approx(either + np.log(2.0 * odds / (1.0 + POSITIVE)), abs=1e-3)
+
+
+def test_a_size_that_does_not_occur_is_cut_off() -> None:
+    wide = columns(8, 1)
+    gram = gram_of(wide, np.zeros((N, 0)), np.random.default_rng(9).normal(size=N) + 3.0 * wide[:, 0])
+    inside, outside = (
+        table([block(0, 0, [2.0], most=most)], metrics(gram), 1).log_factors[0, 0] for most in (6.0, 1.0)
+    )
+    assert inside > 5.0
+    assert outside < inside - 5.0
 
 
 def test_what_the_model_takes_up_has_no_evidence() -> None:
@@ -143,7 +159,7 @@ def test_what_the_model_takes_up_has_no_evidence() -> None:
 def test_data_sets_side_by_side_are_those_one_by_one() -> None:
     wide, spread = columns(16, 2), columns(17, 2)
     readings = np.random.default_rng(18).normal(size=(N, 4))
-    blocks = [block(0, 0, [1.0], low=0.0), block(1, 1, [2.0])]
+    blocks = [block(0, 0, [1.0], positive=True), block(1, 1, [2.0])]
     gram = gram_of(wide, spread, readings)
     together = table(blocks, metrics(gram), 2).log_factors
     for k in range(4):

@@ -35,7 +35,7 @@ def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ())
     fit = fit_models([build_model(measured)[0]])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
     made = [Candidate(name, (Shaped((), columns),)) for name, columns in structures]
-    return look_at(fit, candidates, made, np.random.default_rng(1), 49, side_by_side=False)
+    return look_at(fit, candidates, made, side_by_side=False)
 
 
 def columns_of(effect: str) -> np.ndarray:
@@ -75,8 +75,7 @@ def test_probabilities_belong_together() -> None:
         for finding in look.findings:
             with_it = sum(p for names, p in look.sets if finding.name in names)
             assert finding.probability == pytest.approx(with_it)
-            assert 0.0 <= finding.p_value <= finding.family_p_value <= 1.0
-        assert 0.0 <= look.false_alarms <= 0.1
+            assert 0.0 <= finding.p_value <= 1.0
 
 
 def test_what_the_model_absorbs_is_neither_found_nor_detectable() -> None:

@@ -28,7 +28,8 @@ def searched(
         freedom=N,
     )
     shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
-    blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, 0.0) for k in range(count)]
+    either = np.zeros(1, dtype=bool)
+    blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, either, 0.0) for k in range(count)]
     odds = np.full(count, np.log(EFFECT / (1.0 - EFFECT)))
     return search(gram, blocks, odds, side_by_side=side_by_side, pairs_among=range(count))
 

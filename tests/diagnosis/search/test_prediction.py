@@ -40,7 +40,7 @@ def with_effect(only_in: int | None) -> Session:
 def predicted(session: Session) -> tuple[Prediction, ...]:
     fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
-    look: Look = look_at(fit, candidates, [], np.random.default_rng(1), 1, side_by_side=False)
+    look: Look = look_at(fit, candidates, [], side_by_side=False)
     return predictions([session], replace(look, accepted=(EFFECT,)), fit_of)[EFFECT]
 
 
@@ -64,15 +64,14 @@ def test_an_effect_of_one_setup_does_not_predict_the_others() -> None:
 
 
 def test_such_an_effect_is_refused_although_it_is_probable() -> None:
-    found = diagnose(with_effect(0), seed=1, sets=19)
+    found = diagnose(with_effect(0))
     assert EFFECT not in found.accepted
 
 
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
     fit = fit_of([session])
-    look = look_at(fit, effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], np.random.default_rng(1), 1,
-                   side_by_side=False)  # fmt: skip
+    look = look_at(fit, effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], side_by_side=False)
     assert predictions([session], look, fit_of) == {}
 
 
@@ -100,7 +99,7 @@ def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
     readings = session.readings
     far = readings.columns["x"] > np.median(readings.columns["x"])
     disturbed = readings.displacement + 6e-6 * far * np.sin(2.0 * np.pi * np.arange(len(readings)) / 7.3)
-    found = diagnose(session.with_readings(replace(readings, displacement=disturbed)), seed=1, sets=19)
+    found = diagnose(session.with_readings(replace(readings, displacement=disturbed)))
     assert found.look.unknown > 0.99
     assert len(found.look.without_cause)
     assert "warmup_x" not in found.refused

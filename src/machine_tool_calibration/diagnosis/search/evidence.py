@@ -158,7 +158,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, onl
     sets = len(gram.squares)
     alike: dict[tuple[int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
-        if only is None or block.candidate == only:
+        if len(block.unit) and (only is None or block.candidate == only):
             alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
     # Of each block: its evidence, and that at its best scale, in the first data set with and without the cut.
     total = np.full((len(blocks), sets), -np.inf)

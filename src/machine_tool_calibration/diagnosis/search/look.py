@@ -13,7 +13,7 @@ from machine_tool_calibration.diagnosis.search.candidates import Candidate
 from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
 from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of, fitted_in
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, FURTHER, STRUCTURE, THE_SAME
 from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
@@ -149,7 +149,8 @@ def look_at(
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
-    accepted = _accepted(findings, groups, found, columns.place) if still else ()
+    further = ACCEPTED if side_by_side else FURTHER
+    accepted = _accepted(findings, groups, found, columns.place, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
     without_cause = [point for k, point in found.best.items() if k >= len(candidates)]
@@ -310,16 +311,33 @@ def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
 
 
 def _accepted(
-    findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, place: Mapping[str, int]
+    findings: Sequence[Finding],
+    groups: Sequence[tuple[str, ...]],
+    found: Posterior,
+    place: Mapping[str, int],
+    further: float,
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not; of a group of which some member is, its first if that gains."""
+    """Effects that are in more likely than not; of a group of which some member is, its first if that gains.
+
+    Args:
+        findings: of all effects.
+        groups: of look-alikes.
+        found: the posterior.
+        place: number of each effect in it.
+        further: probability that a further one, or one of its look-alikes, is in, from which it is accepted beside the
+            surest.
+    """
     sure = [f.name for f in findings if f.probability > ACCEPTED]
     known = {place[name] for name in sure}
     for group in groups:
         members = [place[name] for name in group]
         if not known & set(members) and found.of(*members) > ACCEPTED and found.gains(known, members[0]):
             sure.append(group[0])
-    return tuple(sorted(sure, key=lambda name: -found.log_factor(place[name])))
+    sure.sort(key=lambda name: -found.log_factor(place[name]))
+    alike = {name: next((group for group in groups if name in group), (name,)) for name in sure}
+    return tuple(
+        name for name in sure if name == sure[0] or found.of(*(place[other] for other in alike[name])) > further
+    )
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:

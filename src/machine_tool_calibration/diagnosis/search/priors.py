@@ -7,7 +7,7 @@ could have been found are read off the posterior.
 
 from __future__ import annotations
 
-__all__ = ["ACCEPTED", "ALIKE", "CONTRADICTED", "EFFECT", "GOOD_ENOUGH", "GROSS", "LIKELY", "POSITIVE", "STRUCTURE", "SURE", "THE_SAME"]
+__all__ = ["ACCEPTED", "ALIKE", "CONTRADICTED", "EFFECT", "FURTHER", "GOOD_ENOUGH", "GROSS", "LIKELY", "POSITIVE", "SMALL", "STRUCTURE", "SURE", "THE_SAME"]
 
 EFFECT = 0.05
 """Prior probability that one effect of the catalogue is missing: with the twenty or so that a plan can show, that
@@ -19,6 +19,10 @@ effects."""
 
 ACCEPTED = 0.5
 """Posterior probability from which an effect is named as missing: it is in the model more likely than not."""
+
+FURTHER = 0.8
+"""The same of an effect beside a surer one: where a law does not hold exactly, what it leaves looks like another effect.
+Where the machine itself is read many are expected at once, and each counts like the first."""
 
 SURE = 0.95
 """Posterior probability that something is missing from which it is said although no effect can be named."""
@@ -41,5 +45,7 @@ POSITIVE = 10.0
 """Prior odds that a coefficient which is positive by its nature (a backlash) is so in the readings: a control may
 compensate more than there is, and directions of approach may be recorded the wrong way round."""
 
-GOOD_ENOUGH = 1 / 3
-"""Share of the map's expanded uncertainty up to which what is left may move the map: then the model is adequate."""
+GOOD_ENOUGH, SMALL = 1 / 3, 0.7
+"""Share of the map's expanded uncertainty up to which what is left may move the map, and its size over the declared
+uncertainty of a reading below which that does not matter: then the model is adequate. What is larger than the noise
+never is."""
