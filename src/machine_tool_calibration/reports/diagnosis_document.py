@@ -35,8 +35,8 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
     enough), `refused` (probable effects that are not added, with the reason), `sets` (sets of effects with their
     probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce), and in
     every candidate `plausible`, `explained_rms` and `predicts` (readings that were left out); `detectable`,
-    `excluded`, `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly shows) and
-    `dominant` (what dominates the map's uncertainty, and what makes it smaller).
+    `excluded`, `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly
+    shows) and `dominant` (what dominates the map's uncertainty, and what makes it smaller).
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
     """

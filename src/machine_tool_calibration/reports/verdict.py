@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.look import Structure
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, GOOD_ENOUGH, SURE
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, SURE
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.quantities import (
     p_value,
@@ -59,7 +59,7 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
 
 
 def good_enough(diagnosis: Diagnosis) -> bool:
-    """Whether the model lacks something for sure that is too small to matter for the map."""
+    """Whether the model lacks something for sure that is too small to matter."""
     look, sound = diagnosis.look, diagnosis.verdict in ("adequate", "outliers")
     return sound and (look.unknown > ACCEPTED or look.nothing < 1.0 - SURE)
 
@@ -68,8 +68,8 @@ def left_words(diagnosis: Diagnosis) -> Iterator[str]:
     """What to make of structure that is left where nothing is missing: one sentence."""
     if good_enough(diagnosis):
         yield (
-            "Structure is left in the residuals, so small that it would move the map by less than "
-            f"1/{1.0 / GOOD_ENOUGH:.0f} of its expanded uncertainty U (k = 2): it does not matter for the map."
+            "Structure is left in the residuals, small beside the declared uncertainty of a reading or in what it does "
+            "to the map: the model is good enough without it."
         )
     elif diagnosis.look.left and diagnosis.verdict in ("adequate", "outliers"):
         yield "Whether the structure that seems to be left in the residuals is more than chance is not sure."
