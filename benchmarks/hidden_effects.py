@@ -173,7 +173,7 @@ def run(trial: Trial) -> Outcome:
             return Outcome(trial, note=str(error))
         session = simulate(base.model_copy(update={"effects": flaws})).session
         start = time.perf_counter()
-        found = diagnose(session, seed=trial.seed + 1)
+        found = diagnose(session)
         seconds = time.perf_counter() - start
         outcome = _judged(trial, found, seconds)
         if trial.kind.startswith(("one", "two")):
@@ -195,7 +195,7 @@ def _of_axis(trial: Trial, base: SimulationSpec) -> Outcome:
     )
     session = simulate(base.model_copy(update={"effects": flaws})).session
     start = time.perf_counter()
-    found = diagnose(session, seed=trial.seed + 1)
+    found = diagnose(session)
     return _judged(trial, found, time.perf_counter() - start)
 
 

@@ -14,7 +14,6 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 pytestmark = pytest.mark.usefixtures("found_once")
-SETS = ["--sets", "199"]
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +25,7 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def test_one_document(hidden: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["diagnose", hidden, "--json", *SETS]) == 0
+    assert run(["diagnose", hidden, "--json"]) == 0
     shown = capsys.readouterr()
     document = json.loads(shown.out)
     assert document["format"] == "mtcal-diagnosis/1"
@@ -35,7 +34,7 @@ def test_one_document(hidden: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_people_read_the_verdict_first(hidden: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["diagnose", hidden, *SETS]) == 0
+    assert run(["diagnose", hidden]) == 0
     out = capsys.readouterr().out
     assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
     for title in (
@@ -53,7 +52,7 @@ def test_people_read_the_verdict_first(hidden: str, capsys: pytest.CaptureFixtur
 
 def test_pictures_and_numbers_on_request(hidden: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "pictures"
-    assert run(["diagnose", hidden, "-o", str(folder), *SETS]) == 0
+    assert run(["diagnose", hidden, "-o", str(folder)]) == 0
     assert (folder / "diagnosis.png").read_bytes().startswith(b"\x89PNG")
     lines = (folder / "candidates.csv").read_text().splitlines()
     lines = [line for line in lines if not line.startswith("#")]
@@ -63,7 +62,7 @@ def test_pictures_and_numbers_on_request(hidden: str, tmp_path: Path, capsys: py
 
 
 def test_an_effect_that_is_in_the_model(hidden: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["diagnose", hidden, "--effect", "backlash_y", "--json", *SETS]) == 0
+    assert run(["diagnose", hidden, "--effect", "backlash_y", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["verdict"] == "adequate"
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
@@ -75,7 +74,7 @@ def test_an_effect_of_ones_own_is_looked_for(hidden: str, tmp_path: Path, capsys
         "effects:\n- id: my_lag\n  enters: reading\n  formula: b * dir_y * sin(azimuth)\n"
         "  coefficients: {b: {unit: m, low: 0, high: 5.0e-5}}\n"
     )
-    status = run(["diagnose", hidden, "--effects-file", str(own), "--json", *SETS])
+    status = run(["diagnose", hidden, "--effects-file", str(own), "--json"])
     shown = capsys.readouterr()
     assert status == 0, shown.err
     document = json.loads(shown.out)
@@ -94,12 +93,8 @@ def test_an_effect_of_ones_own_is_looked_for(hidden: str, tmp_path: Path, capsys
 def test_a_wrong_request_is_one_line(
     hidden: str, words: list[str], part: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["diagnose", *(hidden if word == "SESSION" else word for word in words), *SETS]) == 1
+    assert run(["diagnose", *(hidden if word == "SESSION" else word for word in words)]) == 1
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err.count("\n") == 1
     assert part in shown.err
-
-
-def test_too_few_simulated_sets_is_a_wrong_command_line(hidden: str) -> None:
-    assert run(["diagnose", hidden, "--sets", "20"]) == 2

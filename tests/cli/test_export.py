@@ -45,7 +45,7 @@ def test_effects_of_the_history(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run(call) == 1
     assert "no model was tried yet" in capsys.readouterr().err
     assert run([*call, "--effect", "backlash_y"]) == 2
-    assert run(["improve", str(session), "--sets", "199", "--json"]) == 0
+    assert run(["improve", str(session), "--json"]) == 0
     capsys.readouterr()
     assert run([*call, "--json"]) == 0
     shown = capsys.readouterr()

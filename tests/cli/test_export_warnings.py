@@ -33,7 +33,7 @@ def improved(found_once: None, session: Path, tmp_path_factory: pytest.TempPathF
     folder.mkdir()
     for name in ("session.yaml", "observations.csv"):
         (folder / name).write_bytes((session / name).read_bytes())
-    assert run(["improve", str(folder), "--sets", "199", "-o", str(folder.parent / "out")]) == 0
+    assert run(["improve", str(folder), "-o", str(folder.parent / "out")]) == 0
     return folder
 
 

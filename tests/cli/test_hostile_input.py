@@ -109,7 +109,6 @@ def test_a_recording_that_names_a_file_twice(capsys: pytest.CaptureFixture[str],
         ["record", "--namespace", "/cell-1"],
         ["play", "bag", "--remap", ":="],
         ["play", "bag", "--remap", "/reading:=/cell 2/reading"],
-        ["improve", "session", "--sets", "1000000000"],
         ["budget", "session", "--draws", "1000000000"],
     ],
 )

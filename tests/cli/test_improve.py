@@ -15,7 +15,6 @@ from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import read_history
 
 pytestmark = pytest.mark.usefixtures("found_once")
-SETS = ["--sets", "199"]
 Run = pytest.CaptureFixture[str]
 
 
@@ -28,7 +27,7 @@ def cube(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 
 def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, capsys: Run) -> None:
-    assert run(["improve", str(cube), *SETS]) == 0
+    assert run(["improve", str(cube)]) == 0
     shown = capsys.readouterr()
     assert shown.out.startswith("Added backlash_y: the residual falls from")
     assert "+ backlash_y" in shown.out
@@ -49,7 +48,7 @@ def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, cap
 
 
 def test_one_document(cube: Path, tmp_path: Path, capsys: Run) -> None:
-    assert run(["improve", str(cube), "--json", "--no-history", "-o", str(tmp_path / "here"), *SETS]) == 0
+    assert run(["improve", str(cube), "--json", "--no-history", "-o", str(tmp_path / "here")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["format"] == "mtcal-improvement/1"
     assert [s["change"] for s in document["steps"]] == ["", "backlash_y"]
@@ -62,7 +61,7 @@ def test_one_document(cube: Path, tmp_path: Path, capsys: Run) -> None:
 
 
 def test_history_is_listed_compared_and_undone(cube: Path, capsys: Run) -> None:
-    assert run(["improve", str(cube), *SETS]) == 0
+    assert run(["improve", str(cube)]) == 0
     capsys.readouterr()
     assert run(["history", str(cube)]) == 0
     listed = capsys.readouterr().out
@@ -82,7 +81,7 @@ def test_history_is_listed_compared_and_undone(cube: Path, capsys: Run) -> None:
     assert read_history(cube / "history.yaml").current == 2
     # Improving once more repeats nothing.
     before = (cube / "history.yaml").read_text()
-    assert run(["improve", str(cube), *SETS]) == 0
+    assert run(["improve", str(cube)]) == 0
     assert (cube / "history.yaml").read_text() == before
 
 
@@ -90,7 +89,7 @@ def test_a_bag_keeps_its_history_beside_it(cube: Path, tmp_path: Path, capsys: R
     bag = tmp_path / "run.mcap"
     assert run(["convert", str(cube), str(bag)]) == 0
     capsys.readouterr()
-    assert run(["improve", str(bag), *SETS]) == 0
+    assert run(["improve", str(bag)]) == 0
     assert (tmp_path / "run.mcap.history.yaml").exists()
     assert run(["history", str(bag)]) == 0
     assert "backlash_y" in capsys.readouterr().out
@@ -98,7 +97,7 @@ def test_a_bag_keeps_its_history_beside_it(cube: Path, tmp_path: Path, capsys: R
 
 def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, capsys: Run) -> None:
     (cube / "history.yaml").write_text("models: [")
-    for words in (["improve", str(cube), *SETS], ["history", str(cube)]):
+    for words in (["improve", str(cube)], ["history", str(cube)]):
         assert run(words) == 1
         shown = capsys.readouterr()
         assert shown.out == ""

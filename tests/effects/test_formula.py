@@ -140,7 +140,7 @@ def test_an_own_effect_is_found_and_added_like_any_other() -> None:
     model = build_model(session)[0]
     hidden = 3e-6 * mine.columns(model.observations, (1500.0,))[0]
     disturbed = session.with_readings(_moved(session.readings, hidden))
-    found = diagnose(Chosen((disturbed,), own=(mine,)), sets=19)
+    found = diagnose(Chosen((disturbed,), own=(mine,)))
     assert found.verdict == "missing_effect"
     assert "settling_y" in found.accepted
     result = identify(disturbed, effects=["settling_y"], own=[mine])

@@ -142,7 +142,7 @@ def test_the_loop(folder: Path, fit: mtcal.Fit) -> None:
     if folder.name == "tracking_interferometer":  # whose diagnosis is in docs/python.md
         assert fit.add("backlash_y").parameters.loc["backlash_y.b", "determined"]
         return
-    diagnosis = fit.diagnose(sets=19)
+    diagnosis = fit.diagnose()
     assert diagnosis.probability.between(0, 1).all()
     better = fit.add(diagnosis.effects)
     assert better.effects == diagnosis.effects

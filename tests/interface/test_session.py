@@ -86,7 +86,7 @@ def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal
     assert "bend" not in mtcal.catalogue().index
     known = mtcal.identify(session, own=[bend])
     assert known.effects == ()
-    assert "bend" in known.diagnose(sets=19).probability
+    assert "bend" in known.diagnose().probability
     added = known.add(["backlash_x", "bend"])
     assert added.effects == ("backlash_x", "bend")
     assert fit.add(bend).parameters.loc["bend.q", "determined"]
@@ -95,7 +95,7 @@ def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal
 
 def test_readings_that_do_not_belong_are_out_of_the_last_fits() -> None:
     session = mtcal.simulate("iso230_2", effects={"backlash_x": 1.5e-6}, chips=0.04, seed=8)
-    improvement = mtcal.improve(session, sets=19)
+    improvement = mtcal.improve(session)
     aside = improvement.diagnosis.outliers
     assert len(aside) == len(improvement.done.steps[-1].set_aside[0]) > 0
     assert [len(fit.measurement.readings) for fit in improvement.fits][-1] == len(session.readings) - len(aside)

@@ -110,10 +110,10 @@ def test_it_is_identified_and_compared_as_the_others_are(tmp_path: Path) -> None
 
 @pytest.mark.usefixtures("plugin")
 def test_nothing_is_found_where_nothing_is_missing_and_a_backlash_where_there_is_one(tmp_path: Path) -> None:
-    sound = diagnose(read_session(circles(tmp_path / "sound")), sets=19)
+    sound = diagnose(read_session(circles(tmp_path / "sound")))
     assert sound.verdict == "adequate"
     assert sound.accepted == ()
-    found = diagnose(read_session(circles(tmp_path / "lost", backlash=BACKLASH)), sets=19)
+    found = diagnose(read_session(circles(tmp_path / "lost", backlash=BACKLASH)))
     assert found.verdict == "missing_effect"
     assert found.accepted == ("backlash_y",)
 

@@ -118,7 +118,6 @@ WRONG = [
     ("effects_files", ["/nowhere.yaml"], "/nowhere.yaml: no such file"),
     ("magnification", float("nan"), "magnification"),
     ("magnification", float("inf"), "magnification"),
-    ("sets", 3, "sets"),
 ]
 
 

@@ -31,7 +31,7 @@ def days() -> list[Session]:
 
 
 def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
-    advice = what_to_measure(diagnose(Chosen(days, LABELS), sets=19))
+    advice = what_to_measure(diagnose(Chosen(days, LABELS)))
     separation = next(s for s in advice.separations if "retroreflector_form" in s.effects)
     assert "pointer_radial_error" in separation.effects
     assert separation.kind == "turned"

@@ -18,7 +18,7 @@ Simulated = Callable[..., Session]
 
 def look(session: Session) -> tuple[Diagnosis, Advice]:
     """What a diagnosis says, and what to measure next; its progress is told, and rises."""
-    found = diagnose(session, sets=19)
+    found = diagnose(session)
     shares: list[float] = []
     advice = what_to_measure(found, progress=lambda what, share: shares.append(share))
     assert shares and shares == sorted(shares)
@@ -58,7 +58,7 @@ def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None
 
 
 def test_a_group_of_the_effect_found_begins_with_it(simulated: Simulated) -> None:
-    found = diagnose(simulated("tracking_2d", 5, FlawSpec(id="backlash_y", amplitude=1.5e-6)), sets=19)
+    found = diagnose(simulated("tracking_2d", 5, FlawSpec(id="backlash_y", amplitude=1.5e-6)))
     groups = [group for group in alias_groups_of(found) if "backlash_y" in group]
     assert all(group[0] == "backlash_y" for group in groups)
 
@@ -74,7 +74,7 @@ def test_backlash_that_one_direction_hides_shows_when_turning_back() -> None:
     plan = PRESETS["rotary_axis"]
     effects = (FlawSpec(id="backlash_c", size=1.5 * promised),)
     session = simulate(SimulationSpec(plan=plan, seed=0, effects=effects)).session
-    assert "backlash_c" in diagnose(session, sets=19).accepted
+    assert "backlash_c" in diagnose(session).accepted
 
 
 def test_a_promised_size_is_what_the_longer_measurement_detects(simulated: Simulated) -> None:
@@ -102,7 +102,7 @@ def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) ->
     warm = FlawSpec(id="warmup_y", size=3e-5, parameters={"tau": 900.0})
     flaws = (warm, FlawSpec(id="pointer_radial_error", amplitude=4e-6))
     session = simulated("tracking_2d", 5, *flaws)
-    found = diagnose(Chosen((session,), effects=("warmup_y", "pointer_radial_error", "backlash_x")), sets=19)
+    found = diagnose(Chosen((session,), effects=("warmup_y", "pointer_radial_error", "backlash_x")))
     present = {p.effect.id: p for p in present_effects(found)}
     assert set(present) == {"warmup_y", "pointer_radial_error", "backlash_x"}
     assert present["warmup_y"].shape[0] > 0

@@ -17,7 +17,7 @@ from machine_tool_calibration.plots.diagnosis import draw_diagnosis, save_diagno
 from machine_tool_calibration.plots.improve import draw_improvement, save_improvement
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-from ..diagnosed import SETS, diagnosed
+from ..diagnosed import diagnosed
 
 FLAWS = {
     "tracking_2d": FlawSpec(id="backlash_y", size=1.5e-6),
@@ -31,7 +31,7 @@ FLAWS = {
 @cache
 def improved(plan: str) -> Improvement:
     spec = SimulationSpec(plan=PRESETS[plan], seed=7, effects=(FLAWS[plan],))
-    return improve(simulate(spec).session, sets=SETS)
+    return improve(simulate(spec).session)
 
 
 @pytest.mark.parametrize(

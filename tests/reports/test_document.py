@@ -27,7 +27,7 @@ VERDICTS = {
         plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),)
     ),
     "unexplained": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=4e-6),)
+        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=6e-6),)
     ),
     "look-alike": SimulationSpec(
         plan=PRESETS["tracking_2d"], seed=5, effects=(FlawSpec(id="pointer_radial_error", amplitude=4e-6),)
@@ -214,7 +214,7 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:
     session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",)), sets=19), Advice(), {})
+    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",))), Advice(), {})
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
     assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
     assert document["fit"]["before"]["rms_residual"] < 4e-7

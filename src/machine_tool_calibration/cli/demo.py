@@ -283,7 +283,7 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     from machine_tool_calibration.diagnosis.improve import improve
     from machine_tool_calibration.plots.improve import save_improvement
 
-    improvement = improve(measured.session, seed=seed, progress=progress)
+    improvement = improve(measured.session, progress=progress)
     progress("drawing", 1.0)
     folder = measured.output / "pictures"
     folder.mkdir()

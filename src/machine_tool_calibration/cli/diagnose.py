@@ -12,7 +12,6 @@ from machine_tool_calibration.cli.diagnosing import (
     history_option,
     model_options,
     note_written,
-    search_options,
     sessions_argument,
 )
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
@@ -24,7 +23,6 @@ __all__ = ["command"]
 @sessions_argument
 @model_options
 @history_option
-@search_options
 @click.option("--all", "everything", is_flag=True, help="List every effect that was looked for.")
 @click.option(
     "-o",
@@ -36,8 +34,6 @@ __all__ = ["command"]
 def command(
     measurements: tuple[Path, ...],
     wanted: Wanted,
-    seed: int,
-    sets: int,
     everything: bool,
     output: Path | None,
     as_json: bool,
@@ -63,7 +59,7 @@ def command(
 
     chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
-        found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, SEARCH * share))
+        found = diagnose(chosen, progress=lambda what, share: progress(what, SEARCH * share))
         then = conclude(found, progress=progress)
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis

@@ -13,7 +13,6 @@ import click
 
 from machine_tool_calibration.cli.output import note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import JointFit
@@ -29,7 +28,6 @@ __all__ = [
     "model_options",
     "no_model",
     "note_written",
-    "search_options",
     "sessions_argument",
     "unused_model",
 ]
@@ -236,20 +234,6 @@ def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
         return function(wanted=Wanted(effects, files, model, keep, from_history), **more)
 
     return _model_options(collected)
-
-
-search_options = options(
-    click.option(
-        "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated data sets."
-    ),
-    click.option(
-        "--sets",
-        type=click.IntRange(199, MOST_DRAWS),
-        default=199,
-        show_default=True,
-        help="Simulated data sets in which nothing is missing: they give the p-values.",
-    ),
-)
 
 
 def note_written(paths: Sequence[Path]) -> None:

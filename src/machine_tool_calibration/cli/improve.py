@@ -14,7 +14,6 @@ from machine_tool_calibration.cli.diagnosing import (
     Wanted,
     model_options,
     note_written,
-    search_options,
     sessions_argument,
 )
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
@@ -59,7 +58,6 @@ def _keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> 
 @click.command("improve")
 @sessions_argument
 @model_options
-@search_options
 @click.option(
     "-o",
     "--output",
@@ -71,8 +69,6 @@ def _keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> 
 def command(
     measurements: tuple[Path, ...],
     wanted: Wanted,
-    seed: int,
-    sets: int,
     output: Path | None,
     history: bool,
     as_json: bool,
@@ -99,7 +95,7 @@ def command(
         # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
     with progress_bar() as progress:
-        done = improve(chosen, seed=seed, sets=sets, progress=progress)
+        done = improve(chosen, progress=progress)
     # What is to be kept is written before anything is printed: the reader of the output may go away. What cannot be
     # written is said at the end, and loses nothing else.
     written: list[Path] = []

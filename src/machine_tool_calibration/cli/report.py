@@ -13,7 +13,6 @@ from machine_tool_calibration.cli.diagnosing import (
     history_option,
     model_options,
     note_written,
-    search_options,
     sessions_argument,
 )
 from machine_tool_calibration.cli.output import progress_bar
@@ -40,7 +39,7 @@ __all__ = ["command"]
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
 @history_option
 @model_options
-@search_options
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
 def command(
     measurements: tuple[Path, ...],
     outputs: tuple[Path, ...],
@@ -51,7 +50,6 @@ def command(
     diagnosis: bool,
     wanted: Wanted,
     seed: int,
-    sets: int,
 ) -> None:
     """Write a report to hand over: one file that holds all it needs.
 
@@ -81,7 +79,6 @@ def command(
             wanted.open(measurements),
             diagnosis=diagnosis,
             seed=seed,
-            sets=sets,
             contributors=contributors,
             tolerances=limits,
             progress=progress,

@@ -11,13 +11,13 @@ from machine_tool_calibration.errors import CalibrationError
 __all__ = ["MOST_DRAWS", "require_kind", "require_whole"]
 
 MOST_DRAWS = 100_000
-"""Simulated data sets that can be asked for: quantiles of more are no better known than what is drawn from."""
+"""Random draws that can be asked for: quantiles of more are no better known than what is drawn from."""
 # Smallest and largest.
-_LIMITS = {"seed": (0, 2**63 - 1), "sets": (1, MOST_DRAWS), "draws": (0, MOST_DRAWS)}
+_LIMITS = {"seed": (0, 2**63 - 1), "draws": (0, MOST_DRAWS)}
 
 
 def require_whole(**numbers: Any) -> None:
-    """Refuse a `seed`, or numbers of `sets` or `draws`, that are no whole numbers within their limits.
+    """Refuse a `seed`, or a number of `draws`, that is no whole number within its limits.
 
     Raises:
         CalibrationError: one of them is not.

@@ -197,7 +197,7 @@ class Diagnosis(Shown):
     def candidates(self) -> pd.DataFrame:
         """Every effect that was looked for, by its id, the most probable first; SI.
 
-        Columns: `probability`, `p_value` (chance of doing as well, paid for the whole search), `delta_bic`,
+        Columns: `probability`, `p_value` (largest chance of so much evidence if nothing is missing), `delta_bic`,
         `plausible` (whether such a size occurs), `rms_before` and `rms_after` of the residuals (m), `map_change_rms`
         (m; NaN where it was not worked out).
         """

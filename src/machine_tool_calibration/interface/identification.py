@@ -274,12 +274,8 @@ class Fit(Shown):
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
         return MapComparison(compare_fits(*pair, labels, seed=seed))
 
-    def diagnose(self, *, seed: int = 1, sets: int = 199) -> Diagnosis:
+    def diagnose(self) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
-
-        Args:
-            seed: of the simulated data sets.
-            sets: simulated data sets in which nothing is missing: they check how often chance does as well.
 
         Raises:
             ModelError: the data does not allow the model.
@@ -287,8 +283,7 @@ class Fit(Shown):
         from machine_tool_calibration.diagnosis.diagnose import diagnose
         from machine_tool_calibration.interface.diagnosis import Diagnosis
 
-        require_whole(seed=seed, sets=sets)
-        return Diagnosis(diagnose(self.chosen, seed=seed, sets=sets))
+        return Diagnosis(diagnose(self.chosen))
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
         """The same measurement with further effects in the model.

@@ -15,7 +15,6 @@ from machine_tool_calibration.diagnosis.improve import Step, step_after
 from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.interface.arguments import require_whole
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
@@ -116,8 +115,6 @@ def improve(
     model: str | None = None,
     effects: str | PhysicalEffect | Sequence[str | PhysicalEffect] = (),
     own: Sequence[PhysicalEffect] = (),
-    seed: int = 1,
-    sets: int = 199,
 ) -> Improvement:
     """Find the missing effects, add them one after the other, and identify with each.
 
@@ -129,17 +126,14 @@ def improve(
         model: variant of the method's model; the method's default if absent.
         effects: in the first model already: ids, or effects of the user's own.
         own: effects of the user's own that are looked for beside the catalogue.
-        seed: of the simulated data sets.
-        sets: simulated data sets in which nothing is missing.
 
     Raises:
         SessionError: a session cannot be read.
         ModelError: the data does not allow the model, or an effect is unknown.
     """
-    require_whole(seed=seed, sets=sets)
     measurement = load(session)
     ids, known = split_effects(effects, own)
-    done = improve_models(measurement.chosen(model, ids, known), seed=seed, sets=sets)
+    done = improve_models(measurement.chosen(model, ids, known))
     return Improvement(measurement, done)
 
 

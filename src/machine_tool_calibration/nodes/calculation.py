@@ -49,8 +49,6 @@ class Request:
         model: variant of the method's model; None for its default.
         effects: ids of the effects in the model.
         files: of the user's own effects.
-        seed: of the simulated data sets of a diagnosis.
-        sets: how many of them.
     """
 
     text: str
@@ -58,8 +56,6 @@ class Request:
     model: str | None
     effects: tuple[str, ...]
     files: tuple[str, ...]
-    seed: int
-    sets: int
 
     def chosen(self) -> Chosen:
         """The readings as a session, and the model.
@@ -150,12 +146,7 @@ def improved(request: Request, progress: Progress) -> Improved:
 
 
 def _searched(search: Callable[..., Found], request: Request, progress: Progress) -> Found:
-    return search(
-        request.chosen(),
-        seed=request.seed,
-        sets=request.sets,
-        progress=lambda step, share: progress(step, SEARCH * share),
-    )
+    return search(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
 
 
 def _identified(result: Result) -> Identified:

@@ -96,15 +96,6 @@ class Estimator(GuardedNode):
             "ids of physical effects in the model; estimator/improve adds those that it finds",
             read_only=False,
         )
-        self.declare("seed", 1, "of a diagnosis's simulated data sets", low=0, high=2**31 - 1, read_only=False)
-        self.declare(
-            "sets",
-            199,
-            "simulated data sets in which nothing is missing; they give the p-values",
-            low=199,
-            high=99_999,
-            read_only=False,
-        )
         self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False)
 
     def close(self) -> None:
@@ -194,17 +185,13 @@ class Estimator(GuardedNode):
         offer(self, "estimator", name, called)
 
     def _request(self) -> Request:
-        values = {
-            name: self.get_parameter(name).value for name in ("model", "effects", "effects_files", "seed", "sets")
-        }
+        values = {name: self.get_parameter(name).value for name in ("model", "effects", "effects_files")}
         return Request(
             text=self._text,
             readings=self._received.in_order(),
             model=values["model"] or None,
             effects=tuple(name for name in values["effects"] or () if name),
             files=tuple(name for name in values["effects_files"] or () if name),
-            seed=values["seed"],
-            sets=values["sets"],
         )
 
     def _identified(self, outcome: Identified) -> tuple[str, Mapping[str, Any]]:

@@ -57,7 +57,6 @@ def evaluate(
     *,
     diagnosis: bool = True,
     seed: int = 1,
-    sets: int = 199,
     contributors: Sequence[Contributor] = (),
     tolerances: Mapping[str, Any] | None = None,
     progress: Callable[[str, float], None] = lambda what, share: None,
@@ -67,8 +66,7 @@ def evaluate(
     Args:
         measured: what, and how.
         diagnosis: whether to look for what the model lacks, which takes longest.
-        seed: of the simulated data sets of the diagnosis, and of random draws.
-        sets: simulated data sets in which nothing is missing.
+        seed: of random draws.
         contributors: of the uncertainty budget.
         tolerances: by figure, as `budget.tolerances` reads them.
         progress: called with what is being done and the share that is finished.
@@ -79,7 +77,7 @@ def evaluate(
     progress("identifying", 0.0)
     result = identify_sessions(measured.chosen)
     held = compare(result)
-    improved = improve(measured.chosen, seed=seed, sets=sets, progress=progress) if diagnosis else None
+    improved = improve(measured.chosen, progress=progress) if diagnosis else None
     fitted = fitted_sessions(result)
     budget = None
     if contributors:

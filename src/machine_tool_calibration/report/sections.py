@@ -45,7 +45,9 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
+from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.verdict import good_enough, left_words
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
@@ -208,6 +210,7 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
         yield words("averaged", sets=sets)
     if document["effects"]:
         yield _effects(found, words)
+        yield from map(words.phrase, negative_words(found.result.joint, document["effects"]))
     if "agreement" in document:
         yield words.phrase(document["agreement"]["statement"])
     yield from map_pictures(found, words)
@@ -293,7 +296,10 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
         return
     diagnosis = found.improvement.diagnosis
     named = ", ".join(f"{_title(name, found, words)} ({name})" for name in diagnosis.accepted)
-    yield words(f"verdict_{diagnosis.verdict}", effects=named, count=len(diagnosis.outliers))
+    small = "_good_enough" if good_enough(diagnosis) else ""
+    yield words(f"verdict_{diagnosis.verdict}{small}", effects=named, count=len(diagnosis.outliers))
+    yield from map(words.phrase, left_words(diagnosis))
+    yield from map(words.phrase, negative_words(diagnosis.fits[-1], diagnosis.accepted))
     ranked = [one for one in diagnosis.ranked if one.rank][:_CANDIDATES]
     rows = tuple(
         (

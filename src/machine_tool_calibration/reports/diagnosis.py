@@ -202,7 +202,7 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
                 f"{'✓ ' if name in accepted else ''}{name}",
                 letters.get(name, ""),
                 probability(r.probability),
-                probability(r.family_p_value),
+                probability(r.p_value),
                 sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(r)),
                 "" if r.plausible else "no",
                 _held_out(diagnosis, name),
@@ -216,7 +216,8 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     left = len(ranked) - len(rows)
     before = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
     note = (
-        "group: the same letter, confounded effects; p-value: corrected for the whole search; size ± U (k = 2); "
+        "group: the same letter, confounded effects; p-value: largest chance of so much evidence if nothing is "
+        "missing; size ± U (k = 2); "
         "cross-validation: fall of the mean square error of predicting readings left out, worst of setups, blocks of "
         f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before}"
     )

@@ -33,11 +33,10 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
 
     Beyond the contract: `accepted` (effects named as the cause, the surest first), `likely` (those that are not sure
     enough), `refused` (probable effects that are not added, with the reason), `sets` (sets of effects with their
-    probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce),
-    `false_alarm_rate` (of this search where nothing is missing), and in every candidate `plausible`, `p_value_alone`
-    (not paid for the search), `explained_rms` and `predicts` (readings that were left out); `detectable`, `excluded`,
-    `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly shows) and
-    `dominant` (what dominates the map's uncertainty, and what makes it smaller).
+    probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce), and in
+    every candidate `plausible`, `explained_rms` and `predicts` (readings that were left out); `detectable`,
+    `excluded`, `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly
+    shows) and `dominant` (what dominates the map's uncertainty, and what makes it smaller).
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
     """
@@ -63,7 +62,6 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
         "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _TOLD],
-        "false_alarm_rate": look.false_alarms,
         "fit": {
             "before": _fit(diagnosis.fits[0]),
             "after": _fit(diagnosis.fits[-1]),
@@ -100,8 +98,7 @@ def candidate_document(diagnosis: Diagnosis, found: Finding, changes: Mapping[st
     return {
         "effect": found.name,
         "probability": found.probability,
-        "p_value": found.family_p_value,
-        "p_value_alone": found.p_value,
+        "p_value": found.p_value,
         "delta_bic": -found.bic_gain,
         "rms_before": before,
         "rms_after": after,

@@ -27,6 +27,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     value_and_uncertainties,
 )
+from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 
@@ -184,6 +185,8 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
     if aside.rows:
         show_table(screen, aside)
     _show_parameters(screen, document, fit)
+    for words in negative_words(fit, document["effects"]):
+        screen.print(words)
     namesakes = _namesakes(fit)
     missing = document["not_determined"]
     lost = (("effect " * (entry["name"] in namesakes) + entry["name"], entry["why"]) for entry in missing)

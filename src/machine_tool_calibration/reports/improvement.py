@@ -15,6 +15,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
+from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
@@ -63,6 +64,9 @@ def step_document(step: Step) -> dict[str, Any]:
 def show_improvement(screen: Console, done: Improvement) -> None:
     """In words first, then a row for every step and before and after side by side."""
     screen.print(_words(done), markup=False)
+    last = done.steps[-1].result
+    for words in negative_words(last.joint, last.effects):
+        screen.print(words, markup=False)
     show_suspicions(screen, suspicions(done.diagnosis.chosen.sessions, done.diagnosis.chosen.labels))
     show_table(screen, _steps(done))
     if len(done.steps) > 1:

@@ -11,6 +11,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.look import Structure
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, SURE
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.quantities import (
     p_value,
@@ -21,11 +22,12 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
+from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["mounted_more_than_once", "verdict_words"]
+__all__ = ["good_enough", "left_words", "mounted_more_than_once", "verdict_words"]
 
 # Chance below which residuals count as larger than declared.
 _TOO_LARGE = 0.01
@@ -39,9 +41,11 @@ _SHARED = 0.7
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
     """Paragraphs: the verdict, every effect found, and what the data does not determine."""
     yield _verdict(diagnosis)
+    yield from left_words(diagnosis)
     yield from (f"Suspicious: {words}" for words in suspicions(diagnosis.chosen.sessions, diagnosis.chosen.labels))
     for name in diagnosis.accepted:
         yield _found(diagnosis, name, changes.get(name), advice)
+    yield from negative_words(diagnosis.fits[-1], diagnosis.accepted)
     for name, why in diagnosis.refused.items():
         p = probability(diagnosis.look.of(name).probability)
         yield f"{_title(diagnosis, name)} is probable ({p}) and not added: {why}."
@@ -51,20 +55,24 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].stated.sizes])
-    yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
 
 
-def _reversed(diagnosis: Diagnosis) -> Iterator[str]:
-    """Backlash that comes out negative and is certain."""
-    for f in diagnosis.look.findings:
-        certain = any(s.value < -_APART * s.standard_uncertainty for s in f.sizes)
-        if f.rank and certain and f.name.startswith("backlash_"):
-            axis = f.name[-1]
-            yield (
-                f"{f.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
-                "the deviations, looks reversed, or the control compensates more than there is."
-            )
+def good_enough(diagnosis: Diagnosis) -> bool:
+    """Whether the model lacks something for sure that is too small to matter."""
+    look, sound = diagnosis.look, diagnosis.verdict in ("adequate", "outliers")
+    return sound and (look.unknown > ACCEPTED or look.nothing < 1.0 - SURE)
+
+
+def left_words(diagnosis: Diagnosis) -> Iterator[str]:
+    """What to make of structure that is left where nothing is missing: one sentence."""
+    if good_enough(diagnosis):
+        yield (
+            "Structure is left in the residuals, small beside the declared uncertainty of a reading or in what it does "
+            "to the map: the model is good enough without it."
+        )
+    elif diagnosis.look.left and diagnosis.verdict in ("adequate", "outliers"):
+        yield "Whether the structure that seems to be left in the residuals is more than chance is not sure."
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -82,16 +90,18 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         return "The model lacks something that no effect of the catalogue explains. No effect is named as the cause."
     if diagnosis.verdict == "outliers":
-        n = len(diagnosis.outliers)
+        n, shown = len(diagnosis.outliers), "matters" if good_enough(diagnosis) else "this measurement could show"
         many = "One reading does" if n == 1 else f"{n} readings do"
         return (
             f"{many} not belong to the rest: single, large deviations that do not repeat, as a chip or a broken beam "
-            f"makes them. Without them nothing is missing that this measurement could show; the residual is {residual}."
+            f"makes them. Without them nothing is missing that {shown}; the residual is {residual}."
         )
     if diagnosis.likely:
         return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
     if diagnosis.chosen.sessions[0].spec.reads_machine and look.fit.p_value < _TOO_LARGE:
         return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
+    if good_enough(diagnosis):
+        return f"Nothing is missing that matters: the residual is {residual}."
     return (
         f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
         f"is {residual}."

@@ -13,6 +13,7 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
+from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
@@ -181,7 +182,7 @@ class DiagnosePage:
             f"{then.reduced_chi_square:.3g}"
         )
         words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
-        self._said.object = escape(f"{words}.")
+        self._said.object = escape(" ".join([f"{words}.", *negative_words(trial.fit.result.joint, [name])]))
 
     def _use(self) -> None:
         if self._trial is not None:

@@ -82,10 +82,11 @@ def test_the_map_has_the_right_uncertainty(
 
 def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace, reproducible: None) -> None:
     """The mean over sizes and shapes from the normal equations of any fit is that of the single session."""
-    session = several.measured("diagonals", 1, _random(1, 5e-6)).session
+    session = several.measured("diagonals", 2, _random(2, 5e-6)).session
     alone = build(session)
     common = common_models([alone], [""])
     fit = fit_models(settled(common.models, [""], common.angles), random=random_of(common.angles))
+    assert fit.stated.scatter == 1.0  # readings that scatter no more than declared
     found = stated(fit, common.angles)
     assert found is not None and alone.spread is not None and alone.spread.posterior is not None
     assert found.size == pytest.approx(alone.spread.posterior.size, rel=1e-4)

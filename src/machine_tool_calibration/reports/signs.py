@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What it means that a coefficient is negative that is positive by its nature, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.result import effect_estimates
+
+__all__ = ["negative_words"]
+
+# Standard uncertainties below zero from which a coefficient is negative.
+_SURE = 2.0
+_BACKLASH = "overcompensated, or directions of approach exchanged"
+_OTHERS = "which it cannot be by its nature: look for another cause, or for a sign that was exchanged"
+
+
+def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
+    """A sentence for every coefficient that is positive by its nature and negative in the readings.
+
+    Args:
+        fit: with the effects in the model.
+        effects: their ids.
+    """
+    unknowns = fit.assembly.unknowns
+    for found in effect_estimates(fit, list(effects)):
+        unknown = unknowns[found.name]
+        # A nonlinear coefficient is positive wherever it is looked for.
+        if unknown.low == 0.0 and unknown.reference == 0.0 and found.value < -_SURE * found.standard_uncertainty:
+            backlash = found.owner.startswith("backlash_")
+            what = found.owner if backlash else found.name
+            yield f"{what} is negative: {_BACKLASH}." if backlash else f"{what} is negative, {_OTHERS}."
