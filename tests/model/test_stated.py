@@ -222,7 +222,7 @@ def test_spread_between_mountings_is_found_and_in_the_maps_uncertainty(plan: str
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d"])
 def test_what_a_model_lacks_is_no_spread_where_readings_were_repeated(plan: str) -> None:
-    """A misfit that is the same in every repeat neither looks like a spread nor moves the map; a real spread is found."""
+    """A misfit that is the same in every repeat neither looks like a spread nor moves the map; a real spread does."""
     session = simulate(SimulationSpec(plan=PRESETS[plan], seed=5)).session
     readings = session.readings
     setup = np.cos(7.0 * readings.position().sum(axis=1) / 0.5 + 2.0 * readings.setup)

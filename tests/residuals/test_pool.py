@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
 from machine_tool_calibration.methods.step_diagonal.small_angles import NONE, mean_shape
-from machine_tool_calibration.residuals.imperfection import IMPERFECTION_SIZES
+from machine_tool_calibration.model.imperfection import IMPERFECTION_SIZES
 from machine_tool_calibration.residuals.pool import RANDOM, Pool
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 

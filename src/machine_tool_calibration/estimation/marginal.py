@@ -42,7 +42,7 @@ _EDGE, _MOST_STEPS = 1e-3, 40
 def _log_prior(lattice: Array) -> Array:
     """(1 + sizes,) logarithm of the prior of size zero and of those of a lattice: a half-Cauchy density in ln(size)."""
     density = lattice / (1.0 + (lattice / _SCALE) ** 2)
-    return np.log(np.append(_NONE, (1.0 - _NONE) * density / density.sum()))
+    return np.asarray(np.log(np.append(_NONE, (1.0 - _NONE) * density / density.sum())))
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, metric_at
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
 from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
+from machine_tool_calibration.model.imperfection import IMPERFECT, IMPERFECTION_SIZES, imperfection
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import Family, of_repeats, reproducibility
 
 if TYPE_CHECKING:
@@ -36,6 +38,8 @@ __all__ = ["FamilySize", "RandomPosterior", "RandomUnknowns", "Stated", "state"]
 _COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 8, 3
 # Readings that the declared uncertainty is worth where it need not hold.
 _HARDLY = 2.0
+# Readings up to which what every model lacks is in what is published: of more, U is what grows least.
+_ENOUGH = 20_000
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
 _SEEN = 1e-3
 
@@ -154,6 +158,8 @@ def state(joint: JointFit) -> Stated:
     problem, solution = joint.stripped, joint.solution
     # Rows of a plate that differ are the part's, as far as the map is concerned.
     families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
+    if joint.random is None and problem.n_readings <= _ENOUGH:
+        families = [(*own, *_imperfect(m.observations)) for own, m in zip(families, joint.assembly.models, strict=True)]
     parts, place, names = _widened(problem, families)
     u = len(place)
     wide = Problem(
@@ -214,30 +220,64 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     projected[-1, -1] = solution.chi_square
     freedom = solution.degrees_of_freedom
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
+    # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
+    reproduces = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
+    runs = np.flatnonzero(~reproduces)
+    own, families = place[runs], tuple(name for name in names if name != IMPERFECT)
+    some = np.append(runs, u)
+    inner = projected[np.ix_(some, some)]
     observed = [model.observations for model in joint.assembly.models]
-    repeated = of_repeats(observed, [fit.residuals / fit.model.sigma for fit in joint.fits], names) if u else None
+    left = [fit.residuals / fit.model.sigma for fit in joint.fits]
+    repeated = of_repeats(observed, left, families) if len(runs) else None
     found = components(
-        Gram(projected[:-1, :-1], projected[:-1, -1:], projected[-1:, -1], place, freedom),
-        None if repeated is None else repeated.outside(~seen, place),
+        Gram(inner[:-1, :-1], inner[:-1, -1:], inner[-1:, -1], own, freedom),
+        None if repeated is None else repeated.outside(~seen[runs], own),
     )
     chosen = np.argsort(-found.log_weights)
     most = _MOST if joint.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
-    left = float(weights @ found.squares[chosen])
-    scatter = _scatter(left, freedom)
+    squares_left = float(weights @ found.squares[chosen])
+    scatter = _scatter(squares_left, freedom)
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
+    tau = np.zeros((len(chosen), u))
+    tau[:, runs] = ratios[:, own]
+    if reproduces.any():
+        tau[:, reproduces] = _misfit(
+            projected, np.append(runs, np.flatnonzero(reproduces)), own, found.ratios[chosen[0]], freedom
+        )
     random = None
     if joint.random is None:
-        mean, covariance = _marginal(total, projected, root, ratios[:, place], weights, scatter)
+        mean, covariance = _marginal(total, projected, root, tau, weights, scatter, reproduces)
     else:
-        tried = [_at(joint, joint.random, problem, total, squares, tau[place], scatter) for tau in ratios]
+        tried = [_at(joint, joint.random, problem, total, squares, one, scatter) for one in tau]
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
         random = found_random[int(np.argmax(weights))]
-    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
-    size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
-    return _Marginal(mean, covariance, scatter, sizes, random, left, size)
+    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0)[runs], own, families, scatter)
+    return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
+
+
+def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], freedom: int) -> float:
+    """Root mean square of the size of what every model lacks a little, beside what does not reproduce.
+
+    Args:
+        projected: (u + 1, u + 1) inner products of all functions with the residual, outside the model.
+        order: (u,) the functions of runs, then those of what a model lacks.
+        own: family of each of the former.
+        ratio: size of each family, in units of the noise.
+        freedom: degrees of freedom of the readings beside the model's unknowns.
+    """
+    inner, data = projected[np.ix_(order, order)], projected[order, -1:]
+    family = np.append(own, np.full(len(order) - len(own), len(ratio)))
+    gram = Gram(inner, data, projected[-1:, -1], family, freedom)
+    logs = [metric_at(gram, (*ratio, s), float(np.log(p))).log_null[0] for s, p in IMPERFECTION_SIZES.items()]
+    return float(np.sqrt(special.softmax(logs) @ np.square(list(IMPERFECTION_SIZES))))
+
+
+def _imperfect(observations: Observations) -> tuple[Family, ...]:
+    shapes = imperfection(observations)
+    return (Family(IMPERFECT, np.zeros(len(observations), dtype=np.int64), shapes),) if len(shapes) else ()
 
 
 def _root(joint: JointFit, total: Array, squares: Array) -> Array:
@@ -250,7 +290,7 @@ def _root(joint: JointFit, total: Array, squares: Array) -> Array:
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
     """Parts with the random functions, the family of each coefficient, and the families' names."""
-    names = tuple(dict.fromkeys(family.name for own in families for family in own))[:3]
+    names = tuple(dict.fromkeys(family.name for own in families for family in own))
     parts, place, first = [], [np.zeros(0, dtype=np.int64)], problem.size
     for part, own in zip(problem.parts, families, strict=True):
         own = tuple(family for family in own if family.name in names)
@@ -277,7 +317,7 @@ def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -
 
 
 def _marginal(
-    total: Array, projected: Array, root: Array, sizes: Array, weights: Array, scatter: float
+    total: Array, projected: Array, root: Array, sizes: Array, weights: Array, scatter: float, unmoved: BoolArray
 ) -> tuple[Array, Array]:
     """Mean and covariance (over the square of `scatter`) of all unknowns with what does not reproduce.
 
@@ -290,11 +330,13 @@ def _marginal(
         sizes: (s, u) standard deviations of the functions' coefficients that are tried.
         weights: (s,) of these.
         scatter: standard uncertainties in units of those declared.
+        unmoved: (u,) functions that keep the mean of zero and their whole size: they widen what is published only.
     """
     m, u = len(root), sizes.shape[1]
     means, covariances = np.zeros((len(sizes), u)), np.zeros((len(sizes), u, u))
     for k, tau in enumerate(sizes):
-        used = np.flatnonzero(tau > 0)
+        used = np.flatnonzero((tau > 0) & ~unmoved)
+        covariances[k][unmoved, unmoved] = (tau**2)[unmoved]
         inner = np.linalg.inv(projected[np.ix_(used, used)] + np.diag(tau[used] ** -2.0))
         # At the solution the residual has nothing left along the model.
         means[k, used] = inner @ total[m + used, -1]

@@ -13,18 +13,15 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, screen_joint
+from machine_tool_calibration.model.imperfection import IMPERFECT, IMPERFECTION_SIZES, imperfection
 from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
-from machine_tool_calibration.residuals.imperfection import IMPERFECTION_SIZES, imperfection
 
-__all__ = ["IMPERFECT", "RANDOM", "Pool"]
+__all__ = ["RANDOM", "Pool"]
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _SHOWN = 0.3
-
-IMPERFECT = "imperfection"
-"""Name of the family of smooth functions that no model has."""
 
 RANDOM = "random functions"
 """Name of the family of the model's own unknowns that are random functions."""

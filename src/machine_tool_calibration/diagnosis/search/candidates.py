@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.search.laws import law_tolerance
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.residuals.imperfection import law_tolerance
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "shaped_at", "to_some_percent"]

@@ -19,13 +19,13 @@ from machine_tool_calibration.diagnosis.search.findings import (
     fitted_in,
     posterior_of,
 )
+from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, EFFECT, FURTHER, LAW, STRUCTURE, THE_SAME
 from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
-from machine_tool_calibration.residuals.imperfection import smooth_share
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -143,7 +143,7 @@ def look_at(
     found = _searched(columns, side_by_side)
     # What may be in is looked at again with laws that hold to some percent.
     ranked = sorted(
-        (k for k in found.single.best if k < len(candidates)), key=lambda k: -found.single.log_evidence[k, 0]
+        (k for k in found.single.best if k < len(candidates)), key=lambda k: -float(found.single.log_evidence[k, 0])
     )
     likely = sorted({*ranked[:_BEST], *(k for k in range(len(candidates)) if found.of(k) > _MAY_BE)})
     if likely:
