@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -129,5 +130,6 @@ def ros_domain() -> int:
 
 @pytest.fixture
 def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is published takes every run and mounting to reproduce exactly, for what is known in closed form then."""
+    """What is published takes all to reproduce and the model for exact, for what is known in closed form then."""
     monkeypatch.setattr("machine_tool_calibration.model.stated.reproducibility", lambda observations: ())
+    monkeypatch.setattr("machine_tool_calibration.model.stated.imperfection", lambda observations: np.zeros((0, 1)))

@@ -75,7 +75,7 @@ def test_a_beam_that_misses_the_elevation_axis_of_a_tracker() -> None:
     for name, true in (("d", 1e-4), ("q", 4e-6)):
         value, u = values[name]
         assert abs(value - true) < 4 * u
-    assert values["q"][1] < 1e-6
+    assert values["q"][1] < 0.3 * 4e-6
 
 
 @pytest.mark.parametrize("axis", ["A", "C"])

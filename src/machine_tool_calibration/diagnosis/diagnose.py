@@ -21,6 +21,7 @@ from machine_tool_calibration.diagnosis.search.priors import (
     CONTRADICTED,
     GOOD_ENOUGH,
     GROSS,
+    LEAST_GAIN,
     LIKELY,
     SMALL,
     SURE,
@@ -319,6 +320,7 @@ def _added(
             try:
                 wider = fit_with((*accepted, name))
                 _settled(wider.joint)
+                _explains(fitted[-1].joint, wider.joint)
                 _hold(fitted[-1].error_map, wider.error_map)
             except ModelError as error:
                 refused[name] = str(error)
@@ -372,6 +374,17 @@ def _settled(fit: JointFit) -> None:
     expected = fit.solution.chi_square
     if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.assembly.problem.priors is None:
         raise ModelError("together with the model's own unknowns the data does not determine it")
+
+
+def _explains(before: JointFit, after: JointFit) -> None:
+    """Nothing, if an effect lowers the sum of squares.
+
+    Raises:
+        ModelError: the model without it explains the readings as well, unknowns that are random functions aside.
+    """
+    gain = before.released.solution.chi_square - after.released.solution.chi_square
+    if gain < LEAST_GAIN * min(after.reduced_chi_square, 1.0):
+        raise ModelError("the model explains the readings as well without it")
 
 
 def _hold(before: ErrorMap, after: ErrorMap) -> None:

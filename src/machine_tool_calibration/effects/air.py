@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
@@ -15,6 +17,10 @@ __all__ = ["DeadPath", "RefractiveIndex"]
 # A beam in air whose wavelength measures.
 _BEAMS = ("laser_interferometer", "tracking_interferometer", "laser_tracker")
 _OPTICAL = ("step_diagonal", "tracking_interferometer", "rotary_axis", "direct")
+
+
+# A dead path of this length is usual on any machine, m.
+_LEAST_USUAL = 0.5
 
 
 def _deviation(observations: Observations) -> Array:
@@ -30,7 +36,7 @@ class RefractiveIndex(Effect):
     formula = "reading = g (n - n_standard) path"
     source = "Edlén; Bönsch and Potulski 1998; ISO 230-2:2014 Annex on laser interferometers"
     kind = "reading"
-    coefficients = (Coefficient("g", "1", -20.0, 20.0, "share that is not compensated; 1: all"),)
+    coefficients = (Coefficient("g", "1", -20.0, 20.0, "share that is not compensated; 1: all", usual=2.0),)
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity", "path", "displacement")
     methods = _OPTICAL
@@ -49,11 +55,17 @@ class DeadPath(Effect):
     formula = "reading = D (n - n_standard)"
     source = "ISO 230-2:2014, dead path; Ibaraki et al. 2014, Table 4, u14"
     kind = "reading"
-    coefficients = (Coefficient("D", "m", -20.0, 20.0, "length of the dead path"),)
+    coefficients = (Coefficient("D", "m", -20.0, 20.0, "length of the dead path", usual=_LEAST_USUAL),)
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity")
     methods = _OPTICAL
     instruments = _BEAMS
+
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
+        """Usually no longer than the machine or the paths that were measured: who has a longer one sees it."""
+        travel = [abs(end - start) for start, end in observations.session.description.machine.travel.values()]
+        longest = max([_LEAST_USUAL, *travel, float(np.abs(observations.path).max(initial=0.0))])
+        return (replace(self.coefficients[0], usual=longest),)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Deviation of the index."""

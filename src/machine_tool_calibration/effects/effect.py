@@ -26,6 +26,7 @@ class Coefficient:
         low: smallest plausible value; 0 where it is positive by its nature.
         high: largest plausible value.
         meaning: what it is, in a few words.
+        usual: largest size that is usual; what lies between it and the limits occurs, but seldom.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Coefficient:
     low: float
     high: float
     meaning: str = ""
+    usual: float = np.inf
 
     @property
     def least(self) -> float:

@@ -62,6 +62,7 @@ class ErrorMotionEffect(Effect):
 
     kind = "position"
     source = "ISO 230-1"
+    tolerance = 0.0  # geometry, and no law
 
     def __init__(self, name: str) -> None:
         """An error motion (EXX … ECZ) or a squareness (A0Z, B0Z, C0Y)."""

@@ -78,7 +78,7 @@ class PointerAxisOffset(Effect):
     kind = "reading"
     coefficients = (
         Coefficient("d", "m", -1e-3, 1e-3, "elevation axis in front of the azimuth axis"),
-        Coefficient("q", "m^2", 0.0, 1e-6, "square of the beam's distance from the axis"),
+        Coefficient("q", "m^2", 0.0, 1e-5, "square of the beam's distance from the axis"),
     )
     covariates = ("elevation", "path")
     methods = ("tracking_interferometer", "rotary_axis")

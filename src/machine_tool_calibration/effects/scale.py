@@ -20,6 +20,7 @@ class Scale(Effect):
     formula = "e = s position"
     source = "ISO 1; linear expansion of part or machine"
     kind = "position"
+    tolerance = 0.0  # geometry, and no law
     coefficients = (Coefficient("s", "1", -2e-3, 2e-3, "relative change of length"),)
     covariates = ("x", "y", "z", "path", "displacement")
     methods = ("step_diagonal", "tracking_interferometer", "probing", "direct")
@@ -36,6 +37,7 @@ class AxisScale(Effect):
     """
 
     kind = "position"
+    tolerance = 0.0  # geometry, and no law
     source = "ISO 230-1:2012, 3.4.3, linear part of the positioning error"
     methods = ("direct",)
 

@@ -19,7 +19,7 @@ __all__ = ["IMPERFECT", "IMPERFECTION_SIZES", "imperfection", "scaled"]
 IMPERFECT = "imperfection"
 """Name of the family of smooth functions that no model has."""
 
-IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.17, 0.5: 0.17, 1.0: 0.11, 2.0: 0.05}
+IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.2, 0.5: 0.2, 1.0: 0.1}
 """Sizes of what every model lacks, in units of the noise, with their prior probabilities: no larger than the readings
 scatter, since what is larger is an effect, or a structure to be named."""
 

@@ -68,7 +68,9 @@ def apart(one: Result, several: JointResult) -> np.ndarray:
         (3, ["thermal_expansion_x", "EAY"], False),
     ],
 )
-def test_four_sessions_of_one_station_are_one_session_of_four(dimension: int, effects: list[str], travel: bool) -> None:
+def test_four_sessions_of_one_station_are_one_session_of_four(
+    reproducible: None, dimension: int, effects: list[str], travel: bool
+) -> None:
     """The unknowns are the same: those of the machine, and of each station."""
     session = tracked(3, dimension, travel).session
     one = identify(session, model="rigid_body", effects=effects)

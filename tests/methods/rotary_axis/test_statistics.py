@@ -53,7 +53,7 @@ def test_variants_over_some_runs(rotary: SimpleNamespace, plan: dict[str, object
     assert chi.mean() == pytest.approx(1.0, abs=some.off(0.03))
 
 
-def test_repeats_lower_the_uncertainty_by_their_root(rotary: SimpleNamespace) -> None:
+def test_repeats_lower_the_uncertainty_by_their_root(reproducible: None, rotary: SimpleNamespace) -> None:
     one = identify(rotary.measured(1).session).error_map.content
     four = identify(rotary.measured(1, repeats=4).session).error_map.content
     for name in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC"):

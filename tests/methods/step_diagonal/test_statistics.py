@@ -47,7 +47,7 @@ def fitted(exact, many):
     return simulated, model, [_refitted(model, rng) for _ in range(many.part(2.0).count)]
 
 
-def test_translations_reach_the_bound_with_right_uncertainties(fitted, truth, many):
+def test_translations_reach_the_bound_with_right_uncertainties(reproducible, fitted, truth, many):
     simulated, model, fits = fitted
     free = _turn_free(model.blocks)
     true = truth(simulated, model.blocks)
@@ -103,7 +103,7 @@ def test_small_angles_keep_the_uncertainties_honest(exact, truth, many, case):
         assert np.sqrt(np.mean(square) / bound) < 1.0 + some.off(0.045)
 
 
-def test_least_squares_is_more_precise_than_the_new_formulation(exact, truth, many):
+def test_least_squares_is_more_precise_than_the_new_formulation(reproducible, exact, truth, many):
     clean = exact(12, repeats=2)
     rng = np.random.default_rng(2)
     errors = {"new": [], "least_squares": []}

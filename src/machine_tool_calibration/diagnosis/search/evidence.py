@@ -18,7 +18,7 @@ from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.priors import POSITIVE
+from machine_tool_calibration.diagnosis.search.priors import POSITIVE, SELDOM
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
@@ -55,6 +55,7 @@ class Block:
         positive: (k,) whether it is expected to be positive.
         log_share: logarithm of the probability of these nonlinear coefficients among the candidate's.
         largest: scale of its coefficients up to which it is tried: what differs from its law grows with it.
+        usual: scale of its coefficients beyond which they are seldom.
         floor: squared norm, per unit, below which a combination of the columns is rounding of what the model takes up.
     """
 
@@ -68,6 +69,7 @@ class Block:
     log_share: float
     floor: float = 0.0
     largest: float = 1.0
+    usual: float = 1.0
 
     @property
     def own(self) -> slice:
@@ -100,7 +102,9 @@ class Block:
             positive = np.zeros(len(unit), dtype=bool)
         floor = _ROUNDED * float((squares * unit**2).max(initial=0.0))
         largest = 1.0 if shaped.law is None else 1.0 / shaped.law_unit
-        return cls(candidate, place, shaped, unit, low, high, positive, log_share, floor, largest)
+        sizes = [c.usual / max(abs(c.least), abs(c.high)) for c in shaped.coefficients]
+        usual = min(sizes, default=1.0)
+        return cls(candidate, place, shaped, unit, low, high, positive, log_share, floor, largest, usual)
 
 
 def columns_of(blocks: Iterable[Block]) -> IntArray:
@@ -185,7 +189,9 @@ def table(blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, onl
             own = scales[rows, : count[rows].max()]
             logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
             share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
-            logs = np.where(np.isnan(own)[..., None], -np.inf, logs + share[:, None, None])
+            usual = np.array([blocks[k].usual for k in mine])[:, None]
+            share = share[:, None] - np.where(own > usual * SCALE_STEP**0.5, np.log(SELDOM), 0.0)
+            logs = np.where(np.isnan(own)[..., None], -np.inf, logs + share[..., None])
             total[mine] = _log_sum(logs.swapaxes(0, 1))
             at = np.arange(len(mine)), np.argmax(logs[:, :, 0], axis=1)
             most[mine], uncut[mine], scale[mine] = logs[..., 0][at], whole[at], own[at]

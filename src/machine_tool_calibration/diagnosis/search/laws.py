@@ -11,14 +11,14 @@ from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["law_tolerance", "smooth_share"]
 
-# Degrees of the relative deviation, in time and in the effect's own size.
-_IN_TIME, _IN_SIZE = 4, 2
+# Highest degree of the relative deviation in time.
+_DEGREE = 4
 
 
 def law_tolerance(pool: Pool, signal: Array, tolerance: float) -> Array:
     """(j, n) by what an effect may differ from its law, m per standard deviation: of Z b (1 + delta) the Z b delta.
 
-    The relative deviation delta is smooth in time; where no time was recorded, in the size of the effect itself.
+    The relative deviation delta is smooth in time; where no time was recorded there is none.
 
     Args:
         pool: the readings.
@@ -34,12 +34,10 @@ def law_tolerance(pool: Pool, signal: Array, tolerance: float) -> Array:
 
 
 def smooth_share(pool: Pool, signal: Array) -> Array:
-    """(j, n) a signal times smooth functions of time, or of its own size where no time was recorded."""
-    time = np.concatenate([o.clock if o.timed else np.zeros(len(o)) for o in pool.observations])
-    covariate, degree = (time, _IN_TIME) if np.ptp(time) > 0 else (signal, _IN_SIZE)
-    within = scaled(covariate)
-    if within is None:
+    """(j, n) a signal times smooth functions of time; none where no time was recorded."""
+    time = scaled(np.concatenate([o.clock if o.timed else np.zeros(len(o)) for o in pool.observations]))
+    if time is None:
         return np.zeros((0, len(pool)))
-    functions = np.polynomial.legendre.legvander(within, degree).T[1:]
+    functions = np.polynomial.legendre.legvander(time, _DEGREE).T[1:]
     functions /= np.sqrt(np.mean(functions**2, axis=1, keepdims=True))
     return np.asarray(functions * signal)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -142,16 +142,8 @@ def look_at(
     columns = _columns(Pool(fit), candidates, structures)
     found = _searched(columns, side_by_side)
     # What may be in is looked at again with laws that hold to some percent.
-    ranked = sorted(
-        (k for k in found.single.best if k < len(candidates)), key=lambda k: -float(found.single.log_evidence[k, 0])
-    )
-    likely = sorted({*ranked[:_BEST], *(k for k in range(len(candidates)) if found.of(k) > _MAY_BE)})
-    if likely:
-        tried = list(candidates)
-        for k in likely:
-            point = found.best.get(k) or found.single.best[k]
-            signal = _signal(columns, found, k)
-            tried[k] = to_some_percent(columns.pool, candidates[k], signal, point.scale)
+    tried = _to_some_percent(columns, found)
+    if tried:
         columns = _columns(columns.pool, tried, structures)
         found = _searched(columns, side_by_side)
     findings = _findings(columns, found)
@@ -180,6 +172,18 @@ def look_at(
         without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *(further for further, _ in without_cause)]),
         expected=np.concatenate([np.zeros(0), *(expected for _, expected in without_cause)]),
     )
+
+
+def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
+    """The effects, those that may be in with what their laws leave open; none where no law does."""
+    out, changed = columns.candidates[: columns.effects], False
+    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k, 0])
+    for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > _MAY_BE)}:
+        effect = out[k].effect
+        if effect is not None and effect.tolerance > 0.0:
+            point = found.best.get(k) or found.single.best[k]
+            out[k], changed = to_some_percent(columns.pool, out[k], _signal(columns, found, k), point.scale), True
+    return out if changed else []
 
 
 def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
@@ -255,6 +259,8 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
             # their share of the probability, and nothing shows them.
             leading = [shaped.leading(count) for count in few if count < len(shaped.columns)]
+            # A law may hold exactly, too.
+            leading += [replace(shaped, law=None)] if shaped.law is not None else []
             for own in (*leading, shaped):
                 place = slice(first, first + len(own.every))
                 squares = before[place]

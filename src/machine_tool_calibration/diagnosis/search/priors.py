@@ -16,8 +16,10 @@ __all__ = [
     "GOOD_ENOUGH",
     "GROSS",
     "LAW",
+    "LEAST_GAIN",
     "LIKELY",
     "POSITIVE",
+    "SELDOM",
     "SMALL",
     "STRUCTURE",
     "SURE",
@@ -65,6 +67,13 @@ GOOD_ENOUGH, SMALL = 1 / 3, 0.7
 uncertainty of a reading below which that does not matter: then the model is adequate. What is larger than the noise
 never is."""
 
-LAW = 0.3
+SELDOM = 4.0
+"""Prior odds against a size beyond what is usual, such as a dead path of metres on a small machine."""
+
+LEAST_GAIN = 9.0
+"""By how much an effect that is accepted lowers the weighted sum of squares at least, times the mean square that is
+left: three standard uncertainties of one coefficient."""
+
+LAW = 0.5
 """Share of a surer effect's signal below which another one that is the same but for a smooth function of time is what
 that effect differs from its law by: a warm-up has more than one time constant."""
