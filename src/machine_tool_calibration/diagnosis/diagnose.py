@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import threadpoolctl
+from scipy import special
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
@@ -136,7 +137,8 @@ class Diagnosis:
         first, last = self.fits[0], self.fits[-1]
         if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
             return False
-        if not last.stated.contradicts(GROSS, CONTRADICTED):
+        freedom = first.solution.degrees_of_freedom
+        if self.look.variance <= GROSS or special.chdtrc(freedom, freedom * self.look.variance) >= CONTRADICTED:
             return False
         excess = first.solution.chi_square - first.solution.degrees_of_freedom
         return first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess

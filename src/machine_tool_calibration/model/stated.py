@@ -131,11 +131,6 @@ class Stated:
     squares: float
     ratios: Array
 
-    def contradicts(self, ratio: float, chance: float) -> bool:
-        """Whether what is left is so many times as large as declared, and chance does not explain it."""
-        freedom = self.solution.degrees_of_freedom
-        return self.squares > ratio * freedom and float(special.chdtrc(freedom, self.squares)) < chance
-
     def columns(self, fit: Fit) -> Array:
         """(K + k, n) of a session whose unknowns are those of its terms: their columns, then these functions."""
         return np.concatenate([fit.model.dense(), self.functions[fit.index]])
