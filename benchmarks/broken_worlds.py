@@ -50,7 +50,7 @@ from machine_tool_calibration.session.session import Session
 _GROUP = 4
 # An uncertainty below this, m or rad, is that of a value that the datum sets.
 _SET = 1e-12
-# Stated probabilities between which effects are counted.
+# MarginalFit probabilities between which effects are counted.
 _BINS = (0.0, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 

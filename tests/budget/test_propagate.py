@@ -13,7 +13,7 @@ from machine_tool_calibration.budget import propagate as module
 from machine_tool_calibration.budget.contributor import Contributor, default_budget, instruments
 from machine_tool_calibration.budget.propagate import KNOWN, REPEATABILITY, Budget, propagate
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.model.restated import changed, declared
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate
@@ -130,7 +130,7 @@ def test_declared_uncertainty_gives_what_is_published(
     own = fit_sessions(session)
     budget = propagate(own, [contributor("reading", "reading", session.sigma)])
     known = np.isfinite(budget.u) & (budget.numbers.u > 1e-12)
-    assert own.joint.stated.scatter == 1.0
+    assert own.joint.marginal.scatter == 1.0
     assert budget.u[known] == pytest.approx(budget.numbers.u[known], rel=1e-9)
     assert budget.lines[0].how == "closed form"
 
@@ -251,7 +251,7 @@ def test_of_two_sessions_one_instrument(
     """EXX is the mean weighted by the declared uncertainties, 1 µm and 2 µm: four fifths of it are the first one's."""
     first = runs(instrument="laser_interferometer")
     second = runs(instrument="cmm", standard_uncertainty={"displacement": 2e-6})
-    own = fit_sessions(Chosen((first, second), ("a", "b")))
+    own = fit_sessions(FitRequest((first, second), ("a", "b")))
     lines = [
         contributor("reading", "reading", instrument="laser_interferometer"),
         contributor("reading", "setup", instrument="cmm"),
@@ -287,7 +287,7 @@ def test_sessions_with_other_numbers_of_repeats(
     contributor: Callable[..., Contributor],
 ) -> None:
     """A value for each place of a session: as many readings share it as the session has repeats."""
-    own = fit_sessions(Chosen((runs(runs=2), runs(runs=8)), ("a", "b")))
+    own = fit_sessions(FitRequest((runs(runs=2), runs(runs=8)), ("a", "b")))
     line = contributor("along", "place")
     steps = propagate(own, [line])
     monkeypatch.setattr(module, "_MOST_GROUPS", 0)

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from machine_tool_calibration.diagnosis import diagnose, improve
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning import what_to_measure
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
@@ -49,7 +49,7 @@ def _once(search: Callable[..., Any]) -> Callable[..., Any]:
     """A search that is made once for the same subject and options, whoever asks."""
 
     def found(subject: Any, *more: Any, progress: Callable[[str, float], None], **options: Any) -> Any:
-        if isinstance(subject, Chosen) and subject.own:
+        if isinstance(subject, FitRequest) and subject.own:
             return search(subject, *more, progress=progress, **options)
         key = (search, _same(subject), repr(more), repr(sorted(options.items())))
         if key not in _FOUND:
@@ -61,7 +61,7 @@ def _once(search: Callable[..., Any]) -> Callable[..., Any]:
 
 def _same(subject: Any) -> object:
     """What is equal where sessions hold the same, whatever folder they lie in."""
-    if isinstance(subject, Chosen):
+    if isinstance(subject, FitRequest):
         return _same(subject.sessions), repr(replace(subject, sessions=()))
     if not isinstance(subject, Session):
         return tuple(map(_same, subject)) if isinstance(subject, tuple | list) else id(subject)

@@ -12,7 +12,7 @@ from scipy import stats
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.reports.comparison import (
@@ -142,7 +142,7 @@ def test_rows_are_those_of_the_recording_where_readings_are_missing() -> None:
 def test_a_session_its_fit_and_its_result_give_the_same() -> None:
     session = simulated("tracking_2d", 3, FlawSpec(id="backlash_y", amplitude=1e-6))
     result = identify(session, effects=["backlash_y"])
-    chosen = Chosen((session,), effects=("backlash_y",))
+    chosen = FitRequest((session,), effects=("backlash_y",))
     found: list[Comparison] = [compare(chosen), compare(result), compare(result.fit)]
     for other in found[1:]:
         np.testing.assert_allclose(other.residual, found[0].residual, atol=1e-13)
@@ -213,7 +213,7 @@ def test_readings_of_two_directions_at_one_place_are_no_repeats() -> None:
 def test_readings_that_stand_out_are_counted_over_several_sessions() -> None:
     spec = SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02))
     sessions = [simulate(spec).session, simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5)).session]
-    found = compare(Chosen(sessions, ("first", "second")))
+    found = compare(FitRequest(sessions, ("first", "second")))
     count = sum(len(one.outliers) for one in found.sessions)
     assert count > 1
     assert f" {count} readings do not belong to the rest" in in_words(found)

@@ -13,7 +13,7 @@ from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.residuals.leverage import leverage
@@ -64,7 +64,7 @@ def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: A
 def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, amplitude: float) -> None:
     found = look(plan, 77, FlawSpec(id=effect, amplitude=amplitude))
     assert found.verdict == "missing_effect"
-    alike = {effect}.union(*(group for group in found.look.groups if effect in group))
+    alike = {effect}.union(*(group for group in found.search.groups if effect in group))
     assert found.accepted[0] in alike
     before, after = (fit.reduced_chi_square for fit in (found.fits[0], found.fits[-1]))
     assert after < before
@@ -102,7 +102,7 @@ def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() ->
     found = look("tracking_2d", 12, FlawSpec(id="unlisted_cubic_path", amplitude=1.5e-5))
     assert found.verdict == "unexplained"
     assert found.accepted == ()
-    assert found.look.structure[0].covariate in ("path", "path within the setup", "displacement")
+    assert found.search.structure[0].covariate in ("path", "path within the setup", "displacement")
 
 
 def test_chips_are_named_by_row_and_nothing_else() -> None:
@@ -126,7 +126,7 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     session = simulate(
         SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))
     ).session
-    found = diagnose(Chosen((session,), effects=("backlash_y",)))
+    found = diagnose(FitRequest((session,), effects=("backlash_y",)))
     assert found.verdict == "adequate"
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}
 
@@ -156,4 +156,4 @@ def test_rounding_is_no_structure() -> None:
     found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session)
     assert found.verdict == "adequate"
     assert found.accepted == ()
-    assert not found.look.structure
+    assert not found.search.structure

@@ -76,7 +76,7 @@ def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
     lifted = session.with_readings(replace(readings, columns={**readings.columns, "z": np.full(len(readings), 0.05)}))
     found = diagnose(lifted)
     assert found.accepted == ("scale",)
-    assert np.ptp(found.look.fit.fits[0].model.observations.position[:, 2]) == 0.0
+    assert np.ptp(found.search.fit.fits[0].model.observations.position[:, 2]) == 0.0
 
 
 def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> None:
@@ -113,7 +113,7 @@ def test_play_of_the_other_sign_is_named_with_its_sign() -> None:
     turned = replace(session.readings, columns={**columns, "dir_x": -columns["dir_x"]})
     found = diagnose(session.with_readings(turned))
     assert (found.verdict, found.accepted) == ("missing_effect", ("lost_motion_x",))
-    assert found.look.of("lost_motion_x").sizes[0].value < 0.0
+    assert found.search.of("lost_motion_x").sizes[0].value < 0.0
 
 
 def test_a_frame_may_warm_up_by_tenths_of_a_millimetre(plates: ModuleType) -> None:

@@ -59,7 +59,7 @@ def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) ->
     assert bent.accepted == ()
     assert bent.verdict == "adequate"
     undisturbed = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
-    assert max(size.probability for size in bent.fits[-1].stated.sizes) > 0.99
+    assert max(size.probability for size in bent.fits[-1].marginal.sizes) > 0.99
     clean, moved = identify(undisturbed).error_map, identify(bent.chosen.sessions[0]).error_map
     shift = np.sqrt(np.nanmean((moved.error - clean.error) ** 2))
     uncertainty = [np.sqrt(np.nanmean(one.uncertainty**2)) for one in (clean, moved)]
@@ -70,7 +70,7 @@ def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) ->
 def test_the_words_say_by_how_much_setups_differ(bent: Diagnosis) -> None:
     changes, advice = consequences(bent), what_to_measure(bent)
     text = " ".join(verdict_words(bent, changes, advice))
-    surest = max(bent.fits[-1].stated.sizes, key=lambda size: size.probability)
+    surest = max(bent.fits[-1].marginal.sizes, key=lambda size: size.probability)
     assert quantity(surest.size, "m") in text
     document = diagnosis_document(bent, advice, changes)
     told = {entry["family"]: entry for entry in document["spread"]}

@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, entry_of, improve
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
 
@@ -110,7 +110,7 @@ def test_outliers_are_set_aside_first() -> None:
 def test_effects_that_are_there_already_stay() -> None:
     effects = (FlawSpec(id="backlash_y", size=1.5e-6), FlawSpec(id="backlash_x", size=1.2e-6))
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session
-    done = improve(Chosen((session,), effects=("backlash_y",)))
+    done = improve(FitRequest((session,), effects=("backlash_y",)))
     assert [s.result.effects for s in done.steps] == [("backlash_y",), ("backlash_y", "backlash_x")]
     assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
 

@@ -15,7 +15,7 @@ from machine_tool_calibration.effects.expression import parse
 from machine_tool_calibration.effects.formula import formula_effect, read_effects
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -140,7 +140,7 @@ def test_an_own_effect_is_found_and_added_like_any_other() -> None:
     model = build_model(session)[0]
     hidden = 3e-6 * mine.columns(model.observations, (1500.0,))[0]
     disturbed = session.with_readings(_moved(session.readings, hidden))
-    found = diagnose(Chosen((disturbed,), own=(mine,)))
+    found = diagnose(FitRequest((disturbed,), own=(mine,)))
     assert found.verdict == "missing_effect"
     assert "settling_y" in found.accepted
     result = identify(disturbed, effects=["settling_y"], own=[mine])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.estimation.marginal import metric_at, size_grid
+from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 
 from ..inner_products import N, columns, gram_of, log_marginal
 
@@ -43,7 +43,7 @@ def test_a_grid_of_sizes_ends_where_its_weight_ends() -> None:
 def test_folding_is_the_inverse_of_the_covariance() -> None:
     wide, spread, readings = columns(1, 3), columns(2, 5), columns(3, 1)[:, 0]
     ratio, place = (0.7, 2.5), np.array([0, 0, 0, 1, 1])
-    metric = metric_at(replace(gram_of(wide, spread, readings), family=place), ratio)
+    metric = marginal_at(replace(gram_of(wide, spread, readings), family=place), ratio)
     covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
     every = np.column_stack([wide, spread])
     assert metric.inner(slice(None), slice(None)) == pytest.approx(every.T @ np.linalg.solve(covariance, every))
@@ -54,7 +54,7 @@ def test_folding_is_the_inverse_of_the_covariance() -> None:
 
 def test_no_spread_folds_to_nothing() -> None:
     gram = gram_of(columns(1, 3), columns(2, 5), columns(3, 1)[:, 0])
-    metric = metric_at(gram, (0.0,))
+    metric = marginal_at(gram, (0.0,))
     assert metric.log_prior == 0.0
     assert metric.half.shape == (0, 8)
     assert metric.inner(slice(None), slice(None)) == pytest.approx(gram.inner)
@@ -67,7 +67,7 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
     gram = gram_of(wide, spread, readings)
     member, scale = np.array([1, 2]), np.array([0.7, 1.3])
     for ratio, prior, _ in size_grid(gram):
-        metric = metric_at(gram, ratio, prior)
+        metric = marginal_at(gram, ratio, prior)
         beside = metric.beside(member, scale)
         own = wide[:, member] * scale
         covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
@@ -82,7 +82,7 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
 def test_folding_one_after_the_other_is_folding_both() -> None:
     wide = columns(13, 3)
     gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
-    metric = metric_at(gram, (2.0,))
+    metric = marginal_at(gram, (2.0,))
     one, two = np.array([0]), np.array([2])
     apart = metric.beside(one, np.array([0.4])).beside(two, np.array([1.1]))
     together = metric.beside(np.array([0, 2]), np.array([0.4, 1.1]))

@@ -15,7 +15,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.session import catalogue
 from machine_tool_calibration.session.folder import read_session
@@ -122,7 +122,7 @@ def test_nothing_is_found_where_nothing_is_missing_and_a_backlash_where_there_is
 def test_two_sessions_share_the_machine_s_squareness(tmp_path: Path) -> None:
     sessions = [read_session(circles(tmp_path / f"on_day_{seed}", seed=seed)) for seed in (1, 2)]
     alone = {p.name: p.standard_uncertainty for p in identify(sessions[0]).parameters}
-    joint = identify_sessions(Chosen(sessions, ("first", "second")))
+    joint = identify_sessions(FitRequest(sessions, ("first", "second")))
     found = {p.name: (p.value, p.standard_uncertainty) for p in joint.parameters}
     value, u = found["C0Y"]
     assert abs(value - SQUARENESS) < 4.0 * u

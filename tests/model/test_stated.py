@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import variance_components
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, metric_at
+from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, marginal_at
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model import stated
@@ -123,7 +123,7 @@ def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> Non
     """Only these, equally probable."""
 
     def grid(gram: Gram) -> list[tuple[tuple[float, ...], float, float]]:
-        return [((ratio,), 0.0, float(metric_at(gram, (ratio,)).log_null[0])) for ratio in ratios]
+        return [((ratio,), 0.0, float(marginal_at(gram, (ratio,)).log_null[0])) for ratio in ratios]
 
     monkeypatch.setattr(variance_components, "size_grid", grid)
 
@@ -133,7 +133,7 @@ def test_a_single_size_is_generalised_least_squares(monkeypatch: pytest.MonkeyPa
     sizes_tried(monkeypatch, [ratio])
     fit, model, spread, readings = axis(2.0)
     expected = generalised(model, spread, readings, ratio)
-    found = fit.stated
+    found = fit.marginal
     assert found.solution.theta[:2] == pytest.approx(expected.theta, rel=1e-9)
     assert found.solution.theta[2:] == pytest.approx(expected.coefficients, rel=1e-7, abs=1e-9)
     assert found.solution.covariance[:2, :2] == pytest.approx(expected.covariance, rel=1e-8)
@@ -152,7 +152,7 @@ def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.Mo
     tried = [generalised(model, spread, readings, ratio) for ratio in ratios]
     squares = np.array([one.squares for one in tried])
     logs = np.array([one.log_restricted for one in tried])
-    logs -= 0.5 * (len(readings) - 2 + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares)
+    logs -= 0.5 * (len(readings) - 2 + DECLARED_DOF) * np.log(DECLARED_DOF + squares)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     # Otherwise this would say nothing of a mean.
@@ -160,7 +160,7 @@ def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.Mo
     mean = sum(w * one.theta for w, one in zip(weights, tried, strict=True))
     between = [w * np.outer(one.theta - mean, one.theta - mean) for w, one in zip(weights, tried, strict=True)]
     within = [w * one.covariance for w, one in zip(weights, tried, strict=True)]
-    found = fit.stated
+    found = fit.marginal
     assert found.solution.theta[:2] == pytest.approx(mean, rel=1e-3)
     expected = found.scatter**2 * sum(within) + sum(between)
     assert fit.published.covariance == pytest.approx(expected, rel=0.02)
@@ -174,8 +174,8 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
     factor = np.sqrt(expected.squares / (len(readings) - 2))
     assert factor > 2.0
     # What was declared still says a little.
-    assert 0.9 * factor < fit.stated.scatter < factor
-    assert fit.published.covariance == pytest.approx(fit.stated.scatter**2 * expected.covariance)
+    assert 0.9 * factor < fit.marginal.scatter < factor
+    assert fit.published.covariance == pytest.approx(fit.marginal.scatter**2 * expected.covariance)
 
 
 def test_scatter_grows_without_a_jump() -> None:
@@ -195,10 +195,10 @@ def test_a_declared_uncertainty_three_times_too_small_is_corrected(plan: str) ->
         session = simulate(SimulationSpec(plan=PRESETS[plan], seed=3, noise_factor=factor)).session
         fit = fit_models([build_model(session)[0]])
         if factor < 1:
-            assert fit.stated.scatter == 1.0
+            assert fit.marginal.scatter == 1.0
         else:
             chance = 4.0 / np.sqrt(2.0 * fit.solution.degrees_of_freedom)
-            assert fit.stated.scatter == pytest.approx(3.0, rel=chance)
+            assert fit.marginal.scatter == pytest.approx(3.0, rel=chance)
 
 
 @pytest.mark.parametrize(
@@ -213,9 +213,9 @@ def test_spread_between_mountings_is_found_and_in_the_maps_uncertainty(plan: str
         own = fit.fits[0]
         published = np.asarray(own.model.error_map(own).content[f"{quantity}_u"], dtype=float)
         uncertainty.append(float(np.sqrt(np.nanmean(published**2))))
-        chance.append(max(size.probability for size in fit.stated.sizes))
+        chance.append(max(size.probability for size in fit.marginal.sizes))
         # What does not reproduce is no scatter of single readings.
-        assert fit.stated.scatter < 1.3
+        assert fit.marginal.scatter < 1.3
     assert chance[0] < 0.5 < 0.99 < chance[1]
     assert uncertainty[1] > 1.5 * uncertainty[0]
 
@@ -230,11 +230,11 @@ def test_what_a_model_lacks_is_no_spread_where_readings_were_repeated(plan: str)
         change = lacking * session.sigma * setup
         moved = session.with_readings(replace(readings, displacement=readings.displacement + change))
         joint = fit_models([build_model(moved)[0]])
-        assert max(size.size for size in joint.stated.sizes) < session.sigma
+        assert max(size.size for size in joint.marginal.sizes) < session.sigma
         own, plain = joint.fits[0], declared(joint).fits[0]
         difference = own.model.error_map(own).error - plain.model.error_map(plain).error
         uncertainty = own.model.error_map(own).uncertainty
         assert np.sqrt(np.nanmean((difference / uncertainty) ** 2)) < 0.3
     spread = Spread(slope=8.0 * session.sigma, bow=8.0 * session.sigma)
     found = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=5, spread=spread)).session)[0]])
-    assert max(size.size for size in found.stated.sizes) > 1.5 * session.sigma
+    assert max(size.size for size in found.marginal.sizes) > 1.5 * session.sigma

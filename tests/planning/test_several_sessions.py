@@ -12,7 +12,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.sensing import Assumed, sense
 from machine_tool_calibration.planning.what_to_measure import visibilities, what_to_measure
@@ -31,7 +31,7 @@ def days() -> list[Session]:
 
 
 def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
-    advice = what_to_measure(diagnose(Chosen(days, LABELS)))
+    advice = what_to_measure(diagnose(FitRequest(days, LABELS)))
     separation = next(s for s in advice.separations if "retroreflector_form" in s.effects)
     assert "pointer_radial_error" in separation.effects
     assert separation.kind == "turned"
@@ -43,8 +43,8 @@ def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_ow
     effects = catalogue()
     backlash = Assumed(effects["backlash_y"], (), {"b": 1e-6})
     drift = Assumed(effects["station_drift"], (), {})
-    alone = [sense(Chosen((day,), model="rigid_body"), [backlash, drift]) for day in days]
-    both = sense(Chosen(days, labels=LABELS), [backlash, drift])
+    alone = [sense(FitRequest((day,), model="rigid_body"), [backlash, drift]) for day in days]
+    both = sense(FitRequest(days, labels=LABELS), [backlash, drift])
     size = {name: s.stop - s.start for name, s in both.place.items()}
     assert size["backlash_y"] == 1
     assert size["station_drift"] == sum(
@@ -56,14 +56,14 @@ def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_ow
 
 def test_an_effect_that_each_session_has_for_itself_is_planned_for_where_it_shows_best(days: list[Session]) -> None:
     index = Assumed(catalogue()["refractive_index"], (), {})
-    now = sense(Chosen(days, labels=LABELS), [index])
+    now = sense(FitRequest(days, labels=LABELS), [index])
     assert len(now.information("refractive_index")) == 2, "one column a session, of one coefficient"
     scale = np.array([10.0, 100.0])
     then = replace(now, gram=now.gram * np.outer(scale, scale), squares=now.squares * scale**2)
     finding = SimpleNamespace(name="refractive_index", rank=0, detectable={})
     models = [build_model(day, "rigid_body")[0] for day in days]
     fit = SimpleNamespace(reduced_chi_square=1.0, assembly=SimpleNamespace(models=models))
-    diagnosis = SimpleNamespace(fits=[fit], look=SimpleNamespace(findings=[finding]))
+    diagnosis = SimpleNamespace(fits=[fit], search=SimpleNamespace(findings=[finding]))
     option = next(iter(further_options(days[1])))
     found = visibilities(diagnosis, now, [(option, then)], {"refractive_index": index})  # type: ignore[arg-type]
     assert [(one.effect, one.coefficient) for one in found] == [("refractive_index", "g")]

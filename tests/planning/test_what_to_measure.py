@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.advice import Advice, Separation, alias_groups_of
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.session.session import Session
@@ -66,7 +66,7 @@ def test_a_group_of_the_effect_found_begins_with_it(simulated: Simulated) -> Non
 def test_backlash_that_one_direction_hides_shows_when_turning_back() -> None:
     """One-way runs of the table absorb the backlash of C; both ways show what was promised."""
     found, advice = one_way(5)
-    assert "backlash_c" in {a.effect for a in found.look.absorbed}
+    assert "backlash_c" in {a.effect for a in found.search.absorbed}
     way = next(v for v in advice.visibilities if v.effect == "backlash_c")
     assert way.kind == "both_ways"
     assert way.before is None
@@ -102,7 +102,7 @@ def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) ->
     warm = FlawSpec(id="warmup_y", size=3e-5, parameters={"tau": 900.0})
     flaws = (warm, FlawSpec(id="pointer_radial_error", amplitude=4e-6))
     session = simulated("tracking_2d", 5, *flaws)
-    found = diagnose(Chosen((session,), effects=("warmup_y", "pointer_radial_error", "backlash_x")))
+    found = diagnose(FitRequest((session,), effects=("warmup_y", "pointer_radial_error", "backlash_x")))
     present = {p.effect.id: p for p in present_effects(found)}
     assert set(present) == {"warmup_y", "pointer_radial_error", "backlash_x"}
     assert present["warmup_y"].shape[0] > 0

@@ -59,7 +59,7 @@ def test_every_method_has_its_pictures(plan: str, shows_over: str) -> None:
     ranking, added, over = figure.axes
     assert ranking.get_yticklabels()[0].get_text() == found.ranked[0].candidate.name
     measured = np.concatenate([np.asarray(line.get_ydata()) for line in added.lines[:-1]])
-    assert np.sort(measured) == pytest.approx(np.sort(1e6 * found.look.fit.fits[0].residuals))
+    assert np.sort(measured) == pytest.approx(np.sort(1e6 * found.search.fit.fits[0].residuals))
     assert over.get_ylabel() == "residual, µm"
     assert found.accepted == (FLAWS[plan].id,)
     assert re.search(shows_over, over.get_xlabel())

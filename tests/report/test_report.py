@@ -19,7 +19,7 @@ from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
 from machine_tool_calibration.report import figures
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
@@ -81,7 +81,7 @@ def evaluated(name: str) -> Evaluation:
         session = replace(session, description=described, readings=replace(session.readings, displacement=values))
     whole = name in WHOLE
     return evaluate(
-        Measured((session,), Chosen((session,))),
+        Measured((session,), FitRequest((session,))),
         diagnosis=whole,
         contributors=default_budget([session.instrument]) if whole else (),
         tolerances={"EXX": 10e-6} if name == "iso230_2" else None,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.planning.what_to_measure import conclude
@@ -209,12 +209,12 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
     for sizes in entries.values():
         for size in sizes:
             assert size["value"] is None or size["value"] > 0
-    assert set(entries) == {f.name for f in diagnosis.look.findings if f.rank}
+    assert set(entries) == {f.name for f in diagnosis.search.findings if f.rank}
 
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:
     session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",))), Advice(), {})
+    document = diagnosis_document(diagnose(FitRequest((session,), effects=("backlash_y",))), Advice(), {})
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
     assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
     assert document["fit"]["before"]["rms_residual"] < 4e-7

@@ -68,7 +68,7 @@ def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_leads(
     assert found.verdict == "adequate" and found.accepted == ()
     assert found.ranked[0].name == "station_drift"
     # That setups differ is said, with how much.
-    (spread,) = (size for size in found.fits[-1].stated.sizes if size.probability > 0.9)
+    (spread,) = (size for size in found.fits[-1].marginal.sizes if size.probability > 0.9)
     assert any(quantity(spread.size, "m") in words for words in shown.words)
 
 
@@ -118,7 +118,7 @@ def test_a_workpiece_is_not_the_map() -> None:
 def test_unexplained_says_on_what_the_residuals_depend() -> None:
     found, shown = report("unexplained")
     assert "No effect is named as the cause" in shown.words[0]
-    assert found.look.structure[0].covariate in shown.words[1]
+    assert found.search.structure[0].covariate in shown.words[1]
     assert "none of them is named" in table(shown, "Effects looked for").title
     assert table(shown, "What the residuals still depend on").rows
 

@@ -61,7 +61,7 @@ def test_a_positive_one_is_not() -> None:
 @pytest.mark.parametrize("verdict", ["adequate", "outliers"])
 def test_structure_that_is_too_small_to_matter_is_said_to_be(verdict: str) -> None:
     sound = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
-    small = replace(sound, verdict=verdict, look=replace(sound.look, unknown=0.97, nothing=0.01))
+    small = replace(sound, verdict=verdict, search=replace(sound.search, unknown=0.97, nothing=0.01))
     told = list(verdict_words(small, {}, Advice()))
     assert "missing that matters" in told[0]
     assert "the model is good enough without it" in told[1]
@@ -73,5 +73,5 @@ def test_the_report_says_so_in_german() -> None:
     said = german.phrase(NEGATIVE)
     assert said == "backlash_y ist negativ: überkompensiert, oder Anfahrrichtungen vertauscht."
     sound = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
-    small = replace(sound, look=replace(sound.look, unknown=0.97, nothing=0.01))
+    small = replace(sound, search=replace(sound.search, unknown=0.97, nothing=0.01))
     assert "das Modell ist auch ohne sie gut genug" in german.phrase(list(verdict_words(small, {}, Advice()))[1])

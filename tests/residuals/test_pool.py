@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.step_diagonal.small_angles import NONE, mean_shape
 from machine_tool_calibration.model.imperfection import IMPERFECTION_SIZES
 from machine_tool_calibration.residuals.pool import RANDOM, Pool
@@ -35,10 +35,10 @@ def test_angular_errors_are_a_family_of_their_own(pool: Pool) -> None:
 
 def test_a_released_fit_has_no_angular_errors(pool: Pool) -> None:
     assert pool.fit.random is not None
-    left = pool.fit.released
+    left = pool.fit.without_random
     assert not set(pool.fit.random.names) & {p.name for p in left.assembly.parameters}
     assert left.random is None
-    assert left.released is left
-    alone = fit_sessions(Chosen((pool.observations[0].session,), model="translations")).joint
+    assert left.without_random is left
+    alone = fit_sessions(FitRequest((pool.observations[0].session,), model="translations")).joint
     assert left.solution.chi_square == pytest.approx(alone.solution.chi_square, rel=1e-9)
     assert left.solution.degrees_of_freedom == alone.solution.degrees_of_freedom

@@ -330,7 +330,7 @@ def _truth_in_words(story: _Demonstration) -> str:
     found = story.improvement.diagnosis.accepted
     if story.hidden is None:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
-    hidden, groups = story.hidden, story.improvement.diagnosis.look.groups
+    hidden, groups = story.hidden, story.improvement.diagnosis.search.groups
     size = "as it usually is" if hidden.size is None else quantity(hidden.size, find_flaw(hidden.id).unit)
     said = f"Hidden was {hidden.id}, of size {size}."
     if hidden.id in found:

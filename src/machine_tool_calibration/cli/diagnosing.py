@@ -63,7 +63,7 @@ class Wanted:
             CalibrationError: a measurement cannot be read, `--keep` names no reading of it, or no model was tried yet.
         """
         from machine_tool_calibration.effects.catalogue import own_effects
-        from machine_tool_calibration.methods.fitted import Chosen
+        from machine_tool_calibration.methods.fitted import FitRequest
         from machine_tool_calibration.recording.open import open_measurement
         from machine_tool_calibration.reports.measured import Measured
         from machine_tool_calibration.session.session import refuse_repeated
@@ -72,7 +72,7 @@ class Wanted:
         sessions = tuple(keeping([open_measurement(path, topics) for path in paths], labels, self.keep))
         refuse_repeated(sessions, labels)
         if not self.from_history:
-            return Measured(sessions, Chosen(sessions, tuple(labels), self.model, self.effects, tuple(own)))
+            return Measured(sessions, FitRequest(sessions, tuple(labels), self.model, self.effects, tuple(own)))
         if self.effects or self.model:
             raise click.UsageError("--from-history is without --effect and --model.")
         import numpy as np
@@ -96,7 +96,7 @@ class Wanted:
             session = session.keeping(set(model.kept).intersection(rows))
             aside = np.isin(rows, [row for row in model.set_aside if row not in session.sound])
             kept.append(session.without(aside) if aside.any() else session)
-        chosen = Chosen(
+        chosen = FitRequest(
             tuple(kept),
             tuple(labels),
             entry.variant(said, sessions),

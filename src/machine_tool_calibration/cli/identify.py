@@ -17,7 +17,7 @@ from machine_tool_calibration.reports.documents import plain, to_json, write_tab
 from machine_tool_calibration.reports.identification import show_profiles, show_result
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.methods.fitted import Chosen
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
@@ -102,7 +102,7 @@ def command(
         note(better)
 
 
-def _by_formulation(chosen: Chosen, formulation: str) -> dict[str, Any]:
+def _by_formulation(chosen: FitRequest, formulation: str) -> dict[str, Any]:
     from machine_tool_calibration.errors import ModelError
     from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
     from machine_tool_calibration.session.provenance import provenance

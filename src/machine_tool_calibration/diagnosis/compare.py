@@ -15,7 +15,7 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import Chosen, fit_sessions, gross_errors
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions, gross_errors
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.result import Result
@@ -290,7 +290,7 @@ class JointComparison:
 
 
 @single_blas()
-def compare(subject: Session | Chosen | Fit | Result | JointResult) -> Comparison | JointComparison:
+def compare(subject: Session | FitRequest | Fit | Result | JointResult) -> Comparison | JointComparison:
     """Hold a model against its readings; that of several sessions of one machine against the readings of each.
 
     Args:
@@ -302,8 +302,8 @@ def compare(subject: Session | Chosen | Fit | Result | JointResult) -> Compariso
     """
     if isinstance(subject, Fit):
         return _Residuals(subject).comparison((), (), "")
-    if isinstance(subject, Session | Chosen):
-        chosen = Chosen.of(subject)
+    if isinstance(subject, Session | FitRequest):
+        chosen = FitRequest.of(subject)
         fitted = fit_sessions(chosen)
         apart = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in gross_errors(chosen)]
     else:

@@ -15,7 +15,7 @@ from scipy import special
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.diagnosis.search.look import Look, look_at
+from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.priors import (
     ACCEPTED,
@@ -31,7 +31,7 @@ from machine_tool_calibration.diagnosis.search.structure import structure_candid
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
@@ -69,7 +69,7 @@ class Diagnosis:
         searched: the same as they were searched: places that were measured repeatedly may have their means.
         verdict: adequate, missing_effect, unexplained or outliers.
         accepted: effects found, the surest first.
-        look: at the model without them.
+        search: what was found beside the model without them.
         noise: what is known of the readings' noise, with the first model.
         fitted: of the first model and after every effect found.
         predicted: for every effect that was probable enough, how it does on readings that were left out.
@@ -78,11 +78,11 @@ class Diagnosis:
         set_aside: readings of each session that were set aside.
     """
 
-    chosen: Chosen
-    searched: Chosen
+    chosen: FitRequest
+    searched: FitRequest
     verdict: str
     accepted: tuple[str, ...]
-    look: Look
+    search: EffectSearch
     noise: Noise
     fitted: tuple[FittedSessions, ...]
     predicted: dict[str, tuple[Prediction, ...]]
@@ -103,15 +103,15 @@ class Diagnosis:
     @property
     def ranked(self) -> tuple[Finding, ...]:
         """Candidates best first: those accepted, in their order, then the others."""
-        first = tuple(self.look.of(name) for name in self.accepted)
-        return first + tuple(f for f in self.look.findings if f.name not in self.accepted)
+        first = tuple(self.search.of(name) for name in self.accepted)
+        return first + tuple(f for f in self.search.findings if f.name not in self.accepted)
 
     @property
     def sets(self) -> tuple[EffectSet, ...]:
         """The most probable sets of known effects that can be added, that of the accepted ones among them."""
         chosen = tuple(sorted(self.accepted))
         out = {"unknown", *self.refused}
-        every = {names: p for names, p in self.look.sets if not out & set(names)}
+        every = {names: p for names, p in self.search.sets if not out & set(names)}
         likely = [names for names, p in every.items() if p >= _COUNTS and names != chosen and names][:_SETS]
         return tuple(EffectSet(names, every.get(names, _COUNTS)) for names in (chosen, *likely))
 
@@ -138,14 +138,14 @@ class Diagnosis:
         if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
             return False
         freedom = first.solution.degrees_of_freedom
-        if self.look.variance <= GROSS or special.chdtrc(freedom, freedom * self.look.variance) >= CONTRADICTED:
+        if self.search.variance <= GROSS or special.chdtrc(freedom, freedom * self.search.variance) >= CONTRADICTED:
             return False
         excess = first.solution.chi_square - first.solution.degrees_of_freedom
         return first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
 
 
 def diagnose(
-    subject: Session | Chosen,
+    subject: Session | FitRequest,
     *,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Diagnosis:
@@ -158,7 +158,7 @@ def diagnose(
     Raises:
         ModelError: the data does not allow the model.
     """
-    chosen = Chosen.of(subject)
+    chosen = FitRequest.of(subject)
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for gross errors", 0.0)
@@ -177,14 +177,16 @@ def diagnose(
 
 
 def _probable(found: Diagnosis) -> tuple[str, ...]:
-    return found.accepted or found.look.accepted
+    return found.accepted or found.search.accepted
 
 
 def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:
     return [{outlier.row for outlier in own} for own in outliers]
 
 
-def _without_gross_errors(chosen: Chosen, added: Sequence[str]) -> tuple[Chosen, tuple[tuple[Outlier, ...], ...]]:
+def _without_gross_errors(
+    chosen: FitRequest, added: Sequence[str]
+) -> tuple[FitRequest, tuple[tuple[Outlier, ...], ...]]:
     """What is chosen without the gross errors beside these effects, and these errors, session by session."""
     build = _alone(chosen, added)
     each = [find_outliers(session, build) for session in chosen.sessions]
@@ -192,7 +194,7 @@ def _without_gross_errors(chosen: Chosen, added: Sequence[str]) -> tuple[Chosen,
     return kept, tuple(tuple(outliers) for outliers, _ in each)
 
 
-def _without_suspects(chosen: Chosen, progress: Callable[[str, float], None]) -> tuple[str, ...]:
+def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]) -> tuple[str, ...]:
     """Effects that are found without all that may be wrong; none where nothing lies far out.
 
     Gross errors that an effect hides may in turn hide the effect, which shows among the other readings (masking).
@@ -210,7 +212,7 @@ def _without_suspects(chosen: Chosen, progress: Callable[[str, float], None]) ->
         return ()
 
 
-def _alone(chosen: Chosen, added: Sequence[str]) -> Callable[[Session], MethodModel]:
+def _alone(chosen: FitRequest, added: Sequence[str]) -> Callable[[Session], MethodModel]:
     """The model of a session by itself beside further effects."""
     several = len(chosen.sessions) > 1
     present = [*chosen.present, *(effect for effect in chosen.absent if effect.id in added)]
@@ -224,7 +226,7 @@ def _alone(chosen: Chosen, added: Sequence[str]) -> Callable[[Session], MethodMo
 
 
 def _search(
-    chosen: Chosen,
+    chosen: FitRequest,
     aside: tuple[tuple[Outlier, ...], ...],
     progress: Callable[[str, float], None],
 ) -> Diagnosis:
@@ -243,8 +245,8 @@ def _search(
     def fit_with(ids: tuple[str, ...]) -> FittedSessions:
         return fit_sessions(searched.adding(ids))
 
-    def look_for(tried: Sequence[Candidate]) -> Look:
-        return look_at(first.joint, tried, structures, side_by_side=side_by_side)
+    def look_for(tried: Sequence[Candidate]) -> EffectSearch:
+        return search_effects(first.joint, tried, structures, side_by_side=side_by_side)
 
     look = look_for(candidates)
     fine = _resolved(pool, candidates, look, fit_with)
@@ -261,7 +263,7 @@ def _search(
         searched=searched,
         verdict="",
         accepted=tuple(name for name in look.accepted if name not in refused),
-        look=look,
+        search=look,
         noise=noise,
         fitted=fitted,
         predicted=predicted,
@@ -275,7 +277,7 @@ def _search(
     return replace(found, verdict=verdict, accepted=(), fitted=fitted[:1])
 
 
-def _first_model(chosen: Chosen) -> tuple[Chosen, FittedSessions, Noise | None]:
+def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise | None]:
     """What is searched, its fit, and where places that were measured repeatedly have their means, what repeats say."""
     first = fit_sessions(chosen)
     refuse_impossible(first)
@@ -287,7 +289,10 @@ def _first_model(chosen: Chosen) -> tuple[Chosen, FittedSessions, Noise | None]:
 
 
 def _resolved(
-    pool: Pool, candidates: Sequence[Candidate], look: Look, fit_with: Callable[[tuple[str, ...]], FittedSessions]
+    pool: Pool,
+    candidates: Sequence[Candidate],
+    look: EffectSearch,
+    fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> list[Candidate] | None:
     """The candidates with finer nonlinear coefficients of the accepted effects; None where the grid does."""
     used = {
@@ -305,7 +310,7 @@ def _resolved(
 
 
 def _added(
-    look: Look,
+    look: EffectSearch,
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
@@ -334,7 +339,7 @@ def _added(
 
 def _verdict(found: Diagnosis) -> str:
     """From the probabilities and the absolute misfit alone."""
-    look, first, last = found.look, found.fits[0].solution, found.fits[-1].solution
+    look, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
     if found.contradicted:
         return "unexplained"
     if look.unknown > ACCEPTED and not _good_enough(found):
@@ -356,7 +361,7 @@ def _good_enough(found: Diagnosis) -> bool:
     joint, fitted = found.fits[-1], found.fitted[-1]
     pool = Pool(joint)
     left = np.zeros(len(pool))
-    for name, signal in found.look.signals.items():
+    for name, signal in found.search.signals.items():
         left -= signal if name not in found.accepted else 0.0
     size = rms(left / pool.sigma)
     if not SMALL < size <= 1.0:
@@ -384,7 +389,7 @@ def _explains(before: JointFit, after: JointFit) -> None:
     Raises:
         ModelError: the model without it explains the readings as well, unknowns that are random functions aside.
     """
-    gain = before.released.solution.chi_square - after.released.solution.chi_square
+    gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
     if gain < LEAST_GAIN * min(after.reduced_chi_square, 1.0):
         raise ModelError("the model explains the readings as well without it")
 

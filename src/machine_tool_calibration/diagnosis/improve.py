@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result, effect_estimates, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
@@ -35,7 +35,7 @@ class Step:
     """
 
     change: str
-    chosen: Chosen
+    chosen: FitRequest
     result: Result | JointResult
     map_rms: float | None
     map_uncertainty: float | None
@@ -83,7 +83,7 @@ class Step:
         chi = self.reduced_chi_square
         if self.map_uncertainty is None or chi is None:
             return None
-        more = np.sqrt(max(chi, 1.0)) / self.result.joint.stated.scatter
+        more = np.sqrt(max(chi, 1.0)) / self.result.joint.marginal.scatter
         return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
 
     def residual_volumetric_error(self, last: Step) -> float | None:
@@ -122,7 +122,7 @@ class Improvement:
 
 
 def improve(
-    subject: Session | Chosen,
+    subject: Session | FitRequest,
     *,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Improvement:
@@ -137,7 +137,7 @@ def improve(
     Raises:
         ModelError: the data does not allow the model.
     """
-    chosen = replace(Chosen.of(subject), keep_all=True, sets=())
+    chosen = replace(FitRequest.of(subject), keep_all=True, sets=())
     found = diagnose(chosen, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
     first = step_after(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
@@ -148,7 +148,7 @@ def improve(
     return Improvement(found, tuple(steps))
 
 
-def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) -> Iterator[tuple[str, Chosen]]:
+def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) -> Iterator[tuple[str, FitRequest]]:
     """The models that a diagnosis names, each made from the one before, with what it has and that one has not.
 
     Without the readings that were set aside, if any; then with the effects found, one after the other.
@@ -174,7 +174,7 @@ def words_set_aside(count: int) -> str:
 def step_after(
     before: Step | None,
     change: str,
-    chosen: Chosen,
+    chosen: FitRequest,
     result: Result | JointResult,
     aside: tuple[tuple[int, ...], ...],
 ) -> Step:

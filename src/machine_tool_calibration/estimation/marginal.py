@@ -19,10 +19,10 @@ from scipy.linalg import lapack
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["DECLARED_WORTH", "NOTHING", "Gram", "Metric", "metric_at", "size_grid"]
+__all__ = ["DECLARED_DOF", "NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
 
 
-DECLARED_WORTH = 20.0
+DECLARED_DOF = 20.0
 """Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
 
 NOTHING = 1e-12
@@ -56,7 +56,7 @@ class Gram:
         family: (u,) family of each spread column.
         freedom: degrees of freedom of the readings beside the model's unknowns.
         sizes: of the last families, where they are known in their own unit: with their prior probabilities.
-        worth: readings that what is known of the noise is worth; infinite where it is known.
+        prior_dof: readings that what is known of the noise is worth; infinite where it is known.
     """
 
     inner: Array
@@ -65,7 +65,7 @@ class Gram:
     family: IntArray
     freedom: int
     sizes: tuple[dict[float, float], ...] = ()
-    worth: float = DECLARED_WORTH
+    prior_dof: float = DECLARED_DOF
 
     @property
     def spread(self) -> IntArray:
@@ -80,7 +80,7 @@ class Gram:
 
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
-        return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, worth=np.inf)
+        return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, prior_dof=np.inf)
 
     def log_likelihood(self, left: Array) -> Array:
         """Logarithm of the evidence by the squares that are left, up to what all models share.
@@ -88,19 +88,19 @@ class Gram:
         That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
         half of chi-square.
         """
-        if np.isinf(self.worth):
+        if np.isinf(self.prior_dof):
             return -0.5 * left
-        return np.asarray(-0.5 * (self.freedom + self.worth) * np.log(self.worth + left))
+        return np.asarray(-0.5 * (self.freedom + self.prior_dof) * np.log(self.prior_dof + left))
 
     def noise(self, left: Array) -> Array:
         """Variance of the noise by the squares that are left, over that declared, or over the known one."""
-        if np.isinf(self.worth):
+        if np.isinf(self.prior_dof):
             return np.ones_like(left)
-        return np.asarray((self.worth + left) / (self.worth + self.freedom))
+        return np.asarray((self.prior_dof + left) / (self.prior_dof + self.freedom))
 
 
 @dataclass(frozen=True)
-class Metric:
+class Marginal:
     """Inner products for one size of what does not reproduce.
 
     Attributes:
@@ -150,7 +150,7 @@ class Metric:
         left = np.maximum(self.squares[:1] - taken, NOTHING * self.gram.squares[:1])
         return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left)[0])
 
-    def beside(self, columns: IntArray, scale: Array) -> Metric:
+    def beside(self, columns: IntArray, scale: Array) -> Marginal:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
         inner, data = self.inner(columns, slice(None)), self.data[columns]
         lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
@@ -197,12 +197,12 @@ def _at_sizes(
 ) -> tuple[tuple[float, ...], float, float]:
     whole = (*ratio, *(size for size, _ in further))
     prior += float(sum(np.log(p) for _, p in further))
-    return whole, prior, float(metric_at(spread, whole, prior).log_null[0])
+    return whole, prior, float(marginal_at(spread, whole, prior).log_null[0])
 
 
-def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:
+def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Marginal:
     """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    plain = Metric(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros((0, len(gram.squares))))
+    plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros((0, len(gram.squares))))
     used = np.flatnonzero(plain.tau)
     return plain.beside(gram.spread[used], plain.tau[used])
 

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import Gram, metric_at, size_grid
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at, size_grid
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 __all__ = ["Components", "Functions", "WidenedPart", "components"]
@@ -71,7 +71,7 @@ def components(gram: Gram, repeats: Gram | None = None) -> Components:
         repeats: the same among readings of the same thing, which then tell the sizes.
     """
     ratios, _, logs = zip(*size_grid(gram if repeats is None else repeats), strict=True)
-    squares = np.array([metric_at(gram, ratio).squares[0] for ratio in ratios])
+    squares = np.array([marginal_at(gram, ratio).squares[0] for ratio in ratios])
     return Components(tuple(ratios), np.array(logs) - logsumexp(logs), squares, gram.freedom)
 
 

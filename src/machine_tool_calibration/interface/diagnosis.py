@@ -191,7 +191,7 @@ class Diagnosis(Shown):
     @property
     def nothing(self) -> float:
         """Probability that nothing is missing, neither an effect of the catalogue nor anything unknown."""
-        return self.found.look.nothing
+        return self.found.search.nothing
 
     @cached_property
     def candidates(self) -> pd.DataFrame:

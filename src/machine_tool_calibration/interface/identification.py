@@ -18,7 +18,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.arguments import require_kind, require_whole
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports import result_tables as tables
@@ -49,7 +49,7 @@ class Fit(Shown):
 
     measurement: Measurement
     result: Result | JointResult
-    chosen: Chosen
+    chosen: FitRequest
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -404,7 +404,7 @@ def identify(
     return _fitted(measurement, measurement.chosen(model, ids, known, keep_all))
 
 
-def _fitted(measurement: Measurement, asked: Chosen) -> Fit:
+def _fitted(measurement: Measurement, asked: FitRequest) -> Fit:
     return Fit(measurement, identify_sessions(asked), asked)
 
 

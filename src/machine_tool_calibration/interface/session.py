@@ -18,7 +18,7 @@ from machine_tool_calibration.session.session import Session, distinct_labels, m
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.methods.fitted import Chosen
+    from machine_tool_calibration.methods.fitted import FitRequest
 
 __all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
 
@@ -39,11 +39,11 @@ class Measurement(Shown):
 
     def chosen(
         self, model: str | None, effects: tuple[str, ...], own: tuple[Effect, ...], keep_all: bool = False
-    ) -> Chosen:
+    ) -> FitRequest:
         """The sessions with a model, as the package itself uses them."""
-        from machine_tool_calibration.methods.fitted import Chosen
+        from machine_tool_calibration.methods.fitted import FitRequest
 
-        return Chosen(self.sessions, self.labels, model, effects, own, keep_all)
+        return FitRequest(self.sessions, self.labels, model, effects, own, keep_all)
 
     @property
     def method(self) -> str:

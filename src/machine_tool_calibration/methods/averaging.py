@@ -15,7 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
 
 __all__ = ["averaged_map"]
@@ -24,7 +24,7 @@ __all__ = ["averaged_map"]
 _NOTHING = 0.02
 
 
-def averaged_map(fitted: FittedSessions, chosen: Chosen) -> tuple[ErrorMap, tuple[EffectSet, ...]]:
+def averaged_map(fitted: FittedSessions, chosen: FitRequest) -> tuple[ErrorMap, tuple[EffectSet, ...]]:
     """The mean over sets of effects; one with which there is no map, or one that says less, is left out.
 
     Args:

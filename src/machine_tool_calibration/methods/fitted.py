@@ -23,14 +23,14 @@ from machine_tool_calibration.residuals.gross_errors import Outlier, set_aside
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Chosen", "FittedSessions", "Sifted", "fit_sessions", "gross_errors", "joint_models"]
+__all__ = ["FitRequest", "FittedSessions", "WithoutGrossErrors", "fit_sessions", "gross_errors", "joint_models"]
 
 Built = tuple[MethodModel, str]
 """A session's model, and the name of its variant."""
 
 
 @dataclass(frozen=True)
-class Chosen:
+class FitRequest:
     """One session, or several of one machine, and the model to fit to them.
 
     Attributes:
@@ -58,16 +58,16 @@ class Chosen:
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @classmethod
-    def of(cls, subject: Session | Chosen) -> Chosen:
+    def of(cls, subject: Session | FitRequest) -> FitRequest:
         """A session with its method's default model, or what was chosen already."""
         return cls((subject,)) if isinstance(subject, Session) else subject
 
-    def adding(self, effects: Sequence[str], sets: Sequence[EffectSet] = ()) -> Chosen:
+    def adding(self, effects: Sequence[str], sets: Sequence[EffectSet] = ()) -> FitRequest:
         """With further effects in the model, and with sets of such as are to be added to its own."""
         whole = tuple(EffectSet((*self.effects, *one.effects), one.probability) for one in sets)
         return replace(self, effects=(*self.effects, *effects), sets=whole)
 
-    def instead(self, at: int, session: Session) -> Chosen:
+    def instead(self, at: int, session: Session) -> FitRequest:
         """With another session in the place of one."""
         return replace(self, sessions=(*self.sessions[:at], session, *self.sessions[at + 1 :]))
 
@@ -96,13 +96,13 @@ class Chosen:
 
 
 @dataclass(frozen=True)
-class Sifted:
+class WithoutGrossErrors:
     """A session without the readings that do not belong to the rest.
 
     Attributes:
         outliers: these readings, the largest first.
         session: it, with these as lost ones.
-        built: see `Chosen`; None where it is yet to be made of what was left.
+        built: see `FitRequest`; None where it is yet to be made of what was left.
     """
 
     outliers: list[Outlier]
@@ -150,17 +150,17 @@ class FittedSessions:
         return joint_map(joint, self.common, stated(joint, self.common.angles))
 
 
-def fit_sessions(subject: Session | Chosen, built: Sequence[Built | None] = ()) -> FittedSessions:
+def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = ()) -> FittedSessions:
     """Fit one session by itself, or several of one machine together.
 
     Args:
         subject: what, and by which model.
-        built: see `Chosen`; of every session or none, made here where it was not before.
+        built: see `FitRequest`; of every session or none, made here where it was not before.
 
     Raises:
         ModelError: as for `joint_models`; an effect is unknown or cannot act; or there are too few readings.
     """
-    chosen = Chosen.of(subject)
+    chosen = FitRequest.of(subject)
     if len(chosen.sessions) == 1:
         ((model, name),) = _all_built(chosen, built)
         return FittedSessions(fit_models([model]), None, (name,), chosen.effects)
@@ -170,7 +170,7 @@ def fit_sessions(subject: Session | Chosen, built: Sequence[Built | None] = ()) 
     )
 
 
-def joint_models(chosen: Chosen, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:
+def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:
     """The models of several sessions of one machine, with the same unknowns of the machine.
 
     Args:
@@ -197,12 +197,12 @@ def joint_models(chosen: Chosen, built: Sequence[Built | None] = ()) -> tuple[Co
     return replace(common, models=settled(common.models, labels, common.angles)), names
 
 
-def _all_built(chosen: Chosen, built: Sequence[Built | None]) -> list[Built]:
+def _all_built(chosen: FitRequest, built: Sequence[Built | None]) -> list[Built]:
     made = built or [None] * len(chosen.sessions)
     return [own or chosen.finished(chosen.base(session)) for session, own in zip(chosen.sessions, made, strict=True)]
 
 
-def gross_errors(chosen: Chosen) -> list[Sifted]:
+def gross_errors(chosen: FitRequest) -> list[WithoutGrossErrors]:
     """The readings of each session that do not belong to the rest, and what is left.
 
     Of several, each by itself and without effects: where one is missing, all its residuals are large, and none stands
@@ -211,7 +211,7 @@ def gross_errors(chosen: Chosen) -> list[Sifted]:
     return [_sifted(chosen, session) for session in chosen.sessions]
 
 
-def _sifted(chosen: Chosen, session: Session) -> Sifted:
+def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
     made: list[Built] = []
 
     def build(part: Session) -> MethodModel:
@@ -220,4 +220,4 @@ def _sifted(chosen: Chosen, session: Session) -> Sifted:
 
     outliers, kept = set_aside(session, build)
     # Where nothing was set aside the model is that in which it was looked for.
-    return Sifted(outliers, kept, made[0] if made and not outliers else None)
+    return WithoutGrossErrors(outliers, kept, made[0] if made and not outliers else None)

@@ -16,7 +16,13 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import rejected_readings
-from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, Sifted, fit_sessions, gross_errors
+from machine_tool_calibration.methods.fitted import (
+    FitRequest,
+    FittedSessions,
+    WithoutGrossErrors,
+    fit_sessions,
+    gross_errors,
+)
 from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
@@ -146,7 +152,7 @@ def fitted_sessions(result: Result | JointResult) -> FittedSessions:
     return FittedSessions(result.joint, None, (result.model_name,), result.effects)
 
 
-def identify_sessions(chosen: Chosen) -> Result | JointResult:
+def identify_sessions(chosen: FitRequest) -> Result | JointResult:
     """Identify one machine from one session, or from several of the same or of different methods.
 
     Raises:
@@ -182,9 +188,11 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
     )
 
 
-def _fitted(chosen: Chosen) -> tuple[tuple[tuple[Rejected, ...], ...], Chosen, FittedSessions]:
+def _fitted(chosen: FitRequest) -> tuple[tuple[tuple[Rejected, ...], ...], FitRequest, FittedSessions]:
     """The readings of each session that are kept out, what is chosen without them, and the fit to it."""
-    found = [Sifted([], session) for session in chosen.sessions] if chosen.keep_all else gross_errors(chosen)
+    found = (
+        [WithoutGrossErrors([], session) for session in chosen.sessions] if chosen.keep_all else gross_errors(chosen)
+    )
     rejected = tuple(
         rejected_readings(session) + tuple(Rejected(o.row, o.reason, o.deviation) for o in own.outliers)
         for session, own in zip(chosen.sessions, found, strict=True)
@@ -223,17 +231,17 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
-        sets: see `Chosen`.
+        sets: see `FitRequest`.
 
     Raises:
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
             identified cannot be.
     """
-    return _identified(Chosen((session,), None, model, tuple(effects), tuple(own), keep_all, tuple(sets)))
+    return _identified(FitRequest((session,), None, model, tuple(effects), tuple(own), keep_all, tuple(sets)))
 
 
 @single_blas()
-def _identified(chosen: Chosen) -> Result:
+def _identified(chosen: FitRequest) -> Result:
     (session,) = chosen.sessions
     (rejected,), chosen, fitted = _fitted(chosen)
     error_map, averaged = averaged_map(fitted, chosen)

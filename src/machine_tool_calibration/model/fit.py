@@ -18,7 +18,7 @@ from machine_tool_calibration.estimation.reduction import Projected, gram, proje
 from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import POINTS, Assembly, MethodModel, Parameter, Term, assemble
-from machine_tool_calibration.model.stated import RandomUnknowns, Stated, state
+from machine_tool_calibration.model.stated import MarginalFit, RandomUnknowns, state
 
 __all__ = ["Fit", "JointFit", "absorbed_by", "fit_models", "screen", "screen_joint"]
 
@@ -40,17 +40,17 @@ class JointFit:
     assembly: Assembly
     solution: Solution
     random: RandomUnknowns | None = None
-    given: Stated | None = None
+    given: MarginalFit | None = None
 
     @cached_property
-    def stated(self) -> Stated:
+    def marginal(self) -> MarginalFit:
         """What is published: with what does not reproduce, and with the scatter of the readings."""
         return state(self) if self.given is None else self.given
 
     @cached_property
     def published(self) -> Solution:
         """The shared unknowns as they are published: their mean and their covariance."""
-        m, stated = len(self.solution.theta), self.stated
+        m, stated = len(self.solution.theta), self.marginal
         covariance = stated.scatter**2 * stated.solution.covariance[:m, :m]
         return replace(self.solution, theta=stated.solution.theta[:m], covariance=covariance)
 
@@ -62,7 +62,7 @@ class JointFit:
         return covariance_root(total, squares, problem.constraints)
 
     @cached_property
-    def stripped(self) -> Problem:
+    def without_expectations(self) -> Problem:
         """The problem without what is expected of unknowns that are random functions."""
         if self.random is None:
             return self.assembly.problem
@@ -70,7 +70,7 @@ class JointFit:
         return assemble([model.without_priors(names) for model in self.assembly.models], self.assembly.labels).problem
 
     @cached_property
-    def released(self) -> JointFit:
+    def without_random(self) -> JointFit:
         """The same readings fitted with the unknowns that are random functions at zero; itself without any.
 
         How large these are was drawn from the readings, and what the model lacks made them larger: to be weighed
@@ -139,7 +139,7 @@ class Fit:
     @property
     def scatter_factor(self) -> float:
         """Published uncertainties over those that follow from the declared one."""
-        return self.joint.stated.scatter
+        return self.joint.marginal.scatter
 
     @property
     def determined(self) -> BoolArray:

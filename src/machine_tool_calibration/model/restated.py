@@ -20,7 +20,7 @@ from machine_tool_calibration.estimation.reduction import gram, single_blas
 from machine_tool_calibration.estimation.robust import Reweighted
 from machine_tool_calibration.estimation.solve import Linearised, local_steps, solve
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.stated import Stated
+from machine_tool_calibration.model.stated import MarginalFit
 
 __all__ = ["changed", "covariance_of", "declared", "drawn"]
 
@@ -38,7 +38,7 @@ def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
     parts = tuple(joint.assembly.problem.parts)
     none = tuple(np.zeros((0, part.n_readings)) for part in parts)
     solution = joint.solution if covariance is None else replace(joint.solution, covariance=covariance)
-    return replace(joint, given=Stated(parts, solution, 1.0, (), None, none, solution.chi_square, np.zeros(0)))
+    return replace(joint, given=MarginalFit(parts, solution, 1.0, (), None, none, solution.chi_square, np.zeros(0)))
 
 
 @single_blas()
@@ -78,7 +78,7 @@ def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[Joi
         rng: of the draws.
         count: of draws.
     """
-    stated = joint.stated
+    stated = joint.marginal
     published = stated.solution
     m = len(published.theta)
     values, vectors = np.linalg.eigh(published.covariance)

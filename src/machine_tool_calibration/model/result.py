@@ -232,7 +232,7 @@ class Identified(ABC):
 
     def fit_document(self) -> dict[str, Any]:
         """What is told of the fit and of the machine, as the contract's JSON document has it."""
-        stated = self.joint.stated
+        stated = self.joint.marginal
         return {
             "rms_residual": self.rms_residual,
             "reduced_chi_square": self.joint.reduced_chi_square,

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, metric_at
+from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, marginal_at
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
@@ -31,7 +31,7 @@ from machine_tool_calibration.model.reproducibility import Family, of_repeats, r
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import Fit, JointFit
 
-__all__ = ["FamilySize", "RandomPosterior", "RandomUnknowns", "Stated", "state"]
+__all__ = ["FamilySize", "MarginalFit", "RandomPosterior", "RandomUnknowns", "state"]
 
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
@@ -107,7 +107,7 @@ class FamilySize:
 
 
 @dataclass(frozen=True)
-class Stated:
+class MarginalFit:
     """A fit as it is published.
 
     Attributes:
@@ -144,13 +144,13 @@ class Stated:
 
 
 @single_blas()
-def state(joint: JointFit) -> Stated:
+def state(joint: JointFit) -> MarginalFit:
     """The fit with what does not reproduce in it.
 
     Args:
         joint: of one or several sessions.
     """
-    problem, solution = joint.stripped, joint.solution
+    problem, solution = joint.without_expectations, joint.solution
     # Rows of a plate that differ are the part's, as far as the map is concerned.
     families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
     if joint.random is None and problem.n_readings <= _ENOUGH:
@@ -188,14 +188,14 @@ def state(joint: JointFit) -> Stated:
         np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
         for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
     )
-    return Stated(
+    return MarginalFit(
         tuple(parts), stated, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
     )
 
 
 @dataclass(frozen=True)
 class _Marginal:
-    """What `Stated` has of the marginal model; `mean` counts from the fit, without what is known of effects' sizes."""
+    """What `MarginalFit` has of the marginal model; `mean` counts from the fit, without knowledge of effects' sizes."""
 
     mean: Array
     covariance: Array
@@ -266,7 +266,7 @@ def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float
     inner, data = projected[np.ix_(order, order)], projected[order, -1:]
     family = np.append(own, np.full(len(order) - len(own), len(ratio)))
     gram = Gram(inner, data, projected[-1:, -1], family, freedom)
-    logs = [metric_at(gram, (*ratio, s), float(np.log(p))).log_null[0] for s, p in IMPERFECTION_SIZES.items()]
+    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null[0] for s, p in IMPERFECTION_SIZES.items()]
     return float(np.sqrt(special.softmax(logs) @ np.square(list(IMPERFECTION_SIZES))))
 
 
@@ -414,7 +414,7 @@ def _scatter(chi_square: float, freedom: int) -> float:
     variance over both, by the probability that each gives the readings' scatter (inverse-gamma priors). Less scatter
     makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    worth = np.array([DECLARED_WORTH, _HARDLY])
+    worth = np.array([DECLARED_DOF, _HARDLY])
     half = 0.5 * (freedom + worth)
     logs = special.gammaln(half) - special.gammaln(0.5 * worth) + 0.5 * worth * np.log(worth)
     logs = logs - half * np.log(worth + chi_square)

@@ -13,7 +13,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.catalogue import own_effects
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.services import Progress
@@ -57,7 +57,7 @@ class Request:
     effects: tuple[str, ...]
     files: tuple[str, ...]
 
-    def chosen(self) -> Chosen:
+    def chosen(self) -> FitRequest:
         """The readings as a session, and the model.
 
         Raises:
@@ -65,7 +65,7 @@ class Request:
             CalibrationError: as for `own_effects`.
         """
         session = live_session(self.text, self.readings)
-        return Chosen((session,), None, self.model, self.effects, tuple(own_effects(self.files)))
+        return FitRequest((session,), None, self.model, self.effects, tuple(own_effects(self.files)))
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,6 @@ def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     accepted = diagnosis.accepted
     groups = [
         tuple(sorted(group, key=lambda name: accepted.index(name) if name in accepted else len(accepted)))
-        for group in diagnosis.look.groups
+        for group in diagnosis.search.groups
     ]
     return sorted(groups, key=lambda group: group[0] not in accepted)

@@ -12,7 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.restated import declared
 from machine_tool_calibration.model.result import ErrorMap
@@ -81,7 +81,7 @@ def outlook_of(found: Forecast, words: str) -> Outlook:
 
 
 @single_blas()
-def current(chosen: Chosen) -> Outlook:
+def current(chosen: FitRequest) -> Outlook:
     """What is known now."""
     joint, error_map = _fitted(chosen)
     places = np.concatenate([fit.model.observations.position for fit in joint.fits])
@@ -90,7 +90,7 @@ def current(chosen: Chosen) -> Outlook:
 
 
 @single_blas()
-def outlooks(chosen: Chosen, progress: Callable[[str, float], object] = lambda what, share: None) -> list[Outlook]:
+def outlooks(chosen: FitRequest, progress: Callable[[str, float], object] = lambda what, share: None) -> list[Outlook]:
     """What is known now, and what would be after each further measurement that the sessions allow.
 
     Args:
@@ -132,7 +132,7 @@ def _to_be_read(session: Session, readings: Readings) -> Session:
     return session.with_readings(replace(readings, displacement=np.full(len(readings), np.nan)))
 
 
-def _fitted(chosen: Chosen) -> tuple[JointFit, ErrorMap]:
+def _fitted(chosen: FitRequest) -> tuple[JointFit, ErrorMap]:
     """The fit, and its map with the uncertainties that follow from the declared one alone."""
     if len(chosen.sessions) > 1:
         fitted = fit_sessions(chosen)

@@ -13,7 +13,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import gram, project
-from machine_tool_calibration.methods.fitted import Chosen, joint_models
+from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.model.model import Assembly, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.description import Description
@@ -228,7 +228,7 @@ def _inverse(inner: Array, squares: Array) -> Array:
 
 
 def sense(
-    subject: Session | Chosen,
+    subject: Session | FitRequest,
     effects: Sequence[Assumed],
     *,
     present: Sequence[Assumed] = (),
@@ -249,7 +249,7 @@ def sense(
     Raises:
         ModelError: the readings do not allow the model.
     """
-    chosen = replace(Chosen.of(subject), effects=())
+    chosen = replace(FitRequest.of(subject), effects=())
     several = len(chosen.sessions) > 1
     built = joint_models(chosen)[0].models if several else [chosen.base(chosen.sessions[0])[0]]
     extended, asked = [], []

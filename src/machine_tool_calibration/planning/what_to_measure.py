@@ -30,7 +30,7 @@ __all__ = ["SEARCH", "Conclusions", "assumed_effects", "conclude", "present_effe
 def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
     """Every candidate with the coefficients that were found."""
     out: dict[str, Assumed] = {}
-    for found in diagnosis.look.findings:
+    for found in diagnosis.search.findings:
         effect = found.candidate.effect
         assert effect is not None
         out[found.name] = Assumed(effect, found.shape, {size.coefficient.name: size.value for size in found.sizes})
@@ -81,7 +81,7 @@ def visibilities(
     variance = max(fit.reduced_chi_square, 1e-12)
     every = [model.observations for model in fit.assembly.models]
     out = []
-    for r in diagnosis.look.findings:
+    for r in diagnosis.search.findings:
         name = r.name
         if name not in now.place or (r.rank and now.share(name) > _HARDLY):
             continue

@@ -139,7 +139,7 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
     known = {name: np.concatenate([own[name] for own in every]) for name in every[0] if all(name in o for o in every)}
     known = {name: values for name, values in known.items() if np.isfinite(values).all()}
     if not diagnosis.accepted:
-        for structure in diagnosis.look.structure:
+        for structure in diagnosis.search.structure:
             if structure.covariate in known:
                 return structure.covariate, known[structure.covariate]
     what = first.residuals - last.residuals if diagnosis.accepted else first.residuals

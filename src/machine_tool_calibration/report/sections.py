@@ -314,7 +314,7 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     yield TextTable(words("candidates"), heads, rows, words("candidates_note"))
     left = tuple(
         (words.phrase(s.covariate), words.phrase(s.shape), probability(s.p_value), f"{100 * s.share:.0f} %")
-        for s in diagnosis.look.left[:_CANDIDATES]
+        for s in diagnosis.search.left[:_CANDIDATES]
     )
     heads = (words("covariate"), words("shape"), words("p_value"), words("share"))
     if left:

@@ -111,7 +111,7 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
     known, surface = _effects(diagnosis), diagnosis.chosen.sessions[0].spec.probes_surface
-    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
+    return [a for a in diagnosis.search.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
 
 
 def _of_the_map(absorbed: Absorbed, effect: Effect | None, surface: bool) -> bool:
@@ -136,7 +136,7 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
 
 def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
     """All effects that were looked for."""
-    return {f.name: f.candidate.effect for f in diagnosis.look.findings if f.candidate.effect is not None}
+    return {f.name: f.candidate.effect for f in diagnosis.search.findings if f.candidate.effect is not None}
 
 
 _SHOWN = 8
@@ -254,7 +254,7 @@ def _outliers(diagnosis: Diagnosis) -> TextTable:
 
 
 def _structure(diagnosis: Diagnosis) -> TextTable:
-    left = diagnosis.look.left
+    left = diagnosis.search.left
     rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
     title = "What the residuals still depend on"
     note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
@@ -300,7 +300,7 @@ def _next(advice: Advice) -> TextTable:
 
 def _detectable(diagnosis: Diagnosis) -> TextTable:
     rows = []
-    for found in diagnosis.look.findings:
+    for found in diagnosis.search.findings:
         sizes = smallest_sizes(found)
         if sizes:
             rows.append((found.name, *_smallest(found, sizes)))

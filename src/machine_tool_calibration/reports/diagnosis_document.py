@@ -40,7 +40,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
     """
-    look, noise = diagnosis.look, diagnosis.noise
+    look, noise = diagnosis.search, diagnosis.noise
     document = {
         "format": "mtcal-diagnosis/1",
         "method": diagnosis.chosen.sessions[0].method if len(diagnosis.chosen.sessions) == 1 else "joint",
@@ -57,7 +57,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
             "chi_square_p_value": noise.chi_square_p,
             "lack_of_fit_p_value": noise.lack_of_fit_p,
         },
-        "spread": [size.document() for size in diagnosis.fits[-1].stated.sizes],
+        "spread": [size.document() for size in diagnosis.fits[-1].marginal.sizes],
         "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
@@ -172,7 +172,7 @@ def _visibility(visibility: Visibility) -> dict[str, Any]:
 
 def _detectable(diagnosis: Diagnosis) -> Iterator[dict[str, Any]]:
     """Smallest size of each effect that this measurement would have found with a power of 80 %."""
-    for f in diagnosis.look.findings:
+    for f in diagnosis.search.findings:
         smallest = smallest_sizes(f)
         if smallest:
             units = {size.coefficient.name: size.coefficient.unit for size in f.sizes}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import Entry
-    from machine_tool_calibration.methods.fitted import Chosen
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
@@ -28,7 +28,7 @@ class Measured:
     """
 
     recorded: tuple[Session, ...]
-    chosen: Chosen
+    chosen: FitRequest
     history: tuple[Entry, ...] = ()
 
     def document(self, result: Result | JointResult) -> dict[str, Any]:

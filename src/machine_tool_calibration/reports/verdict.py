@@ -47,20 +47,20 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
         yield _found(diagnosis, name, changes.get(name), advice)
     yield from negative_words(diagnosis.fits[-1], diagnosis.accepted)
     for name, why in diagnosis.refused.items():
-        p = probability(diagnosis.look.of(name).probability)
+        p = probability(diagnosis.search.of(name).probability)
         yield f"{_title(diagnosis, name)} is probable ({p}) and not added: {why}."
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
     if diagnosis.outliers and diagnosis.verdict != "outliers":
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
-    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].stated.sizes])
+    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
 
 
 def good_enough(diagnosis: Diagnosis) -> bool:
     """Whether the model lacks something for sure that is too small to matter."""
-    look, sound = diagnosis.look, diagnosis.verdict in ("adequate", "outliers")
+    look, sound = diagnosis.search, diagnosis.verdict in ("adequate", "outliers")
     return sound and (look.unknown > ACCEPTED or look.nothing < 1.0 - SURE)
 
 
@@ -71,12 +71,12 @@ def left_words(diagnosis: Diagnosis) -> Iterator[str]:
             "Structure is left in the residuals, small beside the declared uncertainty of a reading or in what it does "
             "to the map: the model is good enough without it."
         )
-    elif diagnosis.look.left and diagnosis.verdict in ("adequate", "outliers"):
+    elif diagnosis.search.left and diagnosis.verdict in ("adequate", "outliers"):
         yield "Whether the structure that seems to be left in the residuals is more than chance is not sure."
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    look, declared = diagnosis.look, quantity(diagnosis.noise.declared, "m")
+    look, declared = diagnosis.search, quantity(diagnosis.noise.declared, "m")
     residual = f"{quantity(rms(Pool(diagnosis.fits[0]).residuals), 'm')} RMS (declared uncertainty {declared})"
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
@@ -109,17 +109,17 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 
 def _likeliest(diagnosis: Diagnosis) -> str:
-    found = [f"{name} ({probability(diagnosis.look.of(name).probability)})" for name in diagnosis.likely]
+    found = [f"{name} ({probability(diagnosis.search.of(name).probability)})" for name in diagnosis.likely]
     return f"Likely, with the probability that it is missing: {', '.join(found)}."
 
 
 def _title(diagnosis: Diagnosis, name: str) -> str:
-    effect = diagnosis.look.of(name).candidate.effect
+    effect = diagnosis.search.of(name).candidate.effect
     return f"{effect.title} ({name})" if effect is not None else name
 
 
 def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> str:
-    found = diagnosis.look.of(name)
+    found = diagnosis.search.of(name)
     effect = found.candidate.effect
     words = [f"{name}: {effect.formula}." if effect is not None else f"{name}."]
     if change is not None:
@@ -145,7 +145,7 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
         words.append("Such a size does not usually occur: look for another cause as well.")
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
     if separation is not None:
-        rivals = [diagnosis.look.of(other).probability for other in separation.effects[1:]]
+        rivals = [diagnosis.search.of(other).probability for other in separation.effects[1:]]
         words.append(_lookalike(separation, max(rivals, default=0.0) > 0.1 * found.probability))
     return " ".join(words)
 
@@ -163,7 +163,7 @@ def _lookalike(separation: Separation, as_good: bool) -> str:
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
-    left = diagnosis.look.structure
+    left = diagnosis.search.structure
     if left:
         best = left[0]
         yield (
@@ -225,8 +225,8 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
             f"Repeats of one place agree within {quantity(repeats, 'm')}, places differ from each other by more, "
             "without a pattern: that is the scatter of the part, or of the machine from place to place."
         )
-    if diagnosis.verdict == "missing_effect" and diagnosis.look.left:
-        best = diagnosis.look.left[0]
+    if diagnosis.verdict == "missing_effect" and diagnosis.search.left:
+        best = diagnosis.search.left[0]
         yield (
             f"The residuals still depend on {_covariate(best)}: {100 * best.share:.0f} % of their sum of squares "
             f"({p_value(best.p_value)}), which no single effect of the catalogue explains. The effects that were "

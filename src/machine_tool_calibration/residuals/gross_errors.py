@@ -53,7 +53,7 @@ from machine_tool_calibration.residuals.agreement import (
     predicted_by_others,
     same_place,
 )
-from machine_tool_calibration.residuals.leverage import Reach, reach, taken
+from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
@@ -170,10 +170,10 @@ class _Fit:
 
     def joint(self, which: IntArray) -> Callable[[IntArray], tuple[Array, Array]]:
         """A and b (`residuals/agreement.py`) of any of some readings, by their places among these."""
-        reached = reach(self.part, self.solution, 0, self.weight, which)
+        reached = prediction_jacobian(self.part, self.solution, 0, self.weight, which)
 
         def of(at: IntArray) -> tuple[Array, Array]:
-            some = Reach(reached.shared[at], reached.own[at], reached.point[at])
+            some = PredictionJacobian(reached.shared[at], reached.own[at], reached.point[at])
             products = some.products(some, self.solution.covariance)
             return predicted_by_others(products, self.residual[which[at]] / self.noise.scale, self.weight[which[at]])
 
@@ -277,7 +277,7 @@ class _Search:
             solution = solve(replace(self.problem, parts=[part]), theta, [near])
             theta, local = solution.theta, solution.local[0]
         plain = part.weighted(np.ones(self.n))
-        residual, hat = scaled_residuals(plain, theta, local), taken(plain, solution, 0, weight)
+        residual, hat = scaled_residuals(plain, theta, local), hat_values(plain, solution, 0, weight)
         kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
         spread = np.sqrt(np.where(kept > SEEN, kept, np.inf))
         freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)

@@ -21,11 +21,11 @@ from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["Reach", "leverage", "reach", "taken"]
+__all__ = ["PredictionJacobian", "hat_values", "leverage", "prediction_jacobian"]
 
 
 @dataclass(frozen=True)
-class Reach:
+class PredictionJacobian:
     """How the prediction of some readings hangs on the unknowns, in units of each reading's declared uncertainty.
 
     The covariance of two predictions is `shared @ covariance @ shared.T`, plus the product of their `own` where both
@@ -41,7 +41,7 @@ class Reach:
     own: Array
     point: IntArray
 
-    def products(self, other: Reach, covariance: Array) -> Array:
+    def products(self, other: PredictionJacobian, covariance: Array) -> Array:
         """(k, l) covariances of the predictions of these readings with those of others."""
         out = self.shared @ covariance @ other.shared.T
         if self.own.shape[1]:
@@ -52,10 +52,10 @@ class Reach:
 
 def leverage(fit: Fit) -> Array:
     """(n,) share of a change of each reading that the prediction follows: 1 where the model has it for itself."""
-    return np.clip(taken(fit.part, fit.solution, fit.index, np.ones(fit.part.n_readings)), 0.0, 1.0)
+    return np.clip(hat_values(fit.part, fit.solution, fit.index, np.ones(fit.part.n_readings)), 0.0, 1.0)
 
 
-def taken(part: Part, solution: Solution, index: int, weight: Array) -> Array:
+def hat_values(part: Part, solution: Solution, index: int, weight: Array) -> Array:
     """(n,) variance of each reading's prediction over the reading's own.
 
     Below 1 for a reading that takes part with its full weight; anything for one that hardly takes part; 1 for readings
@@ -84,7 +84,9 @@ def taken(part: Part, solution: Solution, index: int, weight: Array) -> Array:
     return out
 
 
-def reach(part: Part, solution: Solution, index: int, weight: Array, which: IntArray) -> Reach:
+def prediction_jacobian(
+    part: Part, solution: Solution, index: int, weight: Array, which: IntArray
+) -> PredictionJacobian:
     """How the prediction of some readings hangs on the unknowns.
 
     Args:
@@ -115,7 +117,7 @@ def reach(part: Part, solution: Solution, index: int, weight: Array, which: IntA
             if part.dimension:
                 own[k] = seen.half[s][:, at].T
                 point[k] = layout.points[chunk][at]
-    return Reach(shared, own, point)
+    return PredictionJacobian(shared, own, point)
 
 
 @dataclass(frozen=True)

@@ -162,7 +162,7 @@ class Pool:
         """
         shared = tuple(Parameter(f"{k}", "1", shared=True) for k in range(len(columns)))
         terms: Sequence[Sequence[Term]] = [[Term("columns", shared, columns[:, piece])] for piece in self.pieces]
-        return screen_joint(self.fit if random else self.fit.released, terms)
+        return screen_joint(self.fit if random else self.fit.without_random, terms)
 
     def within_runs(self, columns: Array) -> Array:
         """(k,) squared norms of columns over the declared uncertainty, without the mean of each run."""

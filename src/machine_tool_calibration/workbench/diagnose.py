@@ -125,7 +125,7 @@ class DiagnosePage:
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
         found, then = state.diagnosis
-        sizes = [size.document() for size in state.model.fit.result.joint.stated.sizes]
+        sizes = [size.document() for size in state.model.fit.result.joint.marginal.sizes]
         report = diagnosis_report(found, then.advice, then.changes)
         self._words.object = paragraphs([*report.words[:1], *reproducibility_words(sizes)])
         self._more.object = paragraphs(report.words[1:]) + tables(report.tables)

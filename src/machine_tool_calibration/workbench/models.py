@@ -23,7 +23,7 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
-from machine_tool_calibration.methods.fitted import Chosen, gross_errors
+from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
@@ -109,7 +109,7 @@ class Subject:
             sessions.append(sound.without(gone) if gone.any() else sound)
         return replace(self.measurement, sessions=tuple(sessions))
 
-    def chosen(self, model: Model) -> Chosen:
+    def chosen(self, model: Model) -> FitRequest:
         """The readings and the model, with the effects of the user's own that are known by now."""
         return replace(model.fit.chosen, own=self.own)
 
@@ -117,7 +117,7 @@ class Subject:
         self,
         before: Model | None,
         words: str,
-        chosen: Chosen,
+        chosen: FitRequest,
         aside: frozenset[int],
         kept: frozenset[int],
     ) -> Model:

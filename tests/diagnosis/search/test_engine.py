@@ -12,7 +12,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import RANDOM
@@ -47,7 +47,7 @@ def test_setups_that_do_not_reproduce_are_no_effect(plan: str) -> None:
     found = diagnose(simulated(plan, 21, spread=1.0))
     assert found.verdict == "adequate"
     assert found.accepted == ()
-    assert max(size.probability for size in found.fits[-1].stated.sizes) > 0.5
+    assert max(size.probability for size in found.fits[-1].marginal.sizes) > 0.5
 
 
 def test_slopes_and_bows_of_four_mountings_are_seldom_the_drift_of_a_station() -> None:
@@ -65,11 +65,11 @@ def test_an_effect_is_found_beside_setups_that_do_not_reproduce(plan: str, effec
     found = diagnose(simulated(plan, 22, [spec], spread=0.4))
     assert found.verdict == "missing_effect"
     assert found.accepted == (effect,)
-    assert found.look.of(effect).probability > ACCEPTED
+    assert found.search.of(effect).probability > ACCEPTED
     assert not found.refused
     true = simulate(SimulationSpec(plan=PRESETS[plan], seed=22, effects=(spec,))).truth.effects[0].size
     if effect == "backlash_y":
-        (size,) = found.look.of(effect).sizes
+        (size,) = found.search.of(effect).sizes
         assert abs(size.value - true) < 4.0 * size.standard_uncertainty
 
 
@@ -79,14 +79,14 @@ def test_angular_errors_of_a_step_diagonal_do_not_take_up_what_is_missing() -> N
     found = diagnose(session)
     assert found.verdict == "missing_effect"
     (named,) = found.accepted
-    assert any({named, "linear_drift"} <= set(group) for group in found.look.groups)
+    assert any({named, "linear_drift"} <= set(group) for group in found.search.groups)
 
 
 def test_angular_errors_of_a_step_diagonal_are_no_effect() -> None:
     machine = MachineSpec(random=Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=1e-5, squareness=3e-5))
     found = diagnose(simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=31, machine=machine)).session)
     assert found.verdict == "adequate"
-    assert found.look.spread[RANDOM] > 1e-6
+    assert found.search.spread[RANDOM] > 1e-6
 
 
 def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
@@ -96,7 +96,7 @@ def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     assert found.verdict == "missing_effect"
     assert set(found.accepted) == {"warmup_x", "backlash_x"}
     # In one pass: the pair is in the best set, and each was weighed beside the other.
-    assert set(found.look.sets[0][0]) == {"warmup_x", "backlash_x"}
+    assert set(found.search.sets[0][0]) == {"warmup_x", "backlash_x"}
 
 
 @pytest.mark.parametrize("plan", ["iso230_2", "tracking_2d"])
@@ -106,14 +106,14 @@ def test_a_reversal_of_the_other_sign_is_the_same_effect(plan: str) -> None:
     found = diagnose(simulated(plan, 24, [FlawSpec(id=f"backlash_{axis}", size=-3e-6)]))
     assert found.verdict == "missing_effect"
     assert found.accepted == (f"backlash_{axis}",)
-    (size,) = found.look.of(f"backlash_{axis}").sizes
+    (size,) = found.search.of(f"backlash_{axis}").sizes
     assert size.value == pytest.approx(-3e-6, abs=4.0 * size.standard_uncertainty)
 
 
 def test_a_sign_that_is_expected_counts() -> None:
     """Of effects as large, one of the expected sign is the more probable."""
     there, back = (
-        diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=size)])).look.of("backlash_y")
+        diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=size)])).search.of("backlash_y")
         for size in (4e-7, -4e-7)
     )
     assert there.probability > back.probability
@@ -122,7 +122,7 @@ def test_a_sign_that_is_expected_counts() -> None:
 def test_a_reversal_that_no_machine_has_is_not_accepted() -> None:
     found = diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=-4e-4)]))
     assert "backlash_y" not in found.accepted
-    assert not found.look.of("backlash_y").plausible
+    assert not found.search.of("backlash_y").plausible
 
 
 def test_lost_motion_at_one_place_is_no_backlash_beside_it() -> None:
@@ -134,7 +134,7 @@ def test_lost_motion_at_one_place_is_no_backlash_beside_it() -> None:
     worn = -4e-6 * np.exp(-(((share - 0.7) / 0.12) ** 2)) * columns["dir_x"]
     found = diagnose(with_columns(session, worn))
     assert found.accepted == ("lost_motion_x",)
-    assert all({"backlash_x", "lost_motion_x"} - set(members) for members, _ in found.look.sets)
+    assert all({"backlash_x", "lost_motion_x"} - set(members) for members, _ in found.search.sets)
 
 
 def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
@@ -143,20 +143,20 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     found = diagnose(with_columns(session, 1.5e-6 * np.sin(2.0 * np.pi * time / 173.0)))
     assert found.verdict == "unexplained"
     assert found.accepted == ()
-    assert found.look.unknown > 0.99
-    waves = [s for s in found.look.structure if s.covariate == "time" and "period" in s.shape]
+    assert found.search.unknown > 0.99
+    waves = [s for s in found.search.structure if s.covariate == "time" and "period" in s.shape]
     assert float(waves[0].shape.split()[-2]) == pytest.approx(173.0, rel=0.01)
-    assert waves[0].share == max(s.share for s in found.look.structure)
+    assert waves[0].share == max(s.share for s in found.search.structure)
 
 
 def in_seconds(found: Diagnosis) -> set[str]:
     """Effects and structures that speak of time."""
     effects = {
         f.name
-        for f in found.look.findings
+        for f in found.search.findings
         if any("s" in c.unit.split("/") for c in (*f.candidate.nonlinear, *(s.coefficient for s in f.sizes)))
     }
-    return effects | {s.covariate for s in found.look.structure if s.covariate == "time" or s.shape.endswith(" s")}
+    return effects | {s.covariate for s in found.search.structure if s.covariate == "time" or s.shape.endswith(" s")}
 
 
 def test_without_times_nothing_is_told_in_seconds() -> None:
@@ -166,7 +166,7 @@ def test_without_times_nothing_is_told_in_seconds() -> None:
     found = diagnose(disturbed)
     assert found.verdict == "unexplained"
     assert in_seconds(found) == set()
-    waves = [s for s in found.look.structure if "period" in s.shape]
+    waves = [s for s in found.search.structure if "period" in s.shape]
     assert waves[0].shape.endswith("readings")
     assert float(waves[0].shape.split()[-2]) == pytest.approx(17.0, rel=0.01)
     assert {"station_drift", "linear_drift", "warmup_x"} <= set(found.excluded)
@@ -193,7 +193,7 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
     monkeypatch.setattr("machine_tool_calibration.methods.fitted.catalogue", lambda own: only)
     monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.predictions", lambda *_: {})
     found = diagnose(session)
-    assert found.look.accepted == ("station_drift",)
+    assert found.search.accepted == ("station_drift",)
     assert found.accepted == ()
     assert set(found.refused) == {"station_drift"}
     assert "determine" in found.refused["station_drift"]
@@ -208,7 +208,7 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
 
 def test_of_lost_motion_beside_backlash_only_what_varies_is_told() -> None:
     session = simulated("iso230_2", 5, [FlawSpec(id="backlash_x", size=2e-6)])
-    lost = diagnose(Chosen((session,), effects=("backlash_x",))).look.of("lost_motion_x")
+    lost = diagnose(FitRequest((session,), effects=("backlash_x",))).search.of("lost_motion_x")
     assert "b0" not in {size.coefficient.name for size in lost.sizes} | set(lost.detectable)
     assert lost.sizes
     assert all(size.standard_uncertainty < 1e-6 for size in lost.sizes)

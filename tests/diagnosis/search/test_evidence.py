@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, table
 from machine_tool_calibration.diagnosis.search.priors import POSITIVE
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, Metric, metric_at, size_grid
+from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, Marginal, marginal_at, size_grid
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
 from ...inner_products import N, columns, gram_of, log_marginal
@@ -30,9 +30,9 @@ def block(
     return Block(candidate, slice(first, first + k), shaped, np.array(unit), low, high, expected, share)
 
 
-def metrics(gram: Gram) -> list[Metric]:
+def metrics(gram: Gram) -> list[Marginal]:
     """One for every size of what does not reproduce."""
-    return [metric_at(gram, ratio, prior) for ratio, prior, _ in size_grid(gram)]
+    return [marginal_at(gram, ratio, prior) for ratio, prior, _ in size_grid(gram)]
 
 
 def scales_of(signal: float) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_one_coefficient_with_a_direct_integration_over_it_and_the_noise() -> No
     log_variance = np.linspace(-2.5, 3.0, 401)[:, None]
     coefficient = np.linspace(-3.0, 3.0, 801)[None, :]
     noise = np.exp(0.5 * log_variance)
-    prior = np.exp(-0.5 * DECLARED_WORTH * (log_variance + noise**-2.0))
+    prior = np.exp(-0.5 * DECLARED_DOF * (log_variance + noise**-2.0))
 
     def likelihood(value: np.ndarray) -> np.ndarray:
         squares = np.sum((readings[:, None] - value.reshape(-1) * wide) ** 2, axis=0)

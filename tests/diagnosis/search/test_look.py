@@ -13,7 +13,7 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, effect_candidates
-from machine_tool_calibration.diagnosis.search.look import Look, look_at
+from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
@@ -31,11 +31,11 @@ def session(effect: str | None) -> Session:
     return simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5, effects=flaws)).session
 
 
-def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ()) -> Look:
+def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ()) -> EffectSearch:
     fit = fit_models([build_model(measured)[0]])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
     made = [Candidate(name, (Shaped((), columns),)) for name, columns in structures]
-    return look_at(fit, candidates, made, side_by_side=False)
+    return search_effects(fit, candidates, made, side_by_side=False)
 
 
 def columns_of(effect: str) -> np.ndarray:

@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
-from machine_tool_calibration.diagnosis.search.look import Look, look_at
+from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
@@ -40,7 +40,7 @@ def with_effect(only_in: int | None) -> Session:
 def predicted(session: Session) -> tuple[Prediction, ...]:
     fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
-    look: Look = look_at(fit, candidates, [], side_by_side=False)
+    look: EffectSearch = search_effects(fit, candidates, [], side_by_side=False)
     return predictions([session], replace(look, accepted=(EFFECT,)), fit_of)[EFFECT]
 
 
@@ -71,7 +71,7 @@ def test_such_an_effect_is_refused_although_it_is_probable() -> None:
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
     fit = fit_of([session])
-    look = look_at(fit, effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], side_by_side=False)
+    look = search_effects(fit, effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], side_by_side=False)
     assert predictions([session], look, fit_of) == {}
 
 
@@ -100,8 +100,8 @@ def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
     far = readings.columns["x"] > np.median(readings.columns["x"])
     disturbed = readings.displacement + 6e-6 * far * np.sin(2.0 * np.pi * np.arange(len(readings)) / 7.3)
     found = diagnose(session.with_readings(replace(readings, displacement=disturbed)))
-    assert found.look.unknown > 0.99
-    assert len(found.look.without_cause)
+    assert found.search.unknown > 0.99
+    assert len(found.search.without_cause)
     assert "warmup_x" not in found.refused
 
 

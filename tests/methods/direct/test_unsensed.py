@@ -16,7 +16,7 @@ from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct.map import sensed_axes
-from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.model.result import map_change
 from machine_tool_calibration.plots import direct as pictures
@@ -114,7 +114,7 @@ def test_a_beam_a_little_off_the_axis_senses_no_other() -> None:
 
 def test_several_sessions_share_what_any_of_them_senses(direct: SimpleNamespace) -> None:
     x, y = _run(direct, 0, ["EXX"]), _run(direct, 1, ["EYY"])
-    together = identify_sessions(Chosen((x, y), ("x", "y"))).error_map
+    together = identify_sessions(FitRequest((x, y), ("x", "y"))).error_map
     assert np.isfinite(together.error[:, :2]).all() and np.isnan(together.error[:, 2]).all()
     assert np.isnan(together.uncertainty[:, 2]).all()
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.methods.joint.agreement import Contradiction, _Scores, _sentence
 from machine_tool_calibration.simulation.simulate import simulate
@@ -27,7 +27,7 @@ def _fitted(
         several.measured(name, seed, several.machine(seed, **(changed if name == odd else {}))).session
         for name in names
     ]
-    return identify_sessions(Chosen(sessions, list(names)))
+    return identify_sessions(FitRequest(sessions, list(names)))
 
 
 def test_sessions_of_one_machine_agree(several: SimpleNamespace, many: Any) -> None:
@@ -61,7 +61,7 @@ def test_two_sessions_alone_do_not_determine_which_is_wrong(several: SimpleNames
 def test_scatter_beyond_the_declared_is_no_contradiction(several: SimpleNamespace) -> None:
     names = ("tracker", "run", "grid")
     sessions = [several.measured(name, 6, noise_factor=4.0).session for name in names]
-    agreement = identify_sessions(Chosen(sessions, list(names))).agreement
+    agreement = identify_sessions(FitRequest(sessions, list(names))).agreement
     assert agreement.spread == pytest.approx(4.0, rel=0.1)
     assert not agreement.contradictions
 
@@ -69,7 +69,7 @@ def test_scatter_beyond_the_declared_is_no_contradiction(several: SimpleNamespac
 def test_nothing_shared(several: SimpleNamespace) -> None:
     run = several.measured("run", 7).session
     bare = type(run)(run.description.model_copy(update={"terms": ()}), run.readings)
-    joint = identify_sessions(Chosen((bare, bare), ("a", "b")))
+    joint = identify_sessions(FitRequest((bare, bare), ("a", "b")))
     assert joint.agreement.comparisons == 0
     assert joint.agreement.p_value is None
     assert "share no error motion" in joint.agreement.statement
@@ -85,7 +85,7 @@ def test_a_difference_is_stated_only_where_both_have_read(several: SimpleNamespa
         for number, machine in ((0, several.machine(seed)), (100, several.machine(seed, EXX=BOW)))
     )
     part = part.with_readings(part.readings.select(part.readings.column("x") <= end))
-    (entry,) = identify_sessions(Chosen((whole, part), ("whole", "part"))).agreement.contradictions
+    (entry,) = identify_sessions(FitRequest((whole, part), ("whole", "part"))).agreement.contradictions
     largest = float(np.interp(min(end, 0.16), several.nodes, BOW))
     # A smooth function through a line with a corner misses it by a tenth.
     assert abs(entry.difference) == pytest.approx(largest, abs=0.1 * largest + 3 * entry.difference_u)
@@ -97,8 +97,8 @@ def test_sessions_of_different_places_are_not_compared_there(several: SimpleName
     session = several.measured("grid", 4).session
     x = session.readings.column("x")
     parts = [session.with_readings(session.readings.select(keep)) for keep in (x < 0.15, x > 0.25)]
-    agreement = identify_sessions(Chosen(parts, ("low", "high"))).agreement
-    whole = identify_sessions(Chosen((session, session), ("a", "b"))).agreement
+    agreement = identify_sessions(FitRequest(parts, ("low", "high"))).agreement
+    whole = identify_sessions(FitRequest((session, session), ("a", "b"))).agreement
     assert 0 < agreement.comparisons < whole.comparisons
     assert not agreement.contradictions
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.methods.joint.map import between_nodes, squared_bend
 from machine_tool_calibration.model.rigid_body import MachineTable
@@ -61,7 +61,7 @@ def test_a_plate_where_only_step_diagonals_tell_the_straightness(several: Simple
         plan = {"method": "step_diagonal", "blocks": 8, "step": (0.05, 0.05, 0.05)}
         diagonals = simulate(SimulationSpec.model_validate({"seed": seed, "plan": plan, "machine": machine}))
         grid = several.measured("grid", seed, machine)
-        result = identify_sessions(Chosen((diagonals.session, grid.session), ("diagonals", "grid")))
+        result = identify_sessions(FitRequest((diagonals.session, grid.session), ("diagonals", "grid")))
         points, uncertainty = result.error_map.points, result.error_map.uncertainty
         tables = result.common.tables
         labels = [label for table in tables for label in table.labels]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.simulation import FlawSpec
 
@@ -18,7 +18,7 @@ def _two_trackers(several: SimpleNamespace, seed: int, size: float | None) -> Jo
     effects = (FlawSpec(id="warmup_y", size=size, parameters={"tau": 900.0}),) if size else ()
     machine = several.machine(seed)
     sessions = [several.measured("tracker", seed + k, machine, effects=effects).session for k in range(2)]
-    return identify_sessions(Chosen(sessions, ("first", "second"), effects=("warmup_y",)))
+    return identify_sessions(FitRequest(sessions, ("first", "second"), effects=("warmup_y",)))
 
 
 def test_a_time_constant_is_shared(several: SimpleNamespace, many: Any) -> None:

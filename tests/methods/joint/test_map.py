@@ -12,7 +12,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import Chosen, joint_models
+from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.session.session import Session
@@ -35,7 +35,7 @@ def test_normalised_errors_and_chi_square(several: SimpleNamespace, many: Any) -
     some = many.part(0.4)
     for seed in range(some.count):
         simulated = [several.measured(name, seed) for name in ("tracker", "run", "grid")]
-        result = identify_sessions(Chosen(tuple(s.session for s in simulated), ("tracker", "run", "grid")))
+        result = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("tracker", "run", "grid")))
         error, uncertainty = _errors(result, simulated[0]), result.error_map.uncertainty
         normalised.append(np.mean((error / uncertainty)[uncertainty > 1e-12] ** 2))
         chi.append(result.fit.reduced_chi_square)
@@ -46,7 +46,7 @@ def test_normalised_errors_and_chi_square(several: SimpleNamespace, many: Any) -
 def test_together_is_better_than_alone(several: SimpleNamespace) -> None:
     tracker, run = several.measured("tracker", 1), several.measured("run", 1)
     alone = identify(tracker.session, model="rigid_body")
-    both = identify_sessions(Chosen((tracker.session, run.session), ("tracker", "run")))
+    both = identify_sessions(FitRequest((tracker.session, run.session), ("tracker", "run")))
     table = both.error_map.content["tables"]["EXX"]
     own = {p.name: p.standard_uncertainty for p in alone.parameters}
     # The run by ISO 230-2 reads EXX from zero to each position directly.
@@ -57,7 +57,7 @@ def test_together_is_better_than_alone(several: SimpleNamespace) -> None:
 
 def test_step_diagonal_takes_angular_errors_from_a_tracker(several: SimpleNamespace) -> None:
     simulated = [several.measured(name, 2) for name in ("tracker", "diagonals")]
-    result = identify_sessions(Chosen(tuple(s.session for s in simulated), ("tracker", "diagonals")))
+    result = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("tracker", "diagonals")))
     assert result.fit.reduced_chi_square < 1.1
     assert not result.agreement.contradictions
     assert not result.not_determined
@@ -69,7 +69,7 @@ def test_step_diagonal_takes_angular_errors_from_a_tracker(several: SimpleNamesp
 
 def test_nodes_of_all_sessions_in_one_table(several: SimpleNamespace) -> None:
     simulated = [several.measured(name, 3) for name in ("grid", "diagonals")]
-    result = identify_sessions(Chosen(tuple(s.session for s in simulated), ("grid", "diagonals")))
+    result = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("grid", "diagonals")))
     (table,) = (table for table in result.common.tables if table.name == "EXX")
     np.testing.assert_allclose(table.nodes, np.union1d(np.round(several.nodes, 9), np.round(np.arange(11) * 0.04, 9)))
 
@@ -77,14 +77,14 @@ def test_nodes_of_all_sessions_in_one_table(several: SimpleNamespace) -> None:
 def test_effect_of_one_session_only(several: SimpleNamespace) -> None:
     tracker = several.measured("tracker", 4)
     run = several.measured("run", 4, effects=[{"id": "backlash_x", "size": 2e-6}])
-    result = identify_sessions(Chosen((tracker.session, run.session), ("tracker", "run"), effects=("backlash_x",)))
+    result = identify_sessions(FitRequest((tracker.session, run.session), ("tracker", "run"), effects=("backlash_x",)))
     assert result.effects == ("backlash_x",)
     assert "backlash_x.b" in {p.name for p in result.parameters}
 
 
 def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
     session = several.measured("run", 0).session
-    alone = identify_sessions(Chosen((session,), ("a",)))
+    alone = identify_sessions(FitRequest((session,), ("a",)))
     np.testing.assert_array_equal(alone.error_map.error, identify(session).error_map.error)
 
 
@@ -92,13 +92,13 @@ def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
 def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str) -> None:
     session = several.measured("run", 0).session
     with pytest.raises(ModelError, match=message):
-        joint_models(Chosen((session, session), tuple(labels)))
+        joint_models(FitRequest((session, session), tuple(labels)))
 
 
 def test_a_model_that_no_session_has(several: SimpleNamespace) -> None:
     sessions = tuple(several.measured(name, 0).session for name in ("tracker", "run"))
     with pytest.raises(ModelError, match=r"none of the sessions has a model 'fre' \(did you mean 'free'\?\)"):
-        joint_models(Chosen(sessions, ("a", "b"), "fre"))
+        joint_models(FitRequest(sessions, ("a", "b"), "fre"))
 
 
 def test_another_machine(several: SimpleNamespace) -> None:
@@ -106,13 +106,13 @@ def test_another_machine(several: SimpleNamespace) -> None:
     machine = run.description.machine.model_copy(update={"chain": "w-Y-b-X-Z-t"})
     other = type(run)(run.description.model_copy(update={"machine": machine}), run.readings)
     with pytest.raises(ModelError, match="session 'b' is of a machine with another chain"):
-        identify_sessions(Chosen((run, other), ("a", "b")))
+        identify_sessions(FitRequest((run, other), ("a", "b")))
 
 
 def test_effect_that_acts_in_none(several: SimpleNamespace) -> None:
     session = several.measured("run", 0).session
     with pytest.raises(ModelError, match="effect mirror_misalignment acts in no session"):
-        identify_sessions(Chosen((session, session), ("a", "b"), effects=("mirror_misalignment",)))
+        identify_sessions(FitRequest((session, session), ("a", "b"), effects=("mirror_misalignment",)))
 
 
 def test_two_tools_of_different_reach_tell_the_yaw(several: SimpleNamespace) -> None:
@@ -122,7 +122,7 @@ def test_two_tools_of_different_reach_tell_the_yaw(several: SimpleNamespace) -> 
         machine = {**several.machine(5), "tool_offset": (0.0, reach, 0.0)}
         plan = {**several.PLANS["run"], "chain": several.CHAIN, "terms": ("EXX", "ECX")}
         sessions.append(simulate(SimulationSpec.model_validate({"seed": seed, "plan": plan, "machine": machine})))
-    result = identify_sessions(Chosen(tuple(s.session for s in sessions), ("short", "long")))
+    result = identify_sessions(FitRequest(tuple(s.session for s in sessions), ("short", "long")))
     found = {e.name: e for e in result.parameters}
     truth = sessions[0].truth.machine.motion("ECX", several.nodes)
     assert np.abs(truth).max() > 8e-6
@@ -145,5 +145,5 @@ def test_a_session_in_which_nothing_stands_out_is_modelled_once(
         return build_model(session, model)
 
     monkeypatch.setattr("machine_tool_calibration.methods.fitted.build_model", counted)
-    identify_sessions(Chosen(sessions, names))
+    identify_sessions(FitRequest(sessions, names))
     assert made == list(sessions)

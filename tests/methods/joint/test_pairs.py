@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
@@ -78,7 +78,7 @@ def test_one_map_with_the_right_uncertainty(one: str, other: str, many: Any) -> 
     some = many.part(0.25)
     for seed in range(some.count):
         simulated = [_measured(name, seed) for name in (one, other)]
-        result = identify_sessions(Chosen(tuple(s.session for s in simulated), (one, other)))
+        result = identify_sessions(FitRequest(tuple(s.session for s in simulated), (one, other)))
         found.append(_normalised(result, simulated[0]))
         chi.append(result.fit.reduced_chi_square)
         wrong += bool(result.agreement.contradictions)
@@ -90,12 +90,12 @@ def test_one_map_with_the_right_uncertainty(one: str, other: str, many: Any) -> 
 @pytest.mark.parametrize(("other", "motion"), [("space", "EXX"), ("space", "EXY"), ("plane", "EYX"), ("plane", "EYY")])
 def test_probing_and_tracking_that_contradict_each_other(other: str, motion: str) -> None:
     sessions = [_measured("probing", 3).session, _measured(other, 3, **{motion: BOW}).session]
-    agreement = identify_sessions(Chosen(sessions, ("probing", other))).agreement
+    agreement = identify_sessions(FitRequest(sessions, ("probing", other))).agreement
     assert agreement.contradictions[0].motion == motion
     assert f"contradict each other in {motion}" in agreement.statement
 
 
 def test_two_rotary_axes_are_not_one() -> None:
     sessions = [_measured("rotary", seed).session for seed in (1, 2)]
-    agreement = identify_sessions(Chosen(sessions, ("first", "second"))).agreement
+    agreement = identify_sessions(FitRequest(sessions, ("first", "second"))).agreement
     assert agreement.contradictions and agreement.contradictions[0].motion.endswith("C")

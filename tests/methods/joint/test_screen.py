@@ -8,7 +8,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import Chosen, joint_models
+from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.model.fit import fit_models, screen, screen_joint
 from machine_tool_calibration.model.model import Parameter, Term
 
@@ -72,7 +72,7 @@ def dense(joint, columns: np.ndarray) -> np.ndarray:
 def joint(several):
     """A tracker and a run of one axis, in one fit."""
     sessions = [several.measured(name, 3).session for name in ("tracker", "run")]
-    common, _ = joint_models(Chosen(sessions, ("tracker", "run")))
+    common, _ = joint_models(FitRequest(sessions, ("tracker", "run")))
     return fit_models(common.models, ["tracker", "run"])
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.fitted import Chosen, joint_models
+from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.model.rigid_body import map_field
@@ -39,7 +39,7 @@ def divided(session: Session, key: np.ndarray) -> list[Session]:
 
 def together(session: Session, key: np.ndarray, effects: list[str]) -> JointResult:
     parts = divided(session, key)
-    return identify_sessions(Chosen(parts, tuple(f"s{k}" for k in range(len(parts))), effects=effects))
+    return identify_sessions(FitRequest(parts, tuple(f"s{k}" for k in range(len(parts))), effects=effects))
 
 
 def apart(one: Result, several: JointResult) -> np.ndarray:
@@ -90,7 +90,7 @@ def test_an_error_motion_is_the_same_function_in_sessions_at_different_places(se
     """Its columns in the parts are those of the whole, with a declared travel and without."""
     for whole in (tracked(4, 2).session, undeclared(tracked(4, 2).session)):
         key = (whole.readings.column("x") > 0.15).astype(int)
-        common, _ = joint_models(Chosen(divided(whole, key), ("low", "high"), effects=("ECX",)))
+        common, _ = joint_models(FitRequest(divided(whole, key), ("low", "high"), effects=("ECX",)))
         observed = identify(whole, model="rigid_body").fit.model.observations
         expected = catalogue()["ECX"].columns(observed)
         for k, model in enumerate(common.models):
@@ -124,7 +124,7 @@ def test_a_session_of_which_no_reading_is_left_is_refused(method: str) -> None:
     session = simulate(SimulationSpec.model_validate({"seed": 3, "plan": {"method": method}})).session
     emptied = session.without(np.ones(len(session.readings), dtype=bool))
     with pytest.raises(ModelError, match="no reading is left"):
-        joint_models(Chosen((session, emptied), ("a", "b")))
+        joint_models(FitRequest((session, emptied), ("a", "b")))
 
 
 def test_a_setup_without_readings_changes_nothing() -> None:
@@ -138,6 +138,6 @@ def test_a_setup_without_readings_changes_nothing() -> None:
         parts.append(
             type(part)(bare, type(readings)(**{**vars(readings), "setup": np.zeros(len(readings), dtype=int)}))
         )
-    bare_result = identify_sessions(Chosen(parts, list("abcd")))
+    bare_result = identify_sessions(FitRequest(parts, list("abcd")))
     declared = together(session, session.readings.setup, [])
     assert np.allclose(bare_result.error_map.error, declared.error_map.error, atol=1e-12, equal_nan=True)

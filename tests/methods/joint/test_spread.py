@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.methods.joint.model import common_models
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
@@ -69,7 +69,7 @@ def test_the_map_has_the_right_uncertainty(
     some = many.part(0.4)
     for seed in range(some.count):
         simulated = [several.measured(name, seed, _random(seed, angular)) for name in ("diagonals", other)]
-        result = identify_sessions(Chosen(tuple(s.session for s in simulated), ("diagonals", other)))
+        result = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("diagonals", other)))
         error, variance = _errors(result, simulated[0])
         known = variance > 1e-24
         normalised.append(np.mean(error[known] ** 2 / variance[known]))
@@ -86,7 +86,7 @@ def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace, repro
     alone = build(session)
     common = common_models([alone], [""])
     fit = fit_models(settled(common.models, [""], common.angles), random=random_of(common.angles))
-    assert fit.stated.scatter == 1.0  # readings that scatter no more than declared
+    assert fit.marginal.scatter == 1.0  # readings that scatter no more than declared
     found = stated(fit, common.angles)
     assert found is not None and alone.spread is not None and alone.spread.posterior is not None
     assert found.size == pytest.approx(alone.spread.posterior.size, rel=1e-4)
@@ -104,7 +104,7 @@ def test_what_the_readings_hardly_tell_is_named(several: SimpleNamespace) -> Non
     found = {}
     for angular in (0.0, 1e-5):
         simulated = [several.measured(name, 4, _random(4, angular)) for name in ("diagonals", "grid")]
-        document = identify_sessions(Chosen(tuple(s.session for s in simulated), ("diagonals", "grid"))).document()
+        document = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("diagonals", "grid"))).document()
         why = {entry["name"]: entry["why"] for entry in document["not_determined"]}
         found[angular] = document["error_map"]["angular_probability"], why
     assert found[0.0][0] < 0.3 < 0.95 < found[1e-5][0]
@@ -121,7 +121,7 @@ def _with_a_bow(several: SimpleNamespace, motion: str) -> JointResult:
         several.measured("diagonals", 2, machine).session,
         several.measured("grid", 2, {**machine, "motions": {motion: bow}}).session,
     ]
-    return identify_sessions(Chosen(sessions, ("diagonals", "grid")))
+    return identify_sessions(FitRequest(sessions, ("diagonals", "grid")))
 
 
 @pytest.mark.parametrize("motion", ["EXX", "EYY"])
@@ -137,7 +137,7 @@ def test_in_straightness_it_cannot_and_says_so(several: SimpleNamespace) -> None
     assert result.angles is not None and result.angles.size > 8e-6
     assert "may be taken for angular errors" in result.agreement.statement
     without = [several.measured(name, 2, _random(2, 0.0)).session for name in ("diagonals", "grid")]
-    assert "angular" not in identify_sessions(Chosen(without, ("diagonals", "grid"))).agreement.statement
+    assert "angular" not in identify_sessions(FitRequest(without, ("diagonals", "grid"))).agreement.statement
 
 
 def test_beyond_what_a_session_can_tell_there_is_no_value(several: SimpleNamespace) -> None:
@@ -145,7 +145,7 @@ def test_beyond_what_a_session_can_tell_there_is_no_value(several: SimpleNamespa
     content = {"seed": 3, "plan": {"method": "step_diagonal"}, "machine": _random(3, 2e-6)}
     short = simulate(SimulationSpec.model_validate(content)).session
     run = several.measured("run", 3, _random(3, 2e-6)).session
-    result = identify_sessions(Chosen((short, run), ("short", "run")))
+    result = identify_sessions(FitRequest((short, run), ("short", "run")))
     points, error = result.error_map.points, result.error_map.error
     away = points[:, 0] > 0.121
     assert away.any()

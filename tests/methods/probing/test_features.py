@@ -247,7 +247,7 @@ def test_what_does_not_reproduce_is_among_the_inputs(part: Callable[..., Any]) -
         mine = readings.setup == k
         drift[mine] *= np.linspace(-1, 1, int(mine.sum()))[np.argsort(np.argsort(time[mine]))]
     fit = fitted(session.with_readings(replace(readings, displacement=readings.displacement + drift)))
-    assert fit.joint.stated.ratios.max() > 1.0
+    assert fit.joint.marginal.ratios.max() > 1.0
     found = features(fit, frame=("a", "b"))
     drawn = monte_carlo(fit, found.rows, 4 * DRAWS)
     free = found.uncertainty > 1e-12

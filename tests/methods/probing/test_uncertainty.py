@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stated uncertainties: against a brute-force reference, and against the scatter of many noisy runs."""
+"""MarginalFit uncertainties: against a brute-force reference, and against the scatter of many noisy runs."""
 
 import numpy as np
 import pytest

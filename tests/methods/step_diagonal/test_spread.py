@@ -84,7 +84,7 @@ def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed, reprodu
     mean = weights @ means
     total = np.tensordot(weights, covariances, axes=1) + (means - mean).T @ ((means - mean) * weights[:, None])
     fit = fit_models([model])
-    assert fit.stated.scatter == 1.0  # readings that scatter no more than declared
+    assert fit.marginal.scatter == 1.0  # readings that scatter no more than declared
     profiles = model.profiles(fit.fits[0])
     uncertainty = np.sqrt(np.diag(total))
     assert uncertainty.max() > 1.05 * np.sqrt(np.diag(covariances[0])).max()

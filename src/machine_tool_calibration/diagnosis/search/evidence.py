@@ -19,7 +19,7 @@ from scipy.special import log_ndtr, ndtr
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.priors import POSITIVE, SELDOM
-from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 from machine_tool_calibration.residuals.pool import Pool
@@ -120,7 +120,7 @@ def gram_of(pool: Pool, projected: Projected) -> Gram:
         pool: the readings.
         projected: what the model leaves of the columns and, below them, those of the pool's spread.
     """
-    fitted, gram = pool.fit.released.solution, projected.gram
+    fitted, gram = pool.fit.without_random.solution, projected.gram
     squares, family = np.array([fitted.chi_square]), pool.spread[1]
     return Gram(gram[:-1, :-1], gram[:-1, -1:].copy(), squares, family, fitted.degrees_of_freedom, pool.sizes)
 
@@ -162,7 +162,7 @@ class Table:
         return self.log_evidence - self.log_null
 
 
-def table(blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, only: int | None = None) -> Table:
+def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, only: int | None = None) -> Table:
     """Evidence of every candidate.
 
     Args:
@@ -234,7 +234,7 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
     return np.where(shows & allowed, SCALE_STEP**-every, np.nan), shows.sum(axis=1)
 
 
-def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Metric]) -> tuple[Array, Array]:
+def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal]) -> tuple[Array, Array]:
     """Logarithm of the evidence of blocks of as many columns each, summed over the metrics.
 
     Args:
@@ -273,7 +273,7 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Metric]) -
     high = (np.array([block.high for block in blocks]) / unit)[None, :, None, :, None]
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
-    freedom = gram.freedom + gram.worth
+    freedom = gram.freedom + gram.prior_dof
     least, zero, most = (_normal((limit - mean) / deviation, freedom) for limit in (low, 0.0, high))
     scale = scales[None, :, :, None, None]
     after, before = _log_between(least, most), _log_between(low / scale, high / scale)
@@ -306,7 +306,7 @@ def _log_between(low: Array, high: Array) -> Array:
     return np.asarray(out)
 
 
-def _own(metric: Metric, columns: IntArray) -> Array:
+def _own(metric: Marginal, columns: IntArray) -> Array:
     """(blocks, k, k) inner products of each block's own columns."""
     half = metric.half[:, columns.reshape(-1)].reshape(len(metric.half), *columns.shape).transpose(1, 2, 0)
     return np.asarray(metric.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))

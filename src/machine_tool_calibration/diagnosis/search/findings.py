@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
-from machine_tool_calibration.estimation.marginal import NOTHING, Metric
+from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -97,7 +97,7 @@ def basis_of(inner: Array) -> Array:
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
 
 
-def fitted_in(metric: Metric, place: slice) -> tuple[Array, Array]:
+def fitted_in(metric: Marginal, place: slice) -> tuple[Array, Array]:
     """Columns fitted to what the model leaves: their basis, and the readings along it.
 
     Their squares are what the columns take up of the readings' squares.
@@ -106,7 +106,7 @@ def fitted_in(metric: Metric, place: slice) -> tuple[Array, Array]:
     return basis, basis.T @ metric.data[place, 0]
 
 
-def posterior_of(metric: Metric, block: Block, point: Point) -> tuple[Array, Array]:
+def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
     """Mean of a block's coefficients, normal about zero with the scale of its point, and their covariance over sigma^2.
 
     The covariance is that of the noise's variance 1.
@@ -127,7 +127,7 @@ def _largest(squares: Array) -> float:
     return max(float(squares.max(initial=0.0)), 1e-100)
 
 
-def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Metric, found: Posterior) -> Finding:
+def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, found: Posterior) -> Finding:
     """Fit a candidate to what the model leaves, in the metric of what does not reproduce.
 
     Args:

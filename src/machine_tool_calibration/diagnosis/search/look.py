@@ -22,14 +22,14 @@ from machine_tool_calibration.diagnosis.search.findings import (
 from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, EFFECT, FURTHER, LAW, STRUCTURE, THE_SAME
-from machine_tool_calibration.estimation.marginal import Gram, metric_at
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Absorbed", "Look", "Structure", "look_at"]
+__all__ = ["Absorbed", "EffectSearch", "Structure", "search_effects"]
 
 
 # Chance below which a structure is named, and below which places that differ more than their repeats are.
@@ -78,7 +78,7 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Look:
+class EffectSearch:
     """One look at what a fitted model leaves.
 
     Attributes:
@@ -124,13 +124,13 @@ class Look:
         return next(f for f in self.findings if f.name == effect)
 
 
-def look_at(
+def search_effects(
     fit: JointFit,
     candidates: Sequence[Candidate],
     structures: Sequence[Candidate],
     *,
     side_by_side: bool,
-) -> Look:
+) -> EffectSearch:
     """The posterior over everything that may be missing, and what is read off it.
 
     Args:
@@ -154,7 +154,7 @@ def look_at(
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
     without_cause = [_beside_effects(columns, found, k) for k in found.best]
-    return Look(
+    return EffectSearch(
         fit=fit,
         noise=noise,
         findings=findings,
@@ -322,7 +322,7 @@ def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[B
 
 def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
     ratio, families = found.metrics[0].ratio, len(found.metrics[0].ratio) - len(columns.gram.sizes)
-    plain = metric_at(columns.gram, (0.0,) * families + ratio[families:])
+    plain = marginal_at(columns.gram, (0.0,) * families + ratio[families:])
     effects = enumerate(columns.candidates[: columns.effects])
     out = [finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects]
     # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
@@ -376,7 +376,7 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
         place = slice(first, first + len(candidate.shapes[0].columns))
         first += sum(len(s.every) for s in candidate.shapes)
         if k not in seen:
-            out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit.released, columns.projected, place)))
+            out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit.without_random, columns.projected, place)))
     return tuple(out)
 
 

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
 from machine_tool_calibration.diagnosis.search.priors import LIKELY
-from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric, metric_at, size_grid
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
 __all__ = ["Posterior", "search"]
 
@@ -57,7 +57,7 @@ class Posterior:
     sets: tuple[Members, ...]
     log_weights: dict[frozenset[int], float]
     single: Table
-    metrics: tuple[Metric, ...]
+    metrics: tuple[Marginal, ...]
     shares: Array
     variance: float
 
@@ -72,7 +72,7 @@ class Posterior:
         """The most probable set."""
         return self.sets[0]
 
-    def beside(self, accepted: Collection[int]) -> list[Metric]:
+    def beside(self, accepted: Collection[int]) -> list[Marginal]:
         """The metrics with candidates folded in, each at its point in the best set, or where it is best alone."""
         members = {k: self.best.get(k) or self.single.best[k] for k in accepted}
         return _beside(self.blocks, self.metrics, members)
@@ -119,7 +119,7 @@ class _Search:
 
     blocks: Sequence[Block]
     log_odds: Array
-    tried: Sequence[Metric]
+    tried: Sequence[Marginal]
     apart: Sequence[frozenset[int]]
     found: dict[frozenset[int], tuple[float, Members]] = field(default_factory=dict)
     grown: dict[frozenset[tuple[int, Point]], Table] = field(default_factory=dict)
@@ -132,7 +132,7 @@ class _Search:
         """Logarithm of the members' prior odds, with what their other points than these add."""
         return sum(float(self.log_odds[k]) + point.log_rest for k, point in members.items())
 
-    def beside(self, members: Members) -> list[Metric]:
+    def beside(self, members: Members) -> list[Marginal]:
         """The metrics with members folded in."""
         return _beside(self.blocks, self.tried, members)
 
@@ -220,7 +220,7 @@ def search(
     )
 
 
-def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> list[Metric]:
+def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> list[Marginal]:
     """Sizes of what does not reproduce that have a share of the evidence, with nothing or with one of the best effects.
 
     The best are those where all reproduces, and those beside what is most probable without any.
@@ -230,13 +230,13 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
     least = min(range(len(grid)), key=lambda k: grid[k][0])
     alone: set[Point] = set()
     for ratio, prior, _ in (grid[k] for k in {likeliest, least}):
-        found = table(blocks, [metric_at(gram, ratio, prior)], len(log_odds))
+        found = table(blocks, [marginal_at(gram, ratio, prior)], len(log_odds))
         ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k, 0] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.
     used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
     few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used, :1], squares=gram.squares[:1])
-    tried = [metric_at(few, ratio, prior) for ratio, prior, _ in grid]
+    tried = [marginal_at(few, ratio, prior) for ratio, prior, _ in grid]
     keep, first = np.array([log for _, _, log in grid]) > max(log for _, _, log in grid) + np.log(_COUNTS), 0
     for point in alone:
         scale = blocks[point.block].unit * point.scale
@@ -244,7 +244,7 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
         first += len(scale)
         values = np.array([metric.log_beside(own, scale) for metric in tried])
         keep |= values > logsumexp(values) + np.log(_COUNTS)
-    return [metric_at(gram, ratio, prior) for (ratio, prior, _), good in zip(grid, keep, strict=True) if good]
+    return [marginal_at(gram, ratio, prior) for (ratio, prior, _), good in zip(grid, keep, strict=True) if good]
 
 
 def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tuple[int, int]]:
@@ -278,7 +278,7 @@ def _columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array
     return columns_of(blocks[point.block] for point in members.values()), np.concatenate([np.zeros(0), *scales])
 
 
-def _beside(blocks: Sequence[Block], tried: Sequence[Metric], members: Members) -> list[Metric]:
+def _beside(blocks: Sequence[Block], tried: Sequence[Marginal], members: Members) -> list[Marginal]:
     """The metrics with members folded in at their points."""
     columns, scale = _columns(blocks, members)
     return [metric.beside(columns, scale) if members else metric for metric in tried]

@@ -18,10 +18,10 @@ import numpy as np
 from machine_tool_calibration.arrays import IntArray, groups
 from machine_tool_calibration.diagnosis.search.candidates import shaped_at
 from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, gram_of, table
-from machine_tool_calibration.diagnosis.search.look import Look
+from machine_tool_calibration.diagnosis.search.look import EffectSearch
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.estimation.marginal import metric_at
+from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -80,7 +80,7 @@ class Prediction:
 
 def predictions(
     sessions: Sequence[Session],
-    look: Look,
+    look: EffectSearch,
     fit_of: Callable[[tuple[Session, ...]], JointFit],
 ) -> dict[str, tuple[Prediction, ...]]:
     """Every accepted effect on setups, blocks of places and cycles that were left out.
@@ -113,7 +113,7 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: Look) -> np.ndarray:
+def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: EffectSearch) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
     The noise and what does not reproduce have the same size for all readings and for a part of them: only so do the two
@@ -140,7 +140,7 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     if "mounting" in sizes and "mounting" not in names and "run" in names:
         sizes["run"] = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
     known = ends[-1] + np.arange(len(further))
-    base = metric_at(gram, tuple(sizes.get(name, 0.0) for name in names)).beside(known, look.expected)
+    base = marginal_at(gram, tuple(sizes.get(name, 0.0) for name in names)).beside(known, look.expected)
     out = np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]

@@ -140,7 +140,7 @@ def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None
 
 
 def _posterior(fit: JointFit) -> AngularPosterior:
-    told = fit.stated.random
+    told = fit.marginal.random
     assert isinstance(told, AngularPosterior)
     return told
 

@@ -114,7 +114,7 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
         point: (n,) place of the touched point in the workpiece's list.
         n_points: N.
     """
-    stated = fit.joint.stated
+    stated = fit.joint.marginal
     columns = stated.columns(fit)
     mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
     touched = total > 0

@@ -108,7 +108,7 @@ def _gains(fit: Fit, rows: Array) -> _Gains:
         raise ModelError("draws are for features of a probed workpiece")
     if len(fit.joint.assembly.models) > 1:
         raise ModelError("draws are for one session; this fit is of several")
-    stated, problem = fit.joint.stated, fit.joint.assembly.problem
+    stated, problem = fit.joint.marginal, fit.joint.assembly.problem
     point, n_points = model.touches.point, len(model.description.workpiece)
     columns = stated.columns(fit)
     m = len(fit.theta)

@@ -280,7 +280,7 @@ class StepDiagonalModel(MethodModel):
         for kind in ("positioning", "straightness", "squareness"):
             content[kind] = _paired({f.name: (f.value, f.uncertainty) for f in figures if f.kind == kind})
         content |= self._angular(fit)
-        told = fit.joint.stated.random
+        told = fit.joint.marginal.random
         if told is not None:
             content["angular_size"] = told.size
             content["angular_probability"] = told.probability

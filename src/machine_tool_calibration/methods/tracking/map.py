@@ -58,7 +58,7 @@ class _Network:
 def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     """Every target's position error, from its own unknowns."""
     d, own = model.dimension, fit.places[: len(model.own)]
-    stated = fit.joint.stated
+    stated = fit.joint.marginal
     local, theta = stated.solution.local[fit.index], stated.solution.theta
     nominal, stations = model.targets[:, :d].T, model.stations[:, :d]
     where, at = nominal, stations
