@@ -4,7 +4,8 @@
 A fit by least squares takes all readings for independent. What is published is of the marginal model: every run and
 every mounting has a random function of time (`model.reproducibility`) whose size the readings determine, the declared
 uncertainty is corrected where the readings contradict it, and unknowns that are random functions themselves (small
-angular errors) have the mean over the sizes that are possible. The values are those of the marginal model, too.
+angular errors) have the mean over the sizes that are possible. The values are those of the marginal model, too; what
+every model lacks a little (`model.imperfection`) moves none of them, and widens their uncertainty.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
 The model's own unknowns were projected off; spread between runs and mountings, and effects that are taken for granted,
 are folded into the metric. What is left of an effect is a small matrix for each set of its nonlinear coefficients, so
 that the number of readings does not matter. The coefficients b of an effect are normal about zero with a standard
-deviation s on a grid of scales; sizes and signs that do not occur are cut off. The variance of the noise is integrated
-out, with what was declared as knowledge worth a number of readings.
+deviation s on a grid of scales; sizes that do not occur are cut off, and a sign that is expected has its odds. The
+variance of the noise is integrated out, with what was declared as knowledge worth a number of readings.
 """
 
 from __future__ import annotations
