@@ -14,7 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["IMPERFECT", "IMPERFECTION_SIZES", "imperfection", "scaled"]
+__all__ = ["IMPERFECT", "IMPERFECTION_SIZES", "imperfection", "scaled_values"]
 
 IMPERFECT = "imperfection"
 """Name of the family of smooth functions that no model has."""
@@ -36,7 +36,7 @@ def imperfection(observations: Observations) -> Array:
     if observations.session.spec.reads_machine:
         return np.zeros((0, len(observations)))
     place = {a: v for a, v in zip("xyz", observations.position.T, strict=True)}
-    within = {a: s for a, s in ((a, scaled(v)) for a, v in place.items()) if s is not None}
+    within = {a: s for a, s in ((a, scaled_values(v)) for a, v in place.items()) if s is not None}
     series = {a: np.polynomial.legendre.legvander(s, _DEGREE).T for a, s in within.items()}
     out = [values[d] / d for values in series.values() for d in range(1, _DEGREE + 1)]
     for a, b in combinations(series, 2):
@@ -63,7 +63,11 @@ def _angles(observations: Observations) -> list[Array]:
     return [angle for angle in angles if np.ptp(angle) > 0]
 
 
-def scaled(values: Array) -> Array | None:
-    """Values from -1 to 1; None where they do not vary."""
-    half = float(np.ptp(values)) / 2.0 if len(values) else 0.0
-    return (values - values.min()) / half - 1.0 if half > 1e-12 else None
+def scaled_values(values: Array) -> Array | None:
+    """Values from -1 to 1; None where it does not vary or has gaps."""
+    if not len(values) or not np.isfinite(values).all():
+        return None
+    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
+    if half <= 1e-9 * max(abs(middle), 1e-9):
+        return None
+    return np.asarray((values - middle) / half)

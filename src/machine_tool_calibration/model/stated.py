@@ -217,8 +217,8 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     freedom = solution.degrees_of_freedom
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
     # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
-    reproduces = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
-    runs = np.flatnonzero(~reproduces)
+    imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
+    runs = np.flatnonzero(~imperfect)
     own, families = place[runs], tuple(name for name in names if name != IMPERFECT)
     some = np.append(runs, u)
     inner = projected[np.ix_(some, some)]
@@ -238,13 +238,13 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
     tau[:, runs] = ratios[:, own]
-    if reproduces.any():
-        tau[:, reproduces] = _misfit(
-            projected, np.append(runs, np.flatnonzero(reproduces)), own, found.ratios[chosen[0]], freedom
+    if imperfect.any():
+        tau[:, imperfect] = _misfit(
+            projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], freedom
         )
     random = None
     if joint.random is None:
-        mean, covariance = _marginal(total, projected, root, tau, weights, scatter, reproduces)
+        mean, covariance = _marginal(total, projected, root, tau, weights, scatter, imperfect)
     else:
         tried = [_at(joint, joint.random, problem, total, squares, one, scatter) for one in tau]
         steps, covariances, found_random = zip(*tried, strict=True)

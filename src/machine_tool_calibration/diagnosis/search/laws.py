@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.model.imperfection import scaled
+from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["law_tolerance", "smooth_share"]
@@ -35,7 +35,7 @@ def law_tolerance(pool: Pool, signal: Array, tolerance: float) -> Array:
 
 def smooth_share(pool: Pool, signal: Array) -> Array:
     """(j, n) a signal times smooth functions of time; none where no time was recorded."""
-    time = scaled(np.concatenate([o.clock if o.timed else np.zeros(len(o)) for o in pool.observations]))
+    time = scaled_values(np.concatenate([o.clock if o.timed else np.zeros(len(o)) for o in pool.observations]))
     if time is None:
         return np.zeros((0, len(pool)))
     functions = np.polynomial.legendre.legvander(time, _DEGREE).T[1:]

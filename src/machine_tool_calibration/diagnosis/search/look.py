@@ -221,7 +221,6 @@ class _Columns:
         candidates: effects, then what has no cause.
         effects: how many effects there are.
         projected: what the model leaves of all columns of all candidates, and of those of what does not reproduce.
-        before: squared norms of the same before that.
         gram: inner products.
         blocks: of what the model does not absorb.
     """
@@ -230,7 +229,6 @@ class _Columns:
     candidates: list[Candidate]
     effects: int
     projected: Projected
-    before: Array
     gram: Gram
     blocks: list[Block]
 
@@ -269,7 +267,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
                     blocks.append(Block.of(c, place, own, squares, share))
             first += len(shaped.every)
     blocks = _without_repeated(blocks, gram.inner, len(candidates))
-    return _Columns(pool, every, len(candidates), projected, np.append(before, projected.squares[k:-1]), gram, blocks)
+    return _Columns(pool, every, len(candidates), projected, gram, blocks)
 
 
 def _apart(columns: _Columns) -> list[frozenset[int]]:
@@ -362,10 +360,10 @@ def _accepted(
 
 def _of_law(pool: Pool, signals: Mapping[str, Array], name: str, other: str) -> bool:
     """Whether an effect is a small part of what a surer one may differ from its law by: smooth in time as it is."""
+    if rms(signals[name] / pool.sigma) > LAW * rms(signals[other] / pool.sigma):
+        return False
     both = np.concatenate([signals[name][None], signals[other][None], smooth_share(pool, signals[other])])
     inner = pool.screen(both).gram[:-1, :-1]
-    if inner[0, 0] <= 0.0 or rms(signals[name] / pool.sigma) > LAW * rms(signals[other] / pool.sigma):
-        return False
     basis = basis_of(inner[1:, 1:])
     return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > ALIKE**2 * inner[0, 0])
 

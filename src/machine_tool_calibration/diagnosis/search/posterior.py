@@ -48,7 +48,6 @@ class Posterior:
         log_weights: logarithm of the evidence of each set times its prior odds, in the same order.
         single: every candidate by itself.
         metrics: those that matter, the most probable beside the best set first.
-        shares: (metrics,) probability of each beside the best set.
         variance: of the noise beside the best set, over that declared.
     """
 
@@ -58,7 +57,6 @@ class Posterior:
     log_weights: dict[frozenset[int], float]
     single: Table
     metrics: tuple[Marginal, ...]
-    shares: Array
     variance: float
 
     @cached_property
@@ -215,7 +213,6 @@ def search(
         log_weights={key: work.found[key][0] for key in ranked},
         single=single,
         metrics=tuple(work.tried[k] for k in order),
-        shares=shares[order],
         variance=float(shares @ [metric.squares[0] for metric in beside]) / max(gram.freedom, 1),
     )
 

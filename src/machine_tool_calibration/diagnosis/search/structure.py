@@ -11,6 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.covariates import covariates
 from machine_tool_calibration.residuals.periodogram import strongest_periods
@@ -58,10 +59,10 @@ def _of_one(observations: Observations) -> Iterator[tuple[str, Array]]:
     """Functions of one covariate, and of some of them displacements."""
     axes = [(axis, along) for axis, along in zip("xyz", observations.direction.T, strict=True) if np.ptp(along) > _SAME]
     for name, values in _covariates(observations).items():
-        scaled = _scaled(values)
-        if scaled is None:
+        within = scaled_values(values)
+        if within is None:
             continue
-        functions = {"its sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(scaled)}
+        functions = {"its sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(within)}
         if name in _ANGLES:
             functions["periodic"] = np.array([wave(k * values) for k in _ORDERS for wave in (np.sin, np.cos)])
         displaces = name in _SIGNS or name == "time" or name.startswith("temperature")
@@ -79,7 +80,7 @@ def _smooth(scaled: Array) -> Array:
 
 def _positions(observations: Observations) -> dict[str, Array]:
     """Those of the axes that move, from -1 to 1."""
-    scaled = {axis: _scaled(values) for axis, values in zip("xyz", observations.position.T, strict=True)}
+    scaled = {axis: scaled_values(values) for axis, values in zip("xyz", observations.position.T, strict=True)}
     return {axis: values for axis, values in scaled.items() if values is not None}
 
 
@@ -135,17 +136,7 @@ def _within(values: Array, group: IntArray) -> Array:
     """Values from -1 to 1 over the range of their group."""
     out = np.zeros(len(values))
     for g in np.unique(group):
-        scaled = _scaled(values[group == g])
+        scaled = scaled_values(values[group == g])
         if scaled is not None:
             out[group == g] = scaled
     return out
-
-
-def _scaled(values: Array) -> Array | None:
-    """The covariate from -1 to 1; None where it does not vary or has gaps."""
-    if not np.isfinite(values).all():
-        return None
-    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
-    if half <= 1e-9 * max(abs(middle), 1e-9):
-        return None
-    return np.asarray((values - middle) / half)
