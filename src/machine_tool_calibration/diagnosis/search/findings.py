@@ -103,7 +103,7 @@ def fitted_in(metric: Marginal, place: slice) -> tuple[Array, Array]:
     Their squares are what the columns take up of the readings' squares.
     """
     basis = basis_of(metric.inner(place, place))
-    return basis, basis.T @ metric.data[place, 0]
+    return basis, basis.T @ metric.data[place]
 
 
 def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, A
     deviation = block.unit * point.scale
     inner = metric.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
     covariance = np.linalg.inv(inner) * np.outer(deviation, deviation)
-    return covariance @ metric.data[block.place, 0], covariance
+    return covariance @ metric.data[block.place], covariance
 
 
 def _outside(inner: Array) -> BoolArray:
@@ -140,7 +140,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
     def rms_with(taken: float) -> float:
-        return float(np.sqrt(max(float(plain.squares[0]) - taken, 0.0) / readings)) * rms(pool.sigma)
+        return float(np.sqrt(max(plain.squares - taken, 0.0) / readings)) * rms(pool.sigma)
 
     if point is None:
         return Finding(candidate, candidate.shapes[0].shape, rms_with(0.0))
@@ -148,7 +148,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     place, shaped = block.own, block.shaped
     metric, log_factor = found.metrics[0], found.log_factor(number)
     basis, along = fitted_in(metric, place)
-    inner, squares, gain = metric.inner(place, place), float(metric.squares[0]), float(along @ along)
+    inner, squares, gain = metric.inner(place, place), metric.squares, float(along @ along)
     rank, count = basis.shape[1], len(shaped.columns)
     variance = max(squares - gain, NOTHING * squares) / max(metric.gram.freedom - rank, 1)
     mean, covariance = posterior_of(metric, block, point)
