@@ -18,7 +18,7 @@ from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.priors import POSITIVE, SELDOM
+from machine_tool_calibration.diagnosis.search.priors import BEYOND, POSITIVE, SELDOM
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
@@ -88,8 +88,8 @@ class Block:
             log_share: logarithm of the probability of its nonlinear coefficients.
         """
         if shaped.coefficients:
-            low, high = np.array([(c.least, c.high) for c in shaped.coefficients]).T
-            unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+            low, high = BEYOND * np.array([(c.least, c.high) for c in shaped.coefficients]).T
+            unit = np.maximum(np.abs(low), np.abs(high)) / (2.0 * BEYOND)
             positive = np.array([c.low == 0.0 for c in shaped.coefficients])
             if shaped.law is not None:
                 free = np.full(len(shaped.law), np.inf)

@@ -12,7 +12,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, BEYOND, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
@@ -38,7 +38,8 @@ class Size:
     def plausible(self) -> bool:
         """Whether it is of a size that occurs, given its uncertainty."""
         margin = _MARGIN * self.standard_uncertainty
-        return self.coefficient.least <= self.value + margin and self.value - margin <= self.coefficient.high
+        least, largest = BEYOND * self.coefficient.least, BEYOND * self.coefficient.high
+        return least <= self.value + margin and self.value - margin <= largest
 
 
 @dataclass(frozen=True)
