@@ -25,6 +25,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Part, PartAround
 from machine_tool_calibration.estimation.reduction import single_blas
@@ -32,16 +33,10 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.agreement import (
-    BESIDE,
     COMPARED,
     HELD_OUT,
     LOOKED_AT,
-    MISFIT,
-    MOST,
-    PATTERN,
     ROUNDS,
-    SEEN,
-    SUSPECTED,
     TOGETHER,
     Neighbours,
     Noise,
@@ -138,7 +133,7 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
         found += more
         if not more:
             break
-    if len(found) > MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+    if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
         return []
     return sorted(found, key=lambda o: -abs(o.studentized))
 
@@ -223,7 +218,8 @@ class _Search:
             held, alike = self._agreed(asked, held, fit)
             fit = self._fit(held)
             # What was asked once is asked again, so that the set comes to rest.
-            more = np.union1d(asked, np.flatnonzero(np.abs(fit.predicted) > min(fit.noise.limit, BESIDE)))
+            beyond = np.abs(fit.predicted) > min(fit.noise.limit, priors.SUSPECTED_BESIDE)
+            more = np.union1d(asked, np.flatnonzero(beyond))
             if len(more) == len(asked):
                 break
             asked = more
@@ -240,7 +236,7 @@ class _Search:
     def _only_noise(self) -> bool:
         """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
         fit = self._fit(np.zeros(0, dtype=np.int64))
-        return fit.noise.scale < MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
+        return fit.noise.scale < priors.MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
 
     def _suspects(self) -> IntArray:
         """Readings that stand out of a robust solution, which is where all others are linearised from now on.
@@ -255,15 +251,15 @@ class _Search:
         noise = noise_of(np.abs(off), spare * self.n)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
         beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
-        self.pattern = beside.scale < PATTERN * noise.scale
+        self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
         self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
         if self.pattern:
             course = neighbours.course(every, off)
             self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course
         size = np.abs(off)
-        suspected = np.flatnonzero(size > SUSPECTED * max(noise.scale, 0.5))
-        most = int(MOST * self.n)
+        suspected = np.flatnonzero(size > priors.SUSPECTED * max(noise.scale, 0.5))
+        most = int(priors.SINGLE * self.n)
         return suspected if len(suspected) <= most else np.sort(np.argsort(-size)[:most])
 
     def _fit(self, held: IntArray) -> _Fit:
@@ -279,7 +275,7 @@ class _Search:
         plain = part.weighted(np.ones(self.n))
         residual, hat = scaled_residuals(plain, theta, local), hat_values(plain, solution, 0, weight)
         kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
-        spread = np.sqrt(np.where(kept > SEEN, kept, np.inf))
+        spread = np.sqrt(np.where(kept > priors.JUDGED, kept, np.inf))
         freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
         noise = noise_of(np.abs(residual / spread)[seen], freedom, self.explained[seen])
