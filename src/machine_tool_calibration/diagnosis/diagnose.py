@@ -29,7 +29,7 @@ from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.restated import changed, declared
 from machine_tool_calibration.model.result import ErrorMap, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
-from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -163,9 +163,8 @@ def _without_gross_errors(
 ) -> tuple[FitRequest, tuple[tuple[Outlier, ...], ...]]:
     """What is chosen without the gross errors beside these effects, and these errors, session by session."""
     build = _alone(chosen, added)
-    each = [find_outliers(session, build) for session in chosen.sessions]
-    kept = replace(chosen, sessions=tuple(session for _, session in each))
-    return kept, tuple(tuple(outliers) for outliers, _ in each)
+    aside = tuple(tuple(find_outliers(session, build)) for session in chosen.sessions)
+    return replace(chosen, sessions=tuple(map(without, chosen.sessions, aside))), aside
 
 
 def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]) -> tuple[str, ...]:

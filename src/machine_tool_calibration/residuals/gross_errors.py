@@ -17,13 +17,13 @@ named so. All numbers that decide stand in `residuals/agreement.py`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.elimination import Rows
@@ -51,7 +51,7 @@ from machine_tool_calibration.residuals.agreement import (
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
+__all__ = ["Outlier", "find_outliers", "suspected_rows", "without"]
 
 
 @dataclass(frozen=True)
@@ -73,30 +73,40 @@ class Outlier:
     ambiguous: bool = False
 
 
-def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
-    """Set aside the readings with gross errors.
+@single_blas()
+def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
+    """The readings with gross errors, the largest first.
+
+    A model that draws more from the readings than unknowns is made anew without what was set aside.
 
     Args:
         session: the measurement; what it says to be sound is never among them.
         build: makes the model of a session.
 
     Returns:
-        Outliers, the largest first, and the session without these readings. None where the data does not allow the
-        model, which its own fit will say.
+        None where the data does not allow the model, which its own fit will say.
     """
-    found = _found(session, build)
-    return found, session.without(_rows(session, found)) if found else session
+    found: list[Outlier] = []
+    for _ in range(ROUNDS):
+        try:
+            more = _Search(build(without(session, found, as_lost=True))).outliers()
+        except (ModelError, np.linalg.LinAlgError):
+            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
+            return []
+        more = [o for o in more if o.row not in session.sound]
+        found += more
+        if not more:
+            break
+    if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+        return []
+    return sorted(found, key=lambda o: -abs(o.studentized))
 
 
-def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
-    """The same, with these readings as lost ones: what they alone measured is then named.
-
-    Args:
-        session: the measurement.
-        build: makes the model of a session.
-    """
-    found = _found(session, build)
-    return found, session.without(_rows(session, found), as_lost=True) if found else session
+def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = False) -> Session:
+    """A session without readings that were set aside; as lost ones, if what they alone measured is to be named."""
+    if not outliers:
+        return session
+    return session.without(np.isin(session.readings.row, [o.row for o in outliers]), as_lost=as_lost)
 
 
 @single_blas()
@@ -113,29 +123,6 @@ def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) ->
     except (ModelError, np.linalg.LinAlgError):
         rows = np.zeros(0, dtype=np.int64)
     return rows[~np.isin(rows, list(session.sound))]
-
-
-def _rows(session: Session, found: list[Outlier]) -> BoolArray:
-    return np.isin(session.readings.row, [o.row for o in found])
-
-
-@single_blas()
-def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
-    """All models; one that draws more from the readings than unknowns is made anew without what was set aside."""
-    found: list[Outlier] = []
-    for _ in range(ROUNDS):
-        try:
-            more = _Search(build(session.without(_rows(session, found), as_lost=True) if found else session)).outliers()
-        except (ModelError, np.linalg.LinAlgError):
-            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
-            return []
-        more = [o for o in more if o.row not in session.sound]
-        found += more
-        if not more:
-            break
-    if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
-        return []
-    return sorted(found, key=lambda o: -abs(o.studentized))
 
 
 @dataclass(frozen=True)
