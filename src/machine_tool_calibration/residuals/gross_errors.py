@@ -308,7 +308,9 @@ class _Search:
             found[mine] = False
             found[mine[gross]] = True
             if len(gross) and len(other):
-                alike |= {int(k): mine[other] for k in mine[np.union1d(other, gross)]}
+                either, doubtful = mine[np.union1d(other, gross)], mine[other]
+                doubtful = doubtful[~self.explained[doubtful]]
+                alike |= {int(k): doubtful for k in either[~self.explained[either]]}
         return np.flatnonzero(found & ~self.explained), alike
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
