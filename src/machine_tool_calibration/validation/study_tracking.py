@@ -22,7 +22,7 @@ from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.instruments.tracking import distance, projection
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.methods.map_comparison import DRAWS, MapComparison, compare_fits
-from machine_tool_calibration.model.restated import changed
+from machine_tool_calibration.model.refits import changed
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.machine import VirtualMachine
