@@ -27,7 +27,7 @@ from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulat
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
-from machine_tool_calibration.validation.record import Printed, Study
+from papers.record import Printed, Study
 
 __all__ = ["Profile", "Profiles", "TargetUncertainty", "in_origin_datum", "study"]
 
