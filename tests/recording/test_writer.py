@@ -204,10 +204,12 @@ def test_what_a_full_disk_refuses_waits_for_room(tmp_path: Path, monkeypatch: py
             assert "mtcal recover" in str(error)
             refused.add(i)
     assert 20 < taken < 60 and len(refused) > 60 - taken
-    assert bag.messages == taken
+    assert bag.messages == taken and bag.waits
     room[0] = 10**9  # somebody made room
     assert 0 < recover(tmp_path / "bag", tmp_path / "new").messages < taken  # as if it had been killed
     bag.write("/text", encode(TEXT, "again"), 100)
+    bag.flush()
+    assert not bag.waits
     bag.close()
     monkeypatch.undo()
     assert BagReader(tmp_path / "bag").messages_in_all == taken + 1

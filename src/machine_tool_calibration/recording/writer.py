@@ -163,6 +163,11 @@ class BagWriter:
         """Bytes of the present file, with those that wait to be written."""
         return self._file.tell() if self._file else 0
 
+    @property
+    def waits(self) -> bool:
+        """Whether anything waits to be written, as it does where the disk is full."""
+        return self._file is not None and self._file.waiting > 0
+
     def add_topic(
         self,
         name: str,
