@@ -38,7 +38,7 @@ ROOMS = (
 )
 # What takes long to import and is none of ours: loaded once, before the first child.
 HEAVY = ("hypothesis", "matplotlib.pyplot", "mcap", "numpy", "pandas", "pydantic", "pyarrow", "rich", "scipy.optimize")
-SECONDS = 240  # of the processor for one run of tests; a swap may make a loop endless
+SECONDS = 150  # of the processor for one run of tests; a swap may make a loop endless
 
 SWAPPED = {
     **{ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.FloorDiv: ("//", "*")},
