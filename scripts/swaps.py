@@ -7,7 +7,7 @@
     .venv/bin/python scripts/swaps.py --count 10 estimation            # in that folder or file
 
 One swap at a time is made in a copy of the sources; the checkout stays as it is. The test file of the same name runs
-first with those that import the module, then the folder, then the room. Without a test that fails the swap lives: a
+first, then those that import the module, the folder's others, and the room's. Without one that fails the swap lives: a
 test is missing, or the swap changes nothing that one could notice. The tests that caught a swap must pass without it.
 """
 
@@ -122,27 +122,32 @@ def swaps_of(path: Path, text: str) -> Iterator[Swap]:
 
 
 def stages(path: Path) -> Iterator[list[Path]]:
-    """Test files of a module of the package: nearest first, then its folder's, then its room's."""
+    """Test files of a module of the package: its folder's, the nearest first, and then the others of its room."""
     tests = ROOT / "tests"
     room = next(tests / r for r in ROOMS if path == Path(r) or Path(r) in path.parents)
     if room.suffix:
         yield [tests / f"test_{path.name}"]
         return
-    within = sorted(room.rglob("test_*.py"))
+    within = sorted(room.rglob("test_*.py"), key=lambda file: file.stat().st_size)
     name = ".".join((PACKAGE, *path.with_suffix("").parts)).removesuffix(".__init__")
     mirror = tests / path.parent / f"test_{path.name}"
     near = [file for file in within if file == mirror or f"{name} " in file.read_text()]
+    near.sort(key=lambda file: file != mirror)
     folder = [file for file in within if (tests / path.parent) in file.parents and file not in near]
-    yield near
-    yield folder
+    yield near + folder
     yield [file for file in within if file not in near and file not in folder]
 
 
 class _FirstFailure:
-    """A plugin of pytest: writes which test failed into a pipe."""
+    """A plugin of pytest: runs tests in the order in which they are named, and writes which failed into a pipe."""
 
-    def __init__(self, pipe: int) -> None:
+    def __init__(self, pipe: int, order: list[str]) -> None:
         self.pipe = pipe
+        self.order = {name: number for number, name in enumerate(order)}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items.sort(key=lambda item: self.order.get(str(item.path), 0))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:
@@ -168,7 +173,7 @@ def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
         sys.path.insert(0, str(tree))
         os.environ["PYTHONPATH"] = str(tree)
         always = ["-q", "-n", "0", "-p", "no:cacheprovider", f"--rootdir={ROOT}"]
-        code = pytest.main([*always, *options, *tests], [_FirstFailure(writing)])
+        code = pytest.main([*always, *options, *tests], [_FirstFailure(writing, tests)])
         os._exit(code)
     os.close(writing)
     with os.fdopen(reading) as lines:
@@ -179,8 +184,8 @@ def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
     return failed or ([] if code in fine else [f"(ended with {code})"])
 
 
-def catcher(swap: Swap, tree: Path) -> str | None:
-    """The first test that notices a swap; None if none does."""
+def catcher(swap: Swap, tree: Path, near: bool) -> str | None:
+    """The first test that notices a swap; None if none of the room does, or of the folder alone."""
     file = tree / PACKAGE / swap.path
     text = file.read_text()
     file.write_text(swap.applied(text))
@@ -188,6 +193,8 @@ def catcher(swap: Swap, tree: Path) -> str | None:
         for tests in stages(swap.path):
             if caught := failures(tree, [str(test) for test in tests], "-x"):
                 return caught[0]
+            if near:
+                break
     finally:
         file.write_text(text)
     return None
@@ -214,6 +221,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=40, help="how many swaps (default 40)")
     parser.add_argument("--seed", type=int, default=0, help="which ones")
     parser.add_argument("--at", nargs="*", default=[], metavar="FILE:LINE", help="every swap of these lines instead")
+    parser.add_argument("--near", action="store_true", help="run the folder's tests only, not the whole room's")
     parser.add_argument("--list", action="store_true", help="name the swaps only")
     parser.add_argument("--json", type=Path, help="write what was found into this file")
     arguments = parser.parse_args()
@@ -234,7 +242,7 @@ def main() -> int:
         shutil.copytree(source, tree / PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
         found = []
         for number, swap in enumerate(swaps, 1):
-            told, test = swap.told((source / swap.path).read_text()), catcher(swap, tree)
+            told, test = swap.told((source / swap.path).read_text()), catcher(swap, tree, arguments.near)
             print(f"{number:3} {'caught' if test else 'LIVES '} {told}\n    {test or ''}", flush=True)
             found.append((told, test))
         # What fails without any swap has caught nothing.
