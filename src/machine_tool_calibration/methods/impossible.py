@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.errors import ModelError, suspected
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.method import load
@@ -35,7 +36,7 @@ def refuse_impossible(fitted: FittedSessions) -> None:
         _refuse_errors(sessions[0].source if len(sessions) == 1 else ", ".join(labels or ()), fitted.error_map)
     for session, fit in zip(sessions, fitted.joint.fits, strict=True):
         if session.spec.implausible is not None and not session.description.trust_units:
-            own = fitted.error_map if len(sessions) == 1 else fit.model.error_map(fit)
+            own = fitted.error_map if len(sessions) == 1 else error_map(fit)
             load(session.spec.implausible)(session, own, _IMPOSSIBLE, _KNOWN)
 
 

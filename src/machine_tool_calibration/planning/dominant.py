@@ -23,7 +23,7 @@ import numpy as np
 from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import fit_models
@@ -229,4 +229,4 @@ def expected_model(session: Session, model: str | None, angular: float = ANGULAR
 def _map(model: MethodModel) -> ErrorMap:
     # From where the readings are taken, and not from how they scatter: those of a further measurement are not there
     # yet, and angular errors that a model leaves out must not count as what does not reproduce.
-    return model.error_map(declared(fit_models([model])).fits[0])
+    return error_map(declared(fit_models([model])).fits[0])

@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.refits import declared
@@ -138,4 +139,4 @@ def _fitted(chosen: FitRequest) -> tuple[JointFit, ErrorMap]:
         fitted = fit_sessions(chosen)
         return fitted.joint, fitted.map_of(declared(fitted.joint))
     joint = fit_models([add_effects(expected_model(chosen.sessions[0], chosen.model), chosen.present)])
-    return joint, joint.assembly.models[0].error_map(declared(joint).fits[0])
+    return joint, error_map(declared(joint).fits[0])

@@ -39,6 +39,7 @@ class MethodSpec:
         enough: of a session, which of its readings (n,) are there, and the names for messages: raises a SessionError
             if no model of the method can make anything of it.
         model: module with `build(session, variant)`, which gives the model.
+        map: module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent.
         models: names of the model's variants, the default first; for each when it is the right one.
         magnitudes: of a session and the names for messages: raises a SessionError for values of the method's own keys
             and columns that can only be a wrong unit.
@@ -93,6 +94,7 @@ class MethodSpec:
     models: Mapping[str, str]
     magnitudes: Callable[[Session, Place], object] = _nothing
     nominal: Callable[[Session, Place], Iterator[Judgement]] = _nothing
+    map: str | None = None
     any_axis: bool = False
     instrument: str | None = None
     rotation_sign: int = 1

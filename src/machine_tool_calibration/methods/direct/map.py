@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.methods.direct.datum import SetupDatum
 from machine_tool_calibration.methods.direct.iso230_2 import positioning, positioning_uncertainty
+from machine_tool_calibration.methods.direct.model import DirectModel
 from machine_tool_calibration.methods.direct.plate import plate_steps
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.observations import Observations
@@ -24,10 +25,7 @@ from machine_tool_calibration.model.rigid_body import (
     tables_content,
 )
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.direct.model import DirectModel
-
-__all__ = ["direct_map", "positioning_runs", "sensed_axes"]
+__all__ = ["error_map", "positioning_runs", "sensed_axes"]
 
 
 _ALONG = 0.9999  # cosine between the direction that is read and the axis
@@ -112,7 +110,7 @@ def sensed_axes(direction: Array) -> BoolArray:
     return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
 
 
-def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
+def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """The contract's content for `direct`.
 
     What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that

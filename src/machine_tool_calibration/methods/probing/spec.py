@@ -17,6 +17,7 @@ SPEC = MethodSpec(
     magnitudes=probing_units,
     nominal=nominal_probing,
     model="machine_tool_calibration.methods.probing.model",
+    map="machine_tool_calibration.methods.probing.map",
     models={
         "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
     },

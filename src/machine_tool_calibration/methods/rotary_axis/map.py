@@ -3,21 +3,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.arrays import Array, best_motion, rigid_motions
 from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
+from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
-
-__all__ = ["average_line", "line_names", "rotary_map"]
+__all__ = ["average_line", "error_map", "line_names"]
 
 
 _STEPS = 20
@@ -75,7 +73,7 @@ _MISPLACED = 20.0
 _FRAME = 3
 
 
-def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
+def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
     """The contract's content for `rotary_axis`."""
     table, stations, targets = model.table, model.stations, model.targets
     k, own = len(table.nodes), len(model.own)

@@ -36,9 +36,7 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_axis.map import rotary_map
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
-from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
     MethodModel,
     Parameter,
@@ -49,7 +47,6 @@ from machine_tool_calibration.model.model import (
     place_of,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -180,10 +177,6 @@ class RotaryAxisModel(MethodModel):
         seen = [self.description.targets[t].id for t in np.unique(table.target[here])]
         stations = [self.description.setups[s].id for s in np.unique(table.readings.setup[here])]
         return _why_loose(seen, stations)
-
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """Six error motions at every angle, the targets' position errors, and where the axis average line stands."""
-        return rotary_map(self, fit)
 
 
 def _why_loose(seen: list[str], stations: list[str]) -> str:

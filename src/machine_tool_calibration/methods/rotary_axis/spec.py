@@ -15,6 +15,7 @@ SPEC = MethodSpec(
     enough=enough_rotary,
     nominal=nominal_rotary,
     model="machine_tool_calibration.methods.rotary_axis.model",
+    map="machine_tool_calibration.methods.rotary_axis.map",
     models={
         "free": "the only one: six error motions at every angle, targets and stations unknown",
     },

@@ -19,6 +19,7 @@ SPEC = MethodSpec(
     magnitudes=diagonal_units,
     nominal=nominal_diagonal,
     model="machine_tool_calibration.methods.step_diagonal.build",
+    map="machine_tool_calibration.methods.step_diagonal.map",
     models={
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
         "functions, of a size that the readings determine as far as they can",

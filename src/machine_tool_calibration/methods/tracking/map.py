@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, turned_back
+from machine_tool_calibration.methods.tracking.model import TrackingModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
@@ -19,10 +19,7 @@ from machine_tool_calibration.model.rigid_body import MachineTable, in_space, ma
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.tracking.model import TrackingModel
-
-__all__ = ["free_map", "refuse_moved_stations", "table_map"]
+__all__ = ["error_map", "refuse_moved_stations"]
 
 
 # Standard uncertainty above which a position error counts as not determined, m.
@@ -55,7 +52,12 @@ class _Network:
     why: dict[int, str]
 
 
-def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+    """Position error of every target in the datum in which they have no common motion."""
+    return _free_map(model, fit) if model.tables is None else _table_map(model, fit, model.tables)
+
+
+def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     """Every target's position error, from its own unknowns."""
     d, own = model.dimension, fit.places[: len(model.own)]
     stated = fit.joint.marginal
@@ -102,7 +104,7 @@ def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
     return f"it was read from {names} only, and {needed}" if names else f"it was not read, and {needed}"
 
 
-def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
+def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
     """Every target's position error from the machine's error motions."""
     d, n = model.dimension, len(model.targets)
     field = map_field(tables, model.targets)[:, :, :d]

@@ -28,6 +28,7 @@ SPEC = MethodSpec(
     enough=enough_tracking,
     nominal=nominal_tracking,
     model="machine_tool_calibration.methods.tracking.model",
+    map="machine_tool_calibration.methods.tracking.map",
     models={
         "free": "the default: every target has a position of its own, whatever moves the tool; each needs one "
         "station more than there are dimensions",
