@@ -52,7 +52,8 @@ def printed(show: Callable[[Console], None]) -> str:
 
     text = io.StringIO()
     # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
-    show(Console(file=text, width=_WIDTH, highlight=False, force_terminal=False, force_jupyter=False, no_color=True))
+    plain = {"highlight": False, "markup": False, "emoji": False, "no_color": True}
+    show(Console(file=text, width=_WIDTH, force_terminal=False, force_jupyter=False, **plain))
     return text.getvalue()
 
 
