@@ -95,8 +95,9 @@ def test_every_verb_that_fits_says_it(capsys: pytest.CaptureFixture[str], tmp_pa
 
 def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     session = simulate(SimulationSpec(plan=PLANS["step_diagonal"](), seed=3)).session
-    write_session(with_readings(session, lambda d: 0.0 * d), tmp_path / "s")
-    says = f"all {len(session.readings)} readings are 0: was the instrument read?"
+    five = session.description.model_copy(update={"repeats": 5})
+    write_session(replace(session, description=five), tmp_path / "s")
+    says = "repeats is 5 in session.yaml, and the readings are of 2: repeat 0, 1"
     for more in ([], ["--json"]):
         assert run(["compare-formulations", str(tmp_path / "s"), *more]) == 0
         out = capsys.readouterr().out

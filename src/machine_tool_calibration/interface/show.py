@@ -52,8 +52,16 @@ def printed(show: Callable[[Console], None]) -> str:
 
     text = io.StringIO()
     # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
-    plain = {"highlight": False, "markup": False, "emoji": False, "no_color": True}
-    show(Console(file=text, width=_WIDTH, force_terminal=False, force_jupyter=False, **plain))
+    kind = Console(
+        file=text,
+        width=_WIDTH,
+        highlight=False,
+        markup=False,
+        force_terminal=False,
+        force_jupyter=False,
+        no_color=True,
+    )
+    show(kind)
     return text.getvalue()
 
 

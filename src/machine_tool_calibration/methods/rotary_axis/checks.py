@@ -10,9 +10,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.methods.rotary_axis.geometry import table_readings
+from machine_tool_calibration.methods.rotary_axis.nominal import turning_mistakes
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.session.checks.mistakes import Judgement, Supposition, exchanged, explanation
-from machine_tool_calibration.session.checks.nominal_geometry import turning_mistakes
 from machine_tool_calibration.session.description import RotaryAxis, StationSetup, Target
 from machine_tool_calibration.session.session import Session
 

@@ -20,7 +20,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes
@@ -50,6 +50,7 @@ from machine_tool_calibration.model.model import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -240,6 +241,9 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     first = _model(session, table, start)
     if start.misfit > _DOUBTFUL:
         _check_places(first)
+    if not session.description.trust_units:
+        with suspected():
+            refuse_misplaced(session, {"stations": start.stations, "targets": start.targets})
     if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
         return first
     held = _held(first)
