@@ -46,6 +46,7 @@ class MethodSpec:
         nominal: of a session and the names for messages: judgements by the nominal geometry, by which common mistakes
             are found.
         held: of a session, places, beams and displacements held against the geometry that it states.
+        suspicious: of a session, what in it hardly can be, in words, a sentence each.
         any_axis: whether some column of an axis's position is needed, of whichever axis.
         instrument: what reads, unless the session says it.
         rotation_sign: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
@@ -94,6 +95,7 @@ class MethodSpec:
     magnitudes: Callable[[Session, Place], object] = _nothing
     nominal: Callable[[Session, Place], Iterator[Judgement]] = _nothing
     held: Callable[[Session], Iterator[Held]] = _nothing
+    suspicious: Callable[[Session], Iterator[str]] = _nothing
     any_axis: bool = False
     instrument: str | None = None
     rotation_sign: int = 1

@@ -22,11 +22,13 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 from machine_tool_calibration.session.description import DiagonalSetup, Place, StepDiagonal
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["held_diagonal", "nominal_diagonal"]
+__all__ = ["held_diagonal", "nominal_diagonal", "suspicious_diagonal"]
 
 # A place may be outside its run by this share of the step (runs of unequal steps stay within), and off the halts by
 # this one where most others are on them.
 _OUTSIDE, _ON_HALT = 0.5, 0.02
+# Factor between the steps, or the way, that are stated and those of the places.
+_STEPS = 1.5
 # A displacement may be off its place by a part of the path, by what a mirror's tilt makes of the way across the beam,
 # rad, and by this, m.
 _SCALE, _TILT, _ERROR = 2e-3, 0.03, 1e-3
@@ -149,3 +151,21 @@ def _halts(description: StepDiagonal, index: int) -> Array:
         axis = "xyz".index(letter)
         moves[1 + place :: len(order), axis] = run.direction[axis] * description.step[axis]
     return np.asarray(np.asarray(run.start) + np.cumsum(moves, axis=0))
+
+
+def suspicious_diagonal(session: Session) -> Iterator[str]:
+    """Runs that step and blocks make longer, or of other steps, than their places."""
+    description, places = session.description, session.readings.position()
+    assert isinstance(description, StepDiagonal)
+    moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
+    for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
+        halts = np.unique(np.round(place[moved], 9))
+        if len(halts) < 3:
+            continue
+        between = float(np.median(np.diff(halts)))
+        if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
+            yield (
+                f"step and blocks make {description.blocks} steps of {1e3 * step:.4g} mm along {axis}, and the places "
+                f"read are {len(halts)} from {1e3 * halts[0]:.6g} to {1e3 * halts[-1]:.6g} mm, {1e3 * between:.4g} mm "
+                "apart"
+            )

@@ -3,7 +3,7 @@
 
 from functools import partial
 
-from machine_tool_calibration.methods.step_diagonal.nominal import held_diagonal, nominal_diagonal
+from machine_tool_calibration.methods.step_diagonal.nominal import held_diagonal, nominal_diagonal, suspicious_diagonal
 from machine_tool_calibration.session.checks.enough import enough_in_a_setup
 from machine_tool_calibration.session.checks.units import diagonal_units
 from machine_tool_calibration.session.description import StepDiagonal
@@ -19,6 +19,7 @@ SPEC = MethodSpec(
     magnitudes=diagonal_units,
     nominal=nominal_diagonal,
     held=held_diagonal,
+    suspicious=suspicious_diagonal,
     model="machine_tool_calibration.methods.step_diagonal.build",
     models={
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "

@@ -33,7 +33,7 @@ from machine_tool_calibration.session.checks.places import allowed
 from machine_tool_calibration.session.description import Place, TrackingInterferometer
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["held_tracking", "nominal_tracking"]
+__all__ = ["held_tracking", "nominal_tracking", "suspicious_tracking"]
 
 # By how much the beam's axis may miss the retroreflector's centre, and a path be off, beside the station's place, m.
 _MISSED, _ERROR = 0.02, 0.01
@@ -41,6 +41,8 @@ _MISSED, _ERROR = 0.02, 0.01
 _SINGLE = 0.03
 # Share of an azimuth's error within which it is the same at all readings.
 _SAME = 0.1
+# Zero of all azimuths beyond which the turn of the network is no longer small: its square is a micrometre on a metre.
+_ZERO = 1.5e-3
 
 
 def nominal_tracking(session: Session, place: Place) -> Iterator[Judgement]:
@@ -120,11 +122,29 @@ def held_tracking(session: Session) -> Iterator[Held]:
     )
 
 
-def _zero_angle(session: Session, setup: int) -> str:
-    """Whether a pointer counts its azimuth from another zero."""
+def suspicious_tracking(session: Session) -> Iterator[str]:
+    """An azimuth that all stations count from another zero: the map's turn would take up only its first order."""
+    description = session.description
+    assert isinstance(description, TrackingInterferometer)
+    used = np.unique(session.readings.setup)
+    if description.pointing != "open_loop" or len(used) < 2:
+        return
+    zeros = np.array([np.median(_azimuth_off(session, setup)) for setup in used])
+    middle = float(np.median(zeros))
+    if abs(middle) > _ZERO and np.abs(zeros - middle).max() < _SAME * abs(middle):
+        yield f"azimuth is {1e3 * middle:.3g} mrad too large at all stations: is it counted from the machine's +X?"
+
+
+def _azimuth_off(session: Session, setup: int) -> Array:
+    """Azimuths of a station against the directions to the targets, rad."""
     mine = session.readings.setup == setup
     line = lines_of_sight(session, session.readings.position())[mine]
-    off = wrapped(session.readings.columns["azimuth"][mine] - np.arctan2(line[:, 1], line[:, 0]))
+    return wrapped(session.readings.columns["azimuth"][mine] - np.arctan2(line[:, 1], line[:, 0]))
+
+
+def _zero_angle(session: Session, setup: int) -> str:
+    """Whether a pointer counts its azimuth from another zero."""
+    off = _azimuth_off(session, setup)
     middle = float(np.median(off))
     if np.median(np.abs(off - middle)) > _SAME * abs(middle):
         return ""

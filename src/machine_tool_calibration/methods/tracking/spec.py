@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracking interferometer as a record."""
 
-from machine_tool_calibration.methods.tracking.nominal import held_tracking, nominal_tracking
+from machine_tool_calibration.methods.tracking.nominal import held_tracking, nominal_tracking, suspicious_tracking
 from machine_tool_calibration.session.checks.enough import enough_tracking
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.method import MethodSpec
@@ -28,6 +28,7 @@ SPEC = MethodSpec(
     enough=enough_tracking,
     nominal=nominal_tracking,
     held=held_tracking,
+    suspicious=suspicious_tracking,
     model="machine_tool_calibration.methods.tracking.model",
     models={
         "free": "the default: every target has a position of its own, whatever moves the tool; each needs one "

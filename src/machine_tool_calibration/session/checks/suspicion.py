@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from machine_tool_calibration.session.description import DESCRIPTION_FILE, StepDiagonal
+from machine_tool_calibration.session.description import DESCRIPTION_FILE
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["suspicions"]
 
 _FEW = 8  # readings: the chance that as many differ so little is below 1e-7
 _STILL = 0.1  # share of a reading's standard uncertainty that the readings of a session differ by
-_STEPS = 1.5  # factor between the steps, or the way, that are stated and those of the places
 _BESIDE = 0.1  # share of the travel by which a probed part may reach beyond it
 
 
@@ -23,11 +22,11 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
     another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not. Fewer or
-    more repeats than stated. Runs that step and blocks make longer, or of other steps, than their places.
+    more repeats than stated. And what the method finds (`MethodSpec.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _beside, _pathless, _repeated, _divided)
+    checks = (_still, _beside, _pathless, _repeated, _of_method)
     return [f"{name}{words}" for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -78,20 +77,5 @@ def _repeated(session: Session) -> Iterator[str]:
         )
 
 
-def _divided(session: Session) -> Iterator[str]:
-    description = session.description
-    if not isinstance(description, StepDiagonal):
-        return
-    places = session.readings.position()
-    moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
-    for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
-        halts = np.unique(np.round(place[moved], 9))
-        if len(halts) < 3:
-            continue
-        between = float(np.median(np.diff(halts)))
-        if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
-            yield (
-                f"step and blocks make {description.blocks} steps of {1e3 * step:.4g} mm along {axis}, and the places "
-                f"read are {len(halts)} from {1e3 * halts[0]:.6g} to {1e3 * halts[-1]:.6g} mm, {1e3 * between:.4g} mm "
-                "apart"
-            )
+def _of_method(session: Session) -> Iterator[str]:
+    return session.spec.suspicious(session)
