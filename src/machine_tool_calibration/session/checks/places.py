@@ -20,7 +20,7 @@ __all__ = ["Misplaced", "allowed", "misplaced", "off_stated", "refuse_misplaced"
 _STATED, _LEAST, _UNSTATED = 10.0, 0.01, 0.1
 _KNOWN = 5.0
 # Readings of a rotary axis place stations and targets by themselves, however wrong they are stated, as far as this, m.
-_FOUND = 0.25
+_FOUND = 0.15
 # Stations of an axis stand in the frame of that axis: fewer fix the motion between that and the machine's frame, and
 # show nothing.
 _FRAME = 3
