@@ -27,6 +27,8 @@ __all__ = ["held_diagonal", "nominal_diagonal", "suspicious_diagonal"]
 # A place may be outside its run by this share of the step (runs of unequal steps stay within), and off the halts by
 # this one where most others are on them.
 _OUTSIDE, _ON_HALT = 0.5, 0.02
+# Blocks beyond which no halts are compared: nobody made as many.
+_MOST_BLOCKS = 10_000
 # Factor between the steps, or the way, that are stated and those of the places.
 _STEPS = 1.5
 # A displacement may be off its place by a part of the path, by what a mirror's tilt makes of the way across the beam,
@@ -76,6 +78,8 @@ def held_diagonal(session: Session) -> Iterator[Held]:
     off = (outside / step).max(axis=1)
     for index in np.unique(readings.setup):
         mine = np.flatnonzero(readings.setup == index)
+        if description.blocks > _MOST_BLOCKS:
+            continue
         halts = _halts(description, index)
         missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1) / step.min()
         if np.mean(missed > _ON_HALT) < 0.5:
