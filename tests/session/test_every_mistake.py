@@ -200,6 +200,7 @@ ROTARY = (
     {k: v for k, v in UNITS.items() if "positions" not in k}
     | SIGNS
     | STATIONS
+    | SLIPPED
     | {
         "a target that stands metres away": (
             entry("targets", 0, position=moved(0, 2.0)),

@@ -173,3 +173,4 @@ def suspicious_diagonal(session: Session) -> Iterator[str]:
                 f"read are {len(halts)} from {1e3 * halts[0]:.6g} to {1e3 * halts[-1]:.6g} mm, {1e3 * between:.4g} mm "
                 "apart"
             )
+            return
