@@ -68,6 +68,15 @@ def test_for_programs(name, say):
             assert np.shape(value) == np.shape(document["error_map"][key[:-2]])
 
 
+def test_a_setup_of_any_name(say, tmp_path):
+    session = shutil.copytree(DATA / "tracking_2d", tmp_path / "s")
+    described = (session / "session.yaml").read_text().replace("id: A\n", "id: '[/a] north[a]'\n")
+    (session / "session.yaml").write_text(described)
+    rows = (session / "observations.csv").read_text().replace(",A,", ",[/a] north[a],")
+    (session / "observations.csv").write_text(rows)
+    assert "4 setups ([/a] north[a], B, C, D)" in words(say(session)[1])
+
+
 def test_what_is_not_determined_has_no_number_beside_it(say):
     _, out, _ = say(DATA / "step_diagonal")
     table, lost = out.split("not determined:")[:2]

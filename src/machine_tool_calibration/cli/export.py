@@ -191,10 +191,10 @@ def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
 
 def _show(out: Console, written: Sequence[Path], made: Exported) -> None:
     from machine_tool_calibration.reports.compensation import absent_words, left_table
-    from machine_tool_calibration.reports.tables import show_table
+    from machine_tool_calibration.reports.tables import show_head, show_table
 
     for path in written:
-        out.print(f"[bold]{path}[/]")
+        show_head(out, str(path))
     show_table(out, left_table(made))
     if made.absent:
         out.print(absent_words(made))

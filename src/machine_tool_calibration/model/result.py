@@ -13,6 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
+from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
 
@@ -293,7 +294,7 @@ class Result(Identified):
             "rejected": [r.document() for r in self.rejected],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.fit.model.datum,
-            "suspicious": suspicions([session]),
+            "suspicious": [*suspicions([session]), *(p.words for p in misplaced(session, self.error_map.content))],
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }

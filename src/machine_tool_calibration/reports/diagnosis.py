@@ -345,6 +345,6 @@ def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: 
     """
     report = diagnosis_report(found, then.advice, then.changes, shown)
     for paragraph in report.words:
-        screen.print(paragraph, markup=False)
+        screen.print(paragraph)
     for table in report.tables:
         show_table(screen, table)

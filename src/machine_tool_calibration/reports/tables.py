@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "is_number", "show_suspicions", "show_table"]
+__all__ = ["TextTable", "is_number", "show_head", "show_suspicions", "show_table"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -49,10 +49,15 @@ def is_number(text: str) -> bool:
 
 def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
     """Print what is suspicious in the sessions that were read (`suspicions`), a line each."""
+    for words in suspicious:
+        screen.print(f"suspicious: {words}")
+
+
+def show_head(screen: Console, head: str, words: str = "") -> None:
+    """Print a line that begins with what it is about."""
     from rich.text import Text
 
-    for words in suspicious:
-        screen.print(Text(f"suspicious: {words}"))
+    screen.print(Text.assemble((head, "bold"), words))
 
 
 def show_table(screen: Console, table: TextTable) -> None:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array, best_motion, rigid_motions
+from machine_tool_calibration.arrays import Array, rigid_motions
 from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
 from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.checks.places import off_stated
 
 __all__ = ["average_line", "error_map", "line_names"]
 
@@ -69,8 +70,6 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
 _MOVED = 1e-3
 # Uncertainties by which a station is off its stated position from which on it says nothing of where the axis stands.
 _MISPLACED = 20.0
-# Stations that fix the motion between the frame of the axis and the machine's; more of them show which is wrong.
-_FRAME = 3
 
 
 def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
@@ -144,7 +143,7 @@ def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
         )
         stated = np.array([setups[s].position for s in known])
         uncertainty = np.array([setups[s].position_uncertainty for s in known])
-        off = _off_stated(found, stated)
+        off = np.linalg.norm(off_stated(found, stated), axis=1)
         u = np.sqrt(uncertainty**2 + np.diag(covariance).reshape(-1, 3).sum(axis=1))
         worst = int(np.argmax(off / u))
         if off[worst] > _MISPLACED * u[worst]:
@@ -157,13 +156,3 @@ def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
         out[name] = None if result is None else float(result[0][j])
         out[f"{name}_u"] = None if result is None else float(np.sqrt(result[1][j, j]))
     return out, why
-
-
-def _off_stated(found: Array, stated: Array) -> Array:
-    """(k,) how far stations are from where they are stated to be, by the motion in which all but one agree best, m."""
-    if len(found) <= _FRAME:
-        return np.zeros(len(found))
-    others = [np.arange(len(found)) != k for k in range(len(found))]
-    motions = [best_motion(found[keep], stated[keep]) for keep in others]
-    off = [np.linalg.norm(found @ turn.T + shift - stated, axis=1) for turn, shift in motions]
-    return np.asarray(min(zip(others, off, strict=True), key=lambda pair: float(np.linalg.norm(pair[1][pair[0]])))[1])

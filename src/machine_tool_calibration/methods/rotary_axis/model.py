@@ -20,10 +20,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
-from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes
+from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.datum import (
     HELD_WITHIN,
     ROTARY_DATUM,
@@ -47,6 +47,7 @@ from machine_tool_calibration.model.model import (
     place_of,
 )
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -56,6 +57,8 @@ __all__ = ["RotaryAxisModel", "build"]
 # of that, over the declared uncertainty, that says that stations and targets were not found.
 _DOUBTFUL = 3e-5
 _LOST = 30.0
+# The same below which single runs can be judged by it, m.
+_ROUGH = 2e-4
 
 # Turn above which the readings fix the stations well, rad.
 _LARGE_TURN = 1.9
@@ -233,6 +236,11 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     first = _model(session, table, start)
     if start.misfit > _DOUBTFUL:
         _check_places(first)
+    if not session.description.trust_units:
+        with suspected():
+            refuse_misplaced(session, {"stations": start.stations, "targets": start.targets})
+        if start.misfit < _ROUGH:
+            refuse_wrong_rows(session, start)
     if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
         return first
     held = _held(first)

@@ -196,7 +196,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     line = position - stations[readings.setup]
     line[:, d:] = 0.0
     length = np.sqrt(np.einsum("nj,nj->n", line, line))
-    direction = line / length[:, None]
+    direction = line / np.maximum(length, 1e-9)[:, None]
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = unit_vectors(readings.column("azimuth"), elevation)
