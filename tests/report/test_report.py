@@ -171,16 +171,23 @@ def test_the_map_can_be_turned_and_its_library_is_in_the_page(name):
     assert "plotly" not in page(name, "en", for_paper=True)
 
 
-def test_each_error_motion_has_a_picture_and_a_run_by_iso_230_2_too():
+def test_each_error_motion_has_a_picture_and_each_standard_a_page():
     names = [picture.name for picture in blocks("rotary_axis", Picture)]
     assert [name for name in names if name.startswith("motion_")] == [f"motion_E{c}C" for c in "XYZABC"]
-    assert "iso230_2_X" in [picture.name for picture in blocks("iso230_2", Picture)]
+    for name, standard, pictures in (
+        ("iso230_2", "iso230_2", ["iso230_2_X"]),
+        ("step_diagonal", "iso230_6", ["iso230_6"]),
+        ("rotary_axis", "iso230_7", []),
+    ):
+        (own,) = (section for section in content(name, "en") if section.id == standard)
+        assert [block.name for block in own.blocks if isinstance(block, Picture)] == pictures
+        assert any(isinstance(block, TextTable) and block.rows for block in own.blocks)
 
 
 def test_an_error_motion_is_drawn_once():
     found, english = evaluated("iso230_2"), words("en")
     drawn = [*figures.map_pictures(found, english), *figures.motion_pictures(found, english)]
-    assert [picture.name for picture in drawn] == ["iso230_2_X", "motion_EXX"]
+    assert [picture.name for picture in drawn] == ["motion_EXX"]
 
 
 def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():

@@ -17,8 +17,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS
-from machine_tool_calibration.methods.direct.map import positioning_runs
 from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.methods.iso230_2 import positioning_runs
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap

@@ -181,7 +181,7 @@ class Fit(Shown):
         from machine_tool_calibration.reports.identification import show_result
 
         sessions = self.measurement.sessions
-        return printed(lambda screen: show_result(screen, self._document, sessions, self.result.joint))
+        return printed(lambda screen: show_result(screen, self._document, sessions, self.result))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""

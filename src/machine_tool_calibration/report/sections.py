@@ -20,6 +20,7 @@ from machine_tool_calibration.report.figures import (
     map_pictures,
     motion_pictures,
     residual_pictures,
+    standard_pictures,
     translated,
 )
 from machine_tool_calibration.report.turnable import turnable
@@ -30,8 +31,8 @@ from machine_tool_calibration.reports.diagnosis_document import screened_sizes
 from machine_tool_calibration.reports.direct_deviations import direct_tables
 from machine_tool_calibration.reports.identification import (
     datum_words,
+    goodness_of_fit,
     group_by_reason,
-    motion_row,
     readings_set_aside,
     summary_rows,
 )
@@ -39,6 +40,7 @@ from machine_tool_calibration.reports.information import setup_place
 from machine_tool_calibration.reports.quantities import (
     micrometres,
     p_value,
+    plus_minus,
     probability,
     quantity,
     rounded,
@@ -46,7 +48,9 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.signs import negative_words
+from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.reports.verdict import good_enough, left_words
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
@@ -93,6 +97,7 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
     parts = {
         "summary": _summary(found, words),
         "measurement": _measurement(found, words),
+        **{name: _standard(found, name, words) for name in STANDARDS},
         "map": _map(found, words),
         "motions": _motions(found, words),
         "reproducibility": _reproducibility(found, words),
@@ -129,7 +134,9 @@ def _translated(block: str | TextTable | Picture | Turnable, words: Words) -> st
 def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     document = found.document
     ratio, p = document["reduced_chi_square"], document["p_value"]
-    if ratio is not None and p is not None:
+    if "one_direction" in (document["error_map"].get("scatter") or {}):  # nothing but the reversal beside the scatter
+        yield words.phrase(goodness_of_fit(document))
+    elif ratio is not None and p is not None:
         fit = "bad" if p < _BAD else "nearly" if p < _NEARLY else "small" if p > _TOO_GOOD else "good"
         yield words(f"fit_{fit}", ratio=rounded(ratio**0.5), p=p_value(p))
     rows = summary_rows({**document, "not_determined": []})
@@ -224,6 +231,13 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
             yield part
 
 
+def _standard(found: Evaluation, name: str, words: Words) -> Iterator[str | TextTable | Picture]:
+    """Figures of a standard and its plot."""
+    for part in standard_tables(found.document["error_map"], name):
+        yield words.phrase(part) if isinstance(part, str) else part
+    yield from standard_pictures(found, name, words)
+
+
 def _effects(found: Evaluation, words: Words) -> TextTable:
     """Effects in the model, with what was found of them."""
     rows = [
@@ -240,23 +254,15 @@ def _title(name: str, found: Evaluation, words: Words) -> str:
 def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
     table = error_motions(found.result)
     known = table[table["determined"].astype(bool)]
-    rows, single = [], []
-    for name, own in known.groupby("motion", sort=False):
-        unit = "µrad" if own["unit"].iloc[0] == "rad" else "µm"
-        if own["position"].notna().all():
-            count = int((table["motion"] == name).sum())
-            rows.append(motion_row(str(name), own["value"].to_numpy(), own["u"].to_numpy(), count, own["unit"].iloc[0]))
-        else:
-            single.append(
-                (str(name), micrometres(float(own["value"].iloc[0])), micrometres(2 * float(own["u"].iloc[0])), unit)
-            )
+    single = tuple(
+        (str(row["motion"]), plus_minus(row["value"], row["u"], 1e6), f"µ{row['unit']}")
+        for row in known[known["position"].isna()].to_dict("records")
+    )
     if not len(table):
         yield words("no_motions")
-    heads = (words("motion"), words("values"), words("smallest"), words("largest"), words("u_at_most"), words("unit"))
-    if rows:
-        yield TextTable(words("motions"), heads, tuple(rows))
+    yield from value_tables(found.result)
     if single:
-        yield TextTable(words("squareness"), ("", words("value"), "U (k = 2)", words("unit")), tuple(single))
+        yield TextTable(words("squareness"), ("", words("value_u"), words("unit")), single)
     yield from motion_pictures(found, words)
 
 

@@ -27,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
-from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
 
 
 _SHOWN = 8
+_FEW = 3
 _MANY = 3
 
 
@@ -334,17 +335,45 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     return TextTable("Effects that were not looked for", ("effect", "why"), rows)
 
 
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN) -> None:
-    """In words first, then the tables.
+def show_diagnosis(
+    screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN, *, details: bool = False
+) -> None:
+    """The verdict, the effects and the next step; with details all words and all tables.
 
     Args:
         screen: where.
         found: the diagnosis.
         then: what follows from it.
-        shown: how many candidates beside the accepted ones; 0 for all.
+        shown: of the details, how many candidates beside the accepted ones; 0 for all.
+        details: whether they are wanted.
     """
+    if not details:
+        for paragraph in verdict_words(found, then.changes, then.advice, brief=True):
+            screen.print(paragraph, markup=False)
+        show_table(screen, _brief(found, then.changes))
+        screen.print(next_step(found, then.advice), markup=False)
+        screen.print(
+            "--details: how sure, what is confounded or would not show, smallest sizes, all that was looked for"
+        )
+        return
     report = diagnosis_report(found, then.advice, then.changes, shown)
     for paragraph in report.words:
         screen.print(paragraph, markup=False)
     for table in report.tables:
         show_table(screen, table)
+
+
+def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
+    """The effects found, or the most probable ones where none is sure."""
+    ranked = [finding for finding in diagnosis.ranked if finding.rank]
+    own = [finding for finding in ranked if finding.name in diagnosis.accepted]
+    rows = tuple(_sized(diagnosis, finding, changes) for finding in own or ranked[:_FEW])
+    title = "Found" if own else "Looked for, the most probable first"
+    return TextTable(title, ("effect", "probability", "size ± U (k = 2)", "residual then / µm"), rows)
+
+
+def _sized(diagnosis: Diagnosis, finding: Finding, changes: Mapping[str, Consequence]) -> tuple[str, ...]:
+    change = changes.get(finding.name)
+    sizes = sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
+    _, after = before_and_after(diagnosis, finding, changes)
+    return finding.name, probability(finding.probability), sizes, micrometres(after)

@@ -13,6 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
+from machine_tool_calibration.methods.iso230_2 import diagonal_tests
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17, is_open
 from machine_tool_calibration.methods.step_diagonal.small_angles import (
@@ -284,6 +285,8 @@ class StepDiagonalModel(MethodModel):
         if told is not None:
             content["angular_size"] = told.size
             content["angular_probability"] = told.probability
+        if fit.joint.given is None:  # of the readings themselves: a restated fit changes nothing of them
+            content |= diagonal_tests(self.observations)
         content["datum"] = f"{self.datum}; here {profiles.oriented}" if profiles.oriented else self.datum
         corner = np.array([nodes[0] for nodes in self.blocks])
         points = np.concatenate(
