@@ -39,8 +39,9 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 
 def standard_figures(content: Mapping[str, Any]) -> dict[str, Figure]:
     """One for each run by ISO 230-2, and one of all diagonals by ISO 230-6, of a map's content."""
-    out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
-    return out | ({"iso230_6": draw_diagonals(content["iso230_6"]["runs"])} if "iso230_6" in content else {})
+    out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2") or ()}
+    diagonals = content.get("iso230_6")
+    return out | ({"iso230_6": draw_diagonals(diagonals["runs"])} if diagonals else {})
 
 
 def draw_positioning(run: Mapping[str, Any]) -> Figure:
@@ -49,10 +50,11 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     Args:
         run: one entry of `iso230_2` in the error map.
     """
-    figure = new_figure(10, 5.5)
+    figure = new_figure(10, 4.6)
     panel = figure.subplots()
     _draw_run(panel, run)
     panel.set_xlabel(f"{run['axis']}, mm")
+    panel.set_ylabel("deviation, µm")
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
     text = "   ".join(f"{_SYMBOLS.get(name, name)} {1e6 * value:.2f}" for name, value in figures if _known(value))
     figure.suptitle(f"ISO 230-2:2014, axis {run['axis']}, setup {run['setup']}\n{text} µm")
@@ -76,6 +78,8 @@ def draw_diagonals(runs: Sequence[Mapping[str, Any]]) -> Figure:
         panel.set_xlabel("along the diagonal, mm")
     for panel in panels.flat[len(runs) :]:
         panel.set_visible(False)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("deviation, µm")
     panels[0, 0].legend(frameon=False)
     return figure
 
@@ -94,7 +98,6 @@ def _draw_run(panel: Axes, run: Mapping[str, Any]) -> None:
             panel.plot(position, mean - 2 * s, "--", color=color, linewidth=1, label=f"mean ± 2 s {arrow}")
             panel.plot(position, mean + 2 * s, "--", color=color, linewidth=1)
     panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    panel.set_ylabel("deviation, µm")
 
 
 def _known(value: Any) -> bool:

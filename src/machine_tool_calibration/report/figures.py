@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from textwrap import wrap
@@ -132,9 +132,9 @@ def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
         yield translated(name, caption, figure, words)
 
 
-def standard_pictures(found: Evaluation, standard: str, words: Words) -> Iterator[Picture]:
-    """Runs by ISO 230-2, or the diagonals of ISO 230-6: `standard` is the entry of the error map."""
-    for name, figure in standard_figures(found.document["error_map"]).items():
+def standard_pictures(content: Mapping[str, Any], standard: str, words: Words) -> Iterator[Picture]:
+    """Runs by ISO 230-2, or the diagonals of ISO 230-6: `standard` is the entry of the error map's content."""
+    for name, figure in standard_figures(content).items():
         if name.startswith(standard):
             yield translated(name, words(f"figure_{standard}", setup=name.removeprefix(f"{standard}_")), figure, words)
 

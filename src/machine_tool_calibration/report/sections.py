@@ -51,7 +51,7 @@ from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.values import value_tables
-from machine_tool_calibration.reports.verdict import good_enough, left_words
+from machine_tool_calibration.reports.verdict import good_enough, left_words, only_reversal
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
@@ -232,10 +232,14 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
 
 
 def _standard(found: Evaluation, name: str, words: Words) -> Iterator[str | TextTable | Picture]:
-    """Figures of a standard and its plot."""
-    for part in standard_tables(found.document["error_map"], name):
-        yield words.phrase(part) if isinstance(part, str) else part
-    yield from standard_pictures(found, name, words)
+    """Figures of a standard and its plot, of ISO 230-2 one run after the other."""
+    content = found.document["error_map"]
+    entry = content.get(name) or ()
+    for one in [[run] for run in entry] if name == "iso230_2" else [entry]:
+        own = {**content, name: one}
+        for part in standard_tables(own, name):
+            yield words.phrase(part) if isinstance(part, str) else part
+        yield from standard_pictures(own, name, words)
 
 
 def _effects(found: Evaluation, words: Words) -> TextTable:
@@ -303,7 +307,8 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     diagnosis = found.improvement.diagnosis
     named = ", ".join(f"{_title(name, found, words)} ({name})" for name in diagnosis.accepted)
     small = "_good_enough" if good_enough(diagnosis) else ""
-    yield words(f"verdict_{diagnosis.verdict}{small}", effects=named, count=len(diagnosis.outliers))
+    verdict = "reversal" if diagnosis.accepted and only_reversal(diagnosis) else f"{diagnosis.verdict}{small}"
+    yield words(f"verdict_{verdict}", effects=named, count=len(diagnosis.outliers))
     yield from map(words.phrase, left_words(diagnosis))
     yield from map(words.phrase, negative_words(diagnosis.fits[-1], diagnosis.accepted))
     ranked = [one for one in diagnosis.ranked if one.rank][:_CANDIDATES]

@@ -27,7 +27,7 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["good_enough", "left_words", "mounted_more_than_once", "next_step", "verdict_words"]
+__all__ = ["good_enough", "left_words", "mounted_more_than_once", "next_step", "only_reversal", "verdict_words"]
 
 # Chance below which residuals count as larger than declared.
 _TOO_LARGE = 0.01
@@ -96,7 +96,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
         what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
-        if _only_reversal(diagnosis):
+        if only_reversal(diagnosis):
             return (
                 f"The axis has a reversal error: {what}. It is part of the result (ISO 230-2), no fault of the model."
             )
@@ -127,7 +127,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     )
 
 
-def _only_reversal(diagnosis: Diagnosis) -> bool:
+def only_reversal(diagnosis: Diagnosis) -> bool:
     """Whether nothing is missing but the reversal of axes that were run both ways by ISO 230-2, which reports it."""
     axes = {str(run["axis"]).lower() for run in diagnosis.fitted[0].error_map.content.get("iso230_2", ())}
     return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in ("backlash", "lost_motion") for axis in axes}
