@@ -17,9 +17,8 @@ def columns(seed: int, count: int, size: float = 1.0) -> np.ndarray:
 
 def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> Gram:
     """Inner products without any model: all that lies outside it is everything."""
-    readings = readings[:, None] if readings.ndim == 1 else readings
     every, family = np.column_stack([candidates, spread]), np.zeros(spread.shape[1], dtype=np.int64)
-    return Gram(every.T @ every, every.T @ readings, np.sum(readings**2, axis=0), family, len(readings))
+    return Gram(every.T @ every, every.T @ readings, float(readings @ readings), family, len(readings))
 
 
 def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:

@@ -43,7 +43,7 @@ def projected(model: np.ndarray, spread: np.ndarray, place: np.ndarray, readings
     both = np.column_stack([spread, readings])
     both = both - q @ (q.T @ both)
     gram = both.T @ both
-    return Gram(gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1], place, len(readings) - model.shape[1])
+    return Gram(gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1]), place, len(readings) - model.shape[1])
 
 
 def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarray) -> tuple[float, float]:

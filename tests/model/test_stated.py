@@ -123,7 +123,7 @@ def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> Non
     """Only these, equally probable."""
 
     def grid(gram: Gram) -> list[tuple[tuple[float, ...], float, float]]:
-        return [((ratio,), 0.0, float(marginal_at(gram, (ratio,)).log_null[0])) for ratio in ratios]
+        return [((ratio,), 0.0, marginal_at(gram, (ratio,)).log_null) for ratio in ratios]
 
     monkeypatch.setattr(variance_components, "size_grid", grid)
 

@@ -19,6 +19,7 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.budget.propagate import Budget, Progress, draw_readings
 from machine_tool_calibration.budget.published import (
+    DIAGONAL_FIGURES,
     FIGURES,
     POSITION_ERROR,
     Quantity,
@@ -213,10 +214,10 @@ class _Conformity:
         if name in ERROR_MOTIONS:
             return self.motion(name)
         base = figure_of(name) or name
-        if base in FIGURES:
+        if base in FIGURES or base in DIAGONAL_FIGURES:
             own = [q for q in known.values() if q.name == name or (name == base and figure_of(q.name) == base)]
             return [self.of(q, None, signed=base == "B_mean") for q in own]
-        allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, VOLUMETRIC]
+        allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, *DIAGONAL_FIGURES, VOLUMETRIC]
         raise ModelError(
             f"{name!r} is no figure with a tolerance{did_you_mean(name, allowed)}: an error motion or squareness of "
             f"ISO 230-1, {', '.join(FIGURES)} of ISO 230-2 (A_X for one axis), or {VOLUMETRIC}"

@@ -36,7 +36,7 @@ from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.restated import changed, declared
-from machine_tool_calibration.model.result import EffectSet, ErrorMap, map_change, map_rms
+from machine_tool_calibration.model.result import ErrorMap, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.noise import Noise
@@ -51,8 +51,6 @@ _ROUNDS = 4
 _SPOILT = 30.0
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
-# Probability from which a set of effects counts in the map, and how many at most beside the accepted one.
-_COUNTS, _SETS = 0.02, 4
 # Share of the whole scatter from which that of repeats is as much.
 _AS_MUCH = 0.9
 # Share of the excess of the sum of squares that effects must take to be the cause although the readings still
@@ -105,15 +103,6 @@ class Diagnosis:
         """Candidates best first: those accepted, in their order, then the others."""
         first = tuple(self.search.of(name) for name in self.accepted)
         return first + tuple(f for f in self.search.findings if f.name not in self.accepted)
-
-    @property
-    def sets(self) -> tuple[EffectSet, ...]:
-        """The most probable sets of known effects that can be added, that of the accepted ones among them."""
-        chosen = tuple(sorted(self.accepted))
-        out = {"unknown", *self.refused}
-        every = {names: p for names, p in self.search.sets if not out & set(names)}
-        likely = [names for names, p in every.items() if p >= _COUNTS and names != chosen and names][:_SETS]
-        return tuple(EffectSet(names, every.get(names, _COUNTS)) for names in (chosen, *likely))
 
     @property
     def likely(self) -> tuple[str, ...]:

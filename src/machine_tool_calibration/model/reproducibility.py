@@ -98,7 +98,7 @@ class PureError:
         left = self.gram - along.T @ along
         left[np.append(own, False)], left[:, np.append(own, False)] = 0.0, 0.0
         freedom = max(self.freedom - int(kept.sum()), 1)
-        return Gram(left[:-1, :-1], left[:-1, -1:], np.maximum(left[-1:, -1], 0.0), family, freedom)
+        return Gram(left[:-1, :-1], left[:-1, -1], max(float(left[-1, -1]), 0.0), family, freedom)
 
 
 def reproducibility(observations: Observations) -> tuple[Family, ...]:

@@ -226,7 +226,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     left = [fit.residuals / fit.model.sigma for fit in joint.fits]
     repeated = of_repeats(observed, left, families) if len(runs) else None
     found = components(
-        Gram(inner[:-1, :-1], inner[:-1, -1:], inner[-1:, -1], own, freedom),
+        Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, freedom),
         None if repeated is None else repeated.outside(~seen[runs], own),
     )
     chosen = np.argsort(-found.log_weights)
@@ -264,10 +264,10 @@ def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float
         ratio: size of each family, in units of the noise.
         freedom: degrees of freedom of the readings beside the model's unknowns.
     """
-    inner, data = projected[np.ix_(order, order)], projected[order, -1:]
+    inner, data = projected[np.ix_(order, order)], projected[order, -1]
     family = np.append(own, np.full(len(order) - len(own), len(ratio)))
-    gram = Gram(inner, data, projected[-1:, -1], family, freedom)
-    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null[0] for s, p in IMPERFECTION_SIZES.items()]
+    gram = Gram(inner, data, float(projected[-1, -1]), family, freedom)
+    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null for s, p in IMPERFECTION_SIZES.items()]
     return float(np.sqrt(special.softmax(logs) @ np.square(list(IMPERFECTION_SIZES))))
 
 

@@ -31,6 +31,8 @@ _ENTERS = {
 }
 _VARIES = {"angle": "beam direction", "never": "none"}
 _LEAST_NAMED = 1.0  # %
+# Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
+_USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")
 # Degrees of freedom above which k is 2 to three figures.
 _MANY = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
@@ -40,7 +42,7 @@ _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 def default_names(budget: Budget) -> list[str]:
     """Quantities that are told if none is asked for: position error, error motions, squareness, ISO 230-2."""
     usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
-    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name)]
+    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name) in _USUAL]
     return sorted(names, key=lambda name: name != POSITION_ERROR)
 
 

@@ -17,7 +17,6 @@ from machine_tool_calibration.reports.quantities import (
     micrometres,
     not_ruled_out,
     p_value,
-    probability,
     quantity,
     reproducibility_words,
     rounded,
@@ -165,10 +164,6 @@ def show_result(
         screen.print(session_headline(session))
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
-    if document["averaged_over"]:
-        sets = [(" + ".join(one["effects"]), probability(one["probability"])) for one in document["averaged_over"]]
-        over = (f"{effects} ({chance})" for effects, chance in sets)
-        screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
     show_suspicions(screen, document["suspicious"])
     for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
@@ -319,7 +314,6 @@ def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]
 
 def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit) -> None:
     unknowns = fit.assembly.unknowns
-    alone = [f"of the model with {', '.join(document['effects'])} alone"] if document["averaged_over"] else []
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.
     order = {Kind.EFFECT: 0, Kind.SQUARENESS: 1}
@@ -336,4 +330,4 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         left = len(single) - len(rows)
         notes = [f"{left} more; --json gives all of them"] if left else []
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
-        show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join([*notes, *alone])))
+        show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join(notes)))

@@ -22,8 +22,8 @@ def searched(
     count = columns.shape[1]
     gram = Gram(
         inner=columns.T @ columns,
-        data=(columns.T @ readings)[:, None],
-        squares=np.array([readings @ readings]),
+        data=columns.T @ readings,
+        squares=float(readings @ readings),
         family=np.zeros(0, dtype=np.int64),
         freedom=N,
     )
@@ -94,7 +94,7 @@ def test_a_pair_that_hides_each_other_is_found() -> None:
     u, v = columns[:, 0].copy(), columns[:, 1].copy()
     columns[:, 0], columns[:, 1] = 0.96 * u + 0.28 * v, -0.96 * u + 0.28 * v
     found = searched(columns, noise - noise @ u / (u @ u) * u + 2.0 * (columns[:, 0] + columns[:, 1]))
-    single = found.single.log_factors[:2, 0]
+    single = found.single.log_factors[:2]
     both = found.log_weights[frozenset({0, 1})] - found.log_weights[frozenset()]
     assert both > 5.0 + max(single.max(), 0.0)
     assert set(found.best) == {0, 1}
@@ -121,7 +121,7 @@ def test_a_later_effect_may_unseat_an_earlier_one() -> None:
     alike = columns[:, 1] + columns[:, 2] + 0.3 * columns[:, 5]
     columns = np.column_stack([8.0 * alike / np.linalg.norm(alike), columns[:, 1:5]])
     found = searched(columns, noise + 3.0 * (columns[:, 1] + columns[:, 2]))
-    assert int(np.argmax(found.single.log_factors[:, 0])) == 0
+    assert int(np.argmax(found.single.log_factors)) == 0
     assert set(found.best) == {1, 2}
 
 
@@ -139,7 +139,7 @@ def test_a_factor_of_a_member_is_beside_the_rest() -> None:
     beside = found.log_weights[frozenset({0, 3})] - found.log_weights[frozenset({3})] - found.log_odds[0]
     assert found.log_factor(0) == pytest.approx(beside)
     # The other is no longer noise: the evidence is stronger than alone.
-    assert found.log_factor(0) > found.single.log_factors[0, 0]
+    assert found.log_factor(0) > found.single.log_factors[0]
 
 
 def test_one_of_a_pair_nearly_alike_gains_where_the_signal_is_clear_and_not_where_it_may_be_noise() -> None:

@@ -12,7 +12,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, BEYOND, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
@@ -38,7 +38,8 @@ class Size:
     def plausible(self) -> bool:
         """Whether it is of a size that occurs, given its uncertainty."""
         margin = _MARGIN * self.standard_uncertainty
-        return self.coefficient.least <= self.value + margin and self.value - margin <= self.coefficient.high
+        least, largest = BEYOND * self.coefficient.least, BEYOND * self.coefficient.high
+        return least <= self.value + margin and self.value - margin <= largest
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def fitted_in(metric: Marginal, place: slice) -> tuple[Array, Array]:
     Their squares are what the columns take up of the readings' squares.
     """
     basis = basis_of(metric.inner(place, place))
-    return basis, basis.T @ metric.data[place, 0]
+    return basis, basis.T @ metric.data[place]
 
 
 def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
@@ -114,7 +115,7 @@ def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, A
     deviation = block.unit * point.scale
     inner = metric.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
     covariance = np.linalg.inv(inner) * np.outer(deviation, deviation)
-    return covariance @ metric.data[block.place, 0], covariance
+    return covariance @ metric.data[block.place], covariance
 
 
 def _outside(inner: Array) -> BoolArray:
@@ -140,7 +141,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
     def rms_with(taken: float) -> float:
-        return float(np.sqrt(max(float(plain.squares[0]) - taken, 0.0) / readings)) * rms(pool.sigma)
+        return float(np.sqrt(max(plain.squares - taken, 0.0) / readings)) * rms(pool.sigma)
 
     if point is None:
         return Finding(candidate, candidate.shapes[0].shape, rms_with(0.0))
@@ -148,7 +149,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
     place, shaped = block.own, block.shaped
     metric, log_factor = found.metrics[0], found.log_factor(number)
     basis, along = fitted_in(metric, place)
-    inner, squares, gain = metric.inner(place, place), float(metric.squares[0]), float(along @ along)
+    inner, squares, gain = metric.inner(place, place), metric.squares, float(along @ along)
     rank, count = basis.shape[1], len(shaped.columns)
     variance = max(squares - gain, NOTHING * squares) / max(metric.gram.freedom - rank, 1)
     mean, covariance = posterior_of(metric, block, point)

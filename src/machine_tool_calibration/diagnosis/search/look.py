@@ -177,7 +177,7 @@ def search_effects(
 def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
     """The effects, those that may be in with what their laws leave open; none where no law does."""
     out, changed = columns.candidates[: columns.effects], False
-    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k, 0])
+    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k])
     for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > _MAY_BE)}:
         effect = out[k].effect
         if effect is not None and effect.tolerance > 0.0:
@@ -384,14 +384,14 @@ def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -
     beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
-        log_factor = float(beside.log_factors[k, 0])
+        log_factor = float(beside.log_factors[k])
         # Paid for by the structures' prior against all others: what no effect says.
         p = found.p_value(k, log_factor)
         if p <= _TOLD:
             block = columns.blocks[beside.best[k].block]
             taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _words(columns.candidates[k].name, block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, taken / float(tried[0].squares[0]))))
+            out.append((p, -log_factor, Structure(*words, p, taken / tried[0].squares)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 

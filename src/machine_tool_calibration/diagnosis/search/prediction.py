@@ -145,7 +145,7 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        factor = float(table([block], [base.beside(columns_of(others), unit)], 1).log_factors[0, 0])
+        factor = float(table([block], [base.beside(columns_of(others), unit)], 1).log_factors[0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out

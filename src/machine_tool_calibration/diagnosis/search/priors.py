@@ -10,6 +10,7 @@ from __future__ import annotations
 __all__ = [
     "ACCEPTED",
     "ALIKE",
+    "BEYOND",
     "CONTRADICTED",
     "EFFECT",
     "FURTHER",
@@ -66,6 +67,9 @@ GOOD_ENOUGH, SMALL = 1 / 3, 0.7
 """Share of the map's expanded uncertainty up to which what is left may move the map, and its size over the declared
 uncertainty of a reading below which that does not matter: then the model is adequate. What is larger than the noise
 never is."""
+
+BEYOND = 2.0
+"""Times the limits of its coefficients up to which an effect is tried: what is plausible is known to no better."""
 
 SELDOM = 4.0
 """Prior odds against a size beyond what is usual, such as a dead path of metres on a small machine."""
