@@ -27,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
-from machine_tool_calibration.reports.verdict import next_step, verdict_words
+from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
@@ -364,16 +364,23 @@ def show_diagnosis(
 
 
 def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
-    """The effects found, or the most probable ones where none is sure."""
+    """The effects found and what may be there instead, or the most probable ones where none is sure."""
     ranked = [finding for finding in diagnosis.ranked if finding.rank]
     own = [finding for finding in ranked if finding.name in diagnosis.accepted]
-    rows = tuple(_sized(diagnosis, finding, changes) for finding in own or ranked[:_FEW])
-    title = "Found" if own else "Looked for, the most probable first"
-    return TextTable(title, ("effect", "probability", "size ± U (k = 2)", "residual then / µm"), rows)
+    others = [finding for finding in ranked if finding not in own][:_FEW]
+    likely = [finding for finding in others if finding.probability > AS_GOOD]
+    rows = tuple(_sized(diagnosis, finding, changes) for finding in ([*own, *likely] if own else others))
+    title = "Found (✓), and what else is probable" if likely else "Found"
+    return TextTable(
+        title if own else "Looked for, the most probable first",
+        ("effect", "probability", "size ± U (k = 2)", "residual then / µm"),
+        rows,
+    )
 
 
 def _sized(diagnosis: Diagnosis, finding: Finding, changes: Mapping[str, Consequence]) -> tuple[str, ...]:
     change = changes.get(finding.name)
     sizes = sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
     _, after = before_and_after(diagnosis, finding, changes)
-    return finding.name, probability(finding.probability), sizes, micrometres(after)
+    name = f"{'✓ ' if finding.name in diagnosis.accepted else ''}{finding.name}"
+    return name, probability(finding.probability), sizes, micrometres(after)

@@ -27,15 +27,23 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["good_enough", "left_words", "mounted_more_than_once", "next_step", "only_reversal", "verdict_words"]
+__all__ = [
+    "AS_GOOD",
+    "good_enough",
+    "left_words",
+    "mounted_more_than_once",
+    "next_step",
+    "only_reversal",
+    "verdict_words",
+]
 
 # Chance below which residuals count as larger than declared.
 _TOO_LARGE = 0.01
 _MANY = 3
 # Standard uncertainties between confounded effects from which the readings distinguish them all the same.
 _APART = 6.0
-# Probability of a confounded effect from which it is to be told apart first.
-_AS_GOOD = 0.1
+AS_GOOD = 0.1
+"""Probability of another effect from which it is told beside those found."""
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 
@@ -142,7 +150,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         mine = next((s for s in advice.separations if s.effects[0] in diagnosis.accepted), None)
         rival = mine is not None and (
             mine.apart_before < _APART
-            or max(diagnosis.search.of(name).probability for name in mine.effects[1:]) > _AS_GOOD
+            or max(diagnosis.search.of(name).probability for name in mine.effects[1:]) > AS_GOOD
         )
         if mine is not None and rival:
             sure = mine.measure if mine.kind is not None else "no further measurement that was considered does"
