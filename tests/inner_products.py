@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.marginal import Gram
 
 N = 24
 
@@ -25,4 +26,4 @@ def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:
     """log p(y) up to what all models share, the variance of the noise integrated with what was declared as prior."""
     squares = float(readings @ np.linalg.solve(covariance, readings))
     determinant = np.linalg.slogdet(covariance)[1]
-    return float(-0.5 * determinant - 0.5 * (N + DECLARED_DOF) * np.log(DECLARED_DOF + squares))
+    return float(-0.5 * determinant - 0.5 * (N + priors.DECLARED_DOF) * np.log(priors.DECLARED_DOF + squares))

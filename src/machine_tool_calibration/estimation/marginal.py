@@ -18,20 +18,14 @@ import numpy as np
 from scipy.linalg import lapack
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation import priors
 
-__all__ = ["DECLARED_DOF", "NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
+__all__ = ["NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
 
-
-DECLARED_DOF = 20.0
-"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
 
 NOTHING = 1e-12
 """Share of the data's squares that is at least left of them: less is rounding."""
 
-# Half of the prior of a size is at zero: that keeps the power to find effects. The other half is half-Cauchy with this
-# scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
-_NONE = 0.5
-_SCALE = 0.4
 # Sizes tried at first, in units of the noise, where there are one, two, or three families: the smallest, the factor
 # from each to the next, and how many.
 _LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4)}
@@ -41,8 +35,8 @@ _EDGE, _MOST_STEPS = 1e-3, 40
 
 def _log_prior(lattice: Array) -> Array:
     """(1 + sizes,) logarithm of the prior of size zero and of those of a lattice: a half-Cauchy density in ln(size)."""
-    density = lattice / (1.0 + (lattice / _SCALE) ** 2)
-    return np.asarray(np.log(np.append(_NONE, (1.0 - _NONE) * density / density.sum())))
+    density = lattice / (1.0 + (lattice / priors.IRREPRODUCIBILITY) ** 2)
+    return np.asarray(np.log(np.append(priors.ALL_REPRODUCES, (1.0 - priors.ALL_REPRODUCES) * density / density.sum())))
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,7 @@ class Gram:
     family: IntArray
     freedom: int
     sizes: tuple[dict[float, float], ...] = ()
-    prior_dof: float = DECLARED_DOF
+    prior_dof: float = priors.DECLARED_DOF
 
     @property
     def spread(self) -> IntArray:

@@ -19,7 +19,7 @@ from machine_tool_calibration.methods.joint.small_angles import random_of, settl
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.residuals.gross_errors import Outlier, set_aside
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
@@ -215,6 +215,8 @@ def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
         made.append(chosen.finished(chosen.base(part)))
         return made[-1][0]
 
-    outliers, kept = set_aside(session, build)
+    outliers = find_outliers(session, build)
     # Where nothing was set aside the model is that in which it was looked for.
-    return WithoutGrossErrors(outliers, kept, made[0] if made and not outliers else None)
+    return WithoutGrossErrors(
+        outliers, without(session, outliers, as_lost=True), made[0] if made and not outliers else None
+    )

@@ -15,7 +15,6 @@ __all__ = ["direct_tables", "scatter_words"]
 _SIGNIFICANT = 0.01
 # p-value of the fit below which the readings do not lie within their declared uncertainty.
 _MISFIT = 1e-3
-_MOST_ROWS = 12
 
 
 def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
@@ -90,13 +89,6 @@ def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
         fell = steps[2]["scatter"] - steps[3]["scatter"]
         words.append(f"Curves beyond that are {more}" + (f" (they take {quantity(fell, 'm')})." if fell > 0 else "."))
     yield " ".join(words)
-    if plate["set_aside"]:
-        rows = plate["set_aside"]
-        shown = ", ".join(str(row) for row in rows[:_MOST_ROWS]) + (" …" if len(rows) > _MOST_ROWS else "")
-        yield (
-            f"Left out of these steps, but not of the fit: {'rows' if len(rows) > 1 else 'row'} {shown} (the first row "
-            "is 0), far out of all others. `mtcal improve` sets them aside."
-        )
 
 
 def _is(parameter: Mapping[str, Any]) -> bool:

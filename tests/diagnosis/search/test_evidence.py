@@ -12,9 +12,8 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, table
-from machine_tool_calibration.diagnosis.search.priors import POSITIVE
-from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, Marginal, marginal_at, size_grid
-from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.marginal import Gram, Marginal, marginal_at, size_grid
 
 from ...inner_products import N, columns, gram_of, log_marginal
 
@@ -38,8 +37,8 @@ def metrics(gram: Gram) -> list[Marginal]:
 def scales_of(signal: float) -> np.ndarray:
     """1, 1/5, ... as long as there is a signal to be seen."""
     out = [1.0]
-    while signal * out[-1] / SCALE_STEP >= SMALLEST_SIGNAL:
-        out.append(out[-1] / SCALE_STEP)
+    while signal * out[-1] / priors.SCALE_STEP >= priors.SMALLEST_SIGNAL:
+        out.append(out[-1] / priors.SCALE_STEP)
     return np.array(out)
 
 
@@ -76,13 +75,13 @@ def test_one_coefficient_with_a_direct_integration_over_it_and_the_noise() -> No
     readings = np.random.default_rng(5).normal(size=N) + 0.9 * wide[:, 0]
     gram = gram_of(wide, np.zeros((N, 0)), readings)
     # A signal so small that there is one scale only.
-    unit = 1.5 * SMALLEST_SIGNAL / np.linalg.norm(wide)
+    unit = 1.5 * priors.SMALLEST_SIGNAL / np.linalg.norm(wide)
     found = table([block(0, 0, [unit])], metrics(gram), 1)
 
     log_variance = np.linspace(-2.5, 3.0, 401)[:, None]
     coefficient = np.linspace(-3.0, 3.0, 801)[None, :]
     noise = np.exp(0.5 * log_variance)
-    prior = np.exp(-0.5 * DECLARED_DOF * (log_variance + noise**-2.0))
+    prior = np.exp(-0.5 * priors.DECLARED_DOF * (log_variance + noise**-2.0))
 
     def likelihood(value: np.ndarray) -> np.ndarray:
         squares = np.sum((readings[:, None] - value.reshape(-1) * wide) ** 2, axis=0)
@@ -100,7 +99,7 @@ def test_one_effect_where_the_noise_is_known() -> None:
     """The difference of two normal densities of the readings, with the effect's columns in the covariance or not."""
     wide, variance = columns(4, 2), 2.5
     readings = 3.0 * np.random.default_rng(5).normal(size=N) + wide @ [0.9, -0.4]
-    unit = 1.5 * SMALLEST_SIGNAL / float(np.linalg.svd(wide, compute_uv=False)[0])
+    unit = 1.5 * priors.SMALLEST_SIGNAL / float(np.linalg.svd(wide, compute_uv=False)[0])
     gram = gram_of(wide, np.zeros((N, 0)), readings).with_noise(variance)
     found = table([block(0, 0, [unit, unit])], metrics(gram), 1)
     # The coefficients' scale is in units of the noise, as the readings are here.
@@ -127,7 +126,7 @@ def test_a_sign_that_is_expected_is_a_prior_and_no_wall() -> None:
     """Where the readings say clearly which sign it is, the evidence is that of either sign times its prior."""
     wide = columns(8, 1)
     noise = np.random.default_rng(9).normal(size=N)
-    for sign, odds in ((-1.0, 1.0), (1.0, POSITIVE)):
+    for sign, odds in ((-1.0, 1.0), (1.0, priors.POSITIVE)):
         gram = gram_of(wide, np.zeros((N, 0)), noise + 1.5 * sign * wide[:, 0])
         either, expected = (
             table([block(0, 0, [2.0], most=1e3, positive=one)], metrics(gram), 1).log_factors[0]
@@ -135,7 +134,7 @@ def test_a_sign_that_is_expected_is_a_prior_and_no_wall() -> None:
         )
         assert either > 5.0
         # Half of the prior lies on either side where none is expected.
-        assert expected == pytest.approx(either + np.log(2.0 * odds / (1.0 + POSITIVE)), abs=1e-3)
+        assert expected == pytest.approx(either + np.log(2.0 * odds / (1.0 + priors.POSITIVE)), abs=1e-3)
 
 
 def test_a_size_that_does_not_occur_is_cut_off() -> None:

@@ -9,7 +9,7 @@ import pytest
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 
 N = 60
@@ -30,7 +30,7 @@ def searched(
     shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
     either = np.zeros(1, dtype=bool)
     blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, either, 0.0) for k in range(count)]
-    odds = np.full(count, np.log(EFFECT / (1.0 - EFFECT)))
+    odds = np.full(count, np.log(priors.EFFECT / (1.0 - priors.EFFECT)))
     return search(gram, blocks, odds, side_by_side=side_by_side, pairs_among=range(count))
 
 
@@ -60,7 +60,7 @@ def test_nothing_is_the_likeliest_where_nothing_is() -> None:
         columns, noise = made(seed, 8)
         found = searched(columns, noise)
         assert found.best == {}
-        assert found.probability[0] > ACCEPTED
+        assert found.probability[0] > priors.ACCEPTED
 
 
 def test_columns_nearly_alike_share_the_probability() -> None:
@@ -105,7 +105,7 @@ def test_three_effects_are_found_in_one_search() -> None:
     columns, noise = made(4, 10)
     found = searched(columns, noise + columns[:, [1, 4, 7]].sum(axis=1))
     assert set(found.best) == {1, 4, 7}
-    assert found.probability[0] > ACCEPTED
+    assert found.probability[0] > priors.ACCEPTED
 
 
 def test_many_effects_side_by_side() -> None:
@@ -129,7 +129,7 @@ def test_the_wrong_sign_is_no_effect() -> None:
     columns, noise = made(7, 4)
     for size in (0.7, 1.5, 4.0):
         assert searched(columns, noise - size * columns[:, 1]).of(1) > 0.99
-        assert searched(columns, noise - size * columns[:, 1], low=0.0).of(1) < EFFECT
+        assert searched(columns, noise - size * columns[:, 1], low=0.0).of(1) < priors.EFFECT
 
 
 def test_a_factor_of_a_member_is_beside_the_rest() -> None:

@@ -18,10 +18,9 @@ from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.priors import BEYOND, POSITIVE, SELDOM
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
-from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Block", "Point", "Table", "columns_of", "gram_of", "table"]
@@ -37,8 +36,6 @@ _AT_ONCE = 4e5
 _ABSORBED = 1e-9
 # Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
 _ROUNDED = 1e-7
-# Half the size that a structure without a cause may have, in standard uncertainties of a reading.
-_ANY_SIZE = 50.0
 
 
 @dataclass(frozen=True)
@@ -88,8 +85,8 @@ class Block:
             log_share: logarithm of the probability of its nonlinear coefficients.
         """
         if shaped.coefficients:
-            low, high = BEYOND * np.array([(c.least, c.high) for c in shaped.coefficients]).T
-            unit = np.maximum(np.abs(low), np.abs(high)) / (2.0 * BEYOND)
+            low, high = priors.BEYOND * np.array([(c.least, c.high) for c in shaped.coefficients]).T
+            unit = np.maximum(np.abs(low), np.abs(high)) / (2.0 * priors.BEYOND)
             positive = np.array([c.low == 0.0 for c in shaped.coefficients])
             if shaped.law is not None:
                 free = np.full(len(shaped.law), np.inf)
@@ -97,7 +94,7 @@ class Block:
                 low, high = np.append(low, -free), np.append(high, free)
                 positive = np.append(positive, np.zeros(len(free), dtype=bool))
         else:
-            unit = _ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
+            unit = priors.ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
             low, high = np.full(len(unit), -np.inf), np.full(len(unit), np.inf)
             positive = np.zeros(len(unit), dtype=bool)
         floor = _ROUNDED * float((squares * unit**2).max(initial=0.0))
@@ -189,7 +186,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
             logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
             share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
             usual = np.array([blocks[k].usual for k in mine])[:, None]
-            share = share[:, None] - np.where(own > usual * SCALE_STEP**0.5, np.log(SELDOM), 0.0)
+            share = share[:, None] - np.where(own > usual * priors.SCALE_STEP**0.5, np.log(priors.SELDOM), 0.0)
             logs = np.where(np.isnan(own), -np.inf, logs + share)
             total[mine] = _log_sum(logs.T)
             at = np.arange(len(mine)), np.argmax(logs, axis=1)
@@ -226,11 +223,11 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
     columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
     signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
-    steps = np.floor(np.log(np.maximum(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
+    steps = np.floor(np.log(np.maximum(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))
     every = np.arange(float(_MOST_SCALES))
     shows = (every <= steps[:, None]) & (signal[:, None] > 0)
-    allowed = SCALE_STEP**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
-    return np.where(shows & allowed, SCALE_STEP**-every, np.nan), shows.sum(axis=1)
+    allowed = priors.SCALE_STEP**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
+    return np.where(shows & allowed, priors.SCALE_STEP**-every, np.nan), shows.sum(axis=1)
 
 
 def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal]) -> tuple[Array, Array]:
@@ -279,7 +276,7 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     # One that is expected to be positive: of either sign, at these odds.
     positive = np.array([block.positive for block in blocks])[None, :, None]
     if positive.any():
-        odds = np.log([POSITIVE / (1.0 + POSITIVE), 1.0 / (1.0 + POSITIVE)]) + np.log(2.0)
+        odds = np.log([priors.POSITIVE / (1.0 + priors.POSITIVE), 1.0 / (1.0 + priors.POSITIVE)]) + np.log(2.0)
         signs = np.logaddexp(odds[0] + _log_between(zero, most), odds[1] + _log_between(least, zero))
         after = np.where(positive, signs, after)
     value += (after - before).sum(axis=-1)

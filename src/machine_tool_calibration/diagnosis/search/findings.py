@@ -12,8 +12,8 @@ from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, BEYOND, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
@@ -22,8 +22,6 @@ __all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "fitted_
 
 # Directions of a candidate with less than this share of its squares are the model's.
 _RANK = 1e-6
-# Standard uncertainties by which a size may lie outside what is plausible.
-_MARGIN = 2.0
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,8 @@ class Size:
     @property
     def plausible(self) -> bool:
         """Whether it is of a size that occurs, given its uncertainty."""
-        margin = _MARGIN * self.standard_uncertainty
-        least, largest = BEYOND * self.coefficient.least, BEYOND * self.coefficient.high
+        margin = priors.SIZE_MARGIN * self.standard_uncertainty
+        least, largest = priors.BEYOND * self.coefficient.least, priors.BEYOND * self.coefficient.high
         return least <= self.value + margin and self.value - margin <= largest
 
 
@@ -180,7 +178,7 @@ def _detectable(
     limits = np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in shaped.coefficients])
     strength = inner * np.outer(limits, limits)
     values = np.maximum(np.linalg.eigvalsh(strength), 0.0)
-    needed = float(np.log(ACCEPTED / (1.0 - ACCEPTED))) - log_odds + float(np.log(candidate.count))
+    needed = float(np.log(priors.ACCEPTED / (1.0 - priors.ACCEPTED))) - log_odds + float(np.log(candidate.count))
     norm = np.sqrt(np.where(_outside(inner), np.diag(inner), 0.0))
     return {
         coefficient.name: float(smallest_signal(values, (own * limit) ** 2, needed) * np.sqrt(variance) / own)
@@ -214,14 +212,23 @@ def alias_groups(
         seen = bases[other].T @ products[places[other]]
         return float(np.sqrt(min(float(seen @ seen) / own, 1.0))) if own > 0 else 0.0
 
+    def is_alike(head: Finding, other: Finding) -> bool:
+        if head.probability > priors.LIKELY and found.exchanges(index[head.name], index[other.name]):
+            return True
+        contained = head.name in other.candidate.contains
+        return not contained and max(cosine(head, other.name), cosine(other, head.name)) >= priors.ALIKE
+
     left, groups = [f for f in findings if f.name in places], []
     while left:
         head, *left = left
         alike = [
             f
             for f in left
-            if (head.name not in f.candidate.contains and max(cosine(head, f.name), cosine(f, head.name)) >= ALIKE)
-            or (head.probability > LIKELY and found.exchanges(index[head.name], index[f.name]))
+            if (
+                head.name not in f.candidate.contains
+                and max(cosine(head, f.name), cosine(f, head.name)) >= priors.ALIKE
+            )
+            or (head.probability > priors.LIKELY and found.exchanges(index[head.name], index[f.name]))
         ]
         names = [f.name for f in alike]
         if names:

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
-from machine_tool_calibration.diagnosis.search.priors import LIKELY
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
 __all__ = ["Posterior", "search"]
@@ -104,7 +104,7 @@ class Posterior:
     def exchanges(self, candidate: int, other: int) -> bool:
         """Whether another candidate is in where this one is not, and more probably than where this one is."""
         instead = self.without(other, candidate)
-        return instead > max(LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
+        return instead > max(priors.LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
 
     def without(self, member: int, other: int) -> float:
         """Probability of the sets that hold one candidate and not the other."""
