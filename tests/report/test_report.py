@@ -83,7 +83,7 @@ def evaluated(name: str) -> Evaluation:
     return evaluate(
         Measured((session,), FitRequest((session,))),
         diagnosis=whole,
-        contributors=default_budget([session.instrument]) if whole else (),
+        contributors=default_budget([session]) if whole else (),
         tolerances={"EXX": 10e-6} if name == "iso230_2" else None,
     )
 

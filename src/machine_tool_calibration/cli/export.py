@@ -25,20 +25,17 @@ if TYPE_CHECKING:
 __all__ = ["bad_fit", "command"]
 
 
-# Chance below which readings contradict the model, as `mtcal identify` has it.
-_CHANCE = 1e-3
-
-
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
+    from machine_tool_calibration.reports.goodness import fits
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
-    if not fit.p_value < _CHANCE:
+    if fits(fit.p_value) != "bad":
         return None
     words = goodness_of_fit(
         {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
     )
-    return f"warning: {words}"
+    return f"warning: {words} `mtcal diagnose` looks for what is missing."
 
 
 _FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv", "json")

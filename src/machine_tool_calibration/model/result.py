@@ -191,6 +191,8 @@ class Identified(ABC):
         effects: ids of the effects that were added.
         alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
         averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
+        variance_added: what a budget adds to the variance of unknowns, by name; None where the uncertainty is what
+            the readings show, without instrument and temperature.
     """
 
     error_map: ErrorMap
@@ -198,6 +200,7 @@ class Identified(ABC):
     effects: tuple[str, ...]
     alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
+    variance_added: Mapping[str, float] | None = None
 
     @property
     @abstractmethod
@@ -213,6 +216,11 @@ class Identified(ABC):
     @abstractmethod
     def not_determined(self) -> list[NotDetermined]:
         """What the data cannot determine, with the reason."""
+
+    def estimate(self, parameter: Parameter, value: float, standard_uncertainty: float) -> Estimate:
+        """Of an unknown as the fit has it, with what a budget adds."""
+        more = (self.variance_added or {}).get(parameter.name, 0.0)
+        return Estimate.of(parameter, value, float(np.sqrt(standard_uncertainty**2 + more)))
 
     @property
     def joint(self) -> JointFit:
@@ -242,6 +250,7 @@ class Identified(ABC):
             "averaged_over": [{"effects": list(s.effects), "probability": s.probability} for s in self.averaged],
             "spread": [size.document() for size in stated.sizes],
             "scatter_factor": stated.scatter,
+            "uncertainty": "identification" if self.variance_added is None else "budget",
             "parameters": [estimate.document() for estimate in self.parameters],
             "error_map": plain(self.error_map.content),
         }
@@ -276,7 +285,7 @@ class Result(Identified):
         for parameter, value, u, good in found:
             if good:
                 value, u = moved.get(parameter.name, (value, u))
-                out.append(Estimate.of(parameter, value, u))
+                out.append(self.estimate(parameter, value, u))
         return out
 
     @property

@@ -104,8 +104,10 @@ def _translate(figure: Figure, words: Words) -> None:
         text.set_text(words.phrase(text.get_text()))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         # Names of places are written anew whenever the figure is drawn.
-        if isinstance(axis.get_major_locator(), FixedLocator):
-            axis.set_ticklabels([words.phrase(label.get_text()) for label in axis.get_majorticklabels()])
+        said = [label.get_text() for label in axis.get_majorticklabels()]
+        # Of panels that share an axis one alone has them.
+        if isinstance(axis.get_major_locator(), FixedLocator) and any(said):
+            axis.set_ticklabels([words.phrase(text) for text in said])
 
 
 def _wrap_titles(figure: Figure) -> None:

@@ -150,10 +150,12 @@ class Report:
     Attributes:
         words: paragraphs, the verdict first.
         tables: the numbers; empty ones are left out.
+        details: what to measure next, what this measurement could not show, and what was not looked for.
     """
 
     words: tuple[str, ...]
     tables: tuple[TextTable, ...]
+    details: tuple[TextTable, ...]
 
 
 def diagnosis_report(
@@ -172,6 +174,8 @@ def diagnosis_report(
         _coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
+    ]
+    details = [
         _confounded(diagnosis, advice),
         _next(advice),
         _hidden_table(diagnosis),
@@ -182,7 +186,7 @@ def diagnosis_report(
     words = list(verdict_words(diagnosis, changes, advice))
     if advice.dominant is not None and advice.dominant.cause != "readings":
         words += dominant_words(advice.dominant)
-    return Report(tuple(words), tuple(table for table in tables if table.rows))
+    return Report(tuple(words), *(tuple(table for table in part if table.rows) for part in (tables, details)))
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
@@ -346,5 +350,5 @@ def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: 
     report = diagnosis_report(found, then.advice, then.changes, shown)
     for paragraph in report.words:
         screen.print(paragraph, markup=False)
-    for table in report.tables:
+    for table in (*report.tables, *report.details):
         show_table(screen, table)
