@@ -84,6 +84,7 @@ def command(
     mtcal export x_axis plate --format json       two sessions together
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
+    from machine_tool_calibration.reports.compensation import harm_words
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
 
@@ -122,6 +123,7 @@ def command(
                 "not_in_tables": made.absent,
                 "preview": made.left,
                 "worse": made.worse,
+                "worse_along": [one.name for one in made.worse_along],
             }
         )
     else:
@@ -131,8 +133,8 @@ def command(
             note(f"not determined: {names}: {why}")
     for text in found.warnings:
         note(text)
-    if made.worse:
-        note("warning: the errors would grow; do not load these files")
+    if harm := harm_words(made):
+        note(f"warning: {harm}")
 
 
 @dataclass(frozen=True)

@@ -150,11 +150,13 @@ class Report:
     Attributes:
         words: paragraphs, the verdict first.
         tables: the numbers; empty ones are left out.
+        forecast: sentences on what dominates the map's uncertainty, and what makes it smaller.
         details: what to measure next, what this measurement could not show, and what was not looked for.
     """
 
     words: tuple[str, ...]
     tables: tuple[TextTable, ...]
+    forecast: tuple[str, ...]
     details: tuple[TextTable, ...]
 
 
@@ -183,10 +185,13 @@ def diagnosis_report(
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
-    words = list(verdict_words(diagnosis, changes, advice))
-    if advice.dominant is not None and advice.dominant.cause != "readings":
-        words += dominant_words(advice.dominant)
-    return Report(tuple(words), *(tuple(table for table in part if table.rows) for part in (tables, details)))
+    dominant = advice.dominant
+    return Report(
+        words=tuple(verdict_words(diagnosis, changes, advice)),
+        tables=tuple(table for table in tables if table.rows),
+        forecast=() if dominant is None or dominant.cause == "readings" else tuple(dominant_words(dominant)),
+        details=tuple(table for table in details if table.rows),
+    )
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
@@ -348,7 +353,7 @@ def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: 
         shown: how many candidates beside the accepted ones; 0 for all.
     """
     report = diagnosis_report(found, then.advice, then.changes, shown)
-    for paragraph in report.words:
+    for paragraph in (*report.words, *report.forecast):
         screen.print(paragraph, markup=False)
     for table in (*report.tables, *report.details):
         show_table(screen, table)
