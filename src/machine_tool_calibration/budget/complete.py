@@ -71,7 +71,7 @@ def _content(
 
 def _run(run: Mapping[str, Any], more: Mapping[str, Array]) -> dict[str, Any]:
     """A run by ISO 230-2, whose figures have expanded uncertainties."""
-    out = dict(run)
+    out = {key: value for key, value in run.items() if key != "note"}  # which says what U lacks
     for figure in FIGURES:
         names = (f"{figure}_{run['axis']}.{run['setup']}", f"{figure}_{run['axis']}")
         square = next((more[name] for name in names if name in more), None)
