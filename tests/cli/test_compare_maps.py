@@ -2,7 +2,6 @@
 """`mtcal compare-maps` with effects and a history: a corrected map can be compared."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest

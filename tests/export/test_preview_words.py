@@ -24,7 +24,7 @@ def test_tables_that_hold_the_whole_map_leave_its_uncertainty() -> None:
     assert [row.rms_left for row in found.left[:3]] == pytest.approx([0.1e-6] * 3)
     assert [row.largest_left for row in found.left[:3]] == pytest.approx([0.2e-6] * 3)
     rows = left_table(found).rows
-    assert [row[2] for row in rows[:3]] == ["0.100"] * 3 and all("0" != cell for row in rows for cell in row)
+    assert [row[2] for row in rows[:3]] == ["0.100"] * 3 and all(cell != "0" for row in rows for cell in row)
     assert not harm_words(found)
 
 
