@@ -22,8 +22,6 @@ Either = TypeVar("Either", bound=Identified)
 def completed(result: Either, budget: Budget) -> Either:
     """The same with half the expanded uncertainty for 95.45 % in place of every standard uncertainty.
 
-    The mean over several sets of effects keeps what these differ by.
-
     Args:
         result: of an identification.
         budget: of its fit.

@@ -31,7 +31,7 @@ _NARROW = 5.0
 # Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.
 _WIDEST, _LOWEST = 9.5, 0.8
 # Dots of an inch on paper.
-_DPI = 220
+_DPI = 150
 # Panels of residuals over covariates.
 _PANELS = 4
 

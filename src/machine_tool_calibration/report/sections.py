@@ -140,11 +140,6 @@ def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
         yield words("only_if_right")
     yield words("u_is_complete" if document["uncertainty"] == "budget" else "u_is_incomplete")
     yield words("model_is", model=", ".join([words.phrase(found.result.model_name), *document["effects"]]))
-    if document["averaged_over"]:
-        sets = ", ".join(
-            f"{' + '.join(s['effects'])} ({probability(s['probability'])})" for s in document["averaged_over"]
-        )
-        yield words("averaged", sets=sets)
     yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
     if document["effects"]:
         yield _effects(found, words)
