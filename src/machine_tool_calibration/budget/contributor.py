@@ -19,7 +19,15 @@ from machine_tool_calibration.session.text import read_text
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["BudgetFile", "default_budget", "instruments", "read_budget", "template", "template_of"]
+__all__ = [
+    "BudgetFile",
+    "default_budget",
+    "instruments",
+    "known_contributors",
+    "read_budget",
+    "template",
+    "template_of",
+]
 
 FORMAT = "mtcal-budget/1"
 
@@ -98,6 +106,14 @@ def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
         for name, lines in each.items()
         for line in lines
     )
+
+
+def known_contributors(sessions: Sequence[Session]) -> tuple[tuple[Contributor, ...], str]:
+    """Those of `default_budget`, or none and the reason in words."""
+    try:
+        return default_budget(sessions), ""
+    except ModelError as error:
+        return (), str(error)
 
 
 def _folder() -> Any:

@@ -145,13 +145,13 @@ def complete_budget(
     files: Sequence[Path], sessions: Sequence[Session], own: FittedSessions, seed: int, progress: Report
 ) -> Budget | None:
     """The budget that a verdict needs; where there is none, what to do is said on standard error."""
+    from machine_tool_calibration.budget.contributor import known_contributors, read_budget
     from machine_tool_calibration.budget.propagate import propagate
-    from machine_tool_calibration.errors import ModelError
 
-    try:
-        lines = contributors_of(files, sessions)
-    except ModelError as error:
-        note(f"note: no tolerance is decided, as U is without instrument and temperature: {error}")
+    own_lines, why = ((), "") if files else known_contributors(sessions)
+    lines = own_lines or tuple(c for file in files for c in read_budget(file))
+    if not lines:
+        note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
         return None
     if not files and not all(session.description.budget for session in sessions):
         names = ", ".join(dict.fromkeys(str(session.instrument) for session in sessions))

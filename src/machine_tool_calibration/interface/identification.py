@@ -308,7 +308,8 @@ class Fit(Shown):
         """Who contributes what to the uncertainty of everything that was identified.
 
         Args:
-            contributors: a YAML file, or its lines as mappings; those of the instrument to begin with if absent.
+            contributors: a YAML file, or its lines as mappings; those of the sessions, else of
+                their instruments to begin with, if absent.
             quantities: names to tell in detail, such as EXX, C0Y or an unknown; the usual ones if absent.
             draws: of a Monte Carlo check (JCGM 101); 0 without one.
             seed: of random draws.
@@ -352,11 +353,10 @@ class Fit(Shown):
             CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
         """
         from machine_tool_calibration.budget.conformity import conformity
-        from machine_tool_calibration.budget.contributor import default_budget
+        from machine_tool_calibration.budget.contributor import known_contributors
         from machine_tool_calibration.budget.propagate import Budget as Propagated
         from machine_tool_calibration.budget.propagate import propagate
         from machine_tool_calibration.budget.tolerances import tolerance
-        from machine_tool_calibration.errors import ModelError
         from machine_tool_calibration.interface.budget import Budget, Conformity
 
         require_whole(seed=seed)
@@ -368,10 +368,8 @@ class Fit(Shown):
         if budget is not None:
             held: Propagated | None = budget.propagated
         else:
-            try:
-                held = propagate(fitted, default_budget(self.measurement.sessions), seed=seed)
-            except ModelError:
-                held = None
+            lines, _ = known_contributors(self.measurement.sessions)
+            held = propagate(fitted, lines, seed=seed) if lines else None
         return Conformity(conformity(fitted, sizes, rule=rule, level=level, budget=held, seed=seed))
 
     @cached_property

@@ -10,12 +10,11 @@ from typing import Any
 
 from machine_tool_calibration.budget.complete import completed
 from machine_tool_calibration.budget.conformity import Conformity, conformity
-from machine_tool_calibration.budget.contributor import default_budget
+from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, improve
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result, map_rms
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
@@ -36,6 +35,7 @@ class Evaluation:
         improvement: the diagnosis of the model, and the models with what it finds; None if it was not asked for.
         conclusions: what follows from the diagnosis.
         budget: of uncertainties, which the result and the steps state; None if there are no contributors.
+        general: whether its contributors are those of an instrument to begin with.
         conformity: with tolerances; None if there are none.
     """
 
@@ -45,6 +45,7 @@ class Evaluation:
     improvement: Improvement | None = None
     conclusions: Conclusions | None = None
     budget: Budget | None = None
+    general: bool = False
     conformity: Conformity | None = None
 
     @cached_property
@@ -90,6 +91,7 @@ def evaluate(
         then = conclude(improved.diagnosis, progress=progress)
     fitted = fitted_sessions(result)
     budget = None
+    general = not contributors and not all(session.description.budget for session in measured.recorded)
     contributors = contributors or _stated(measured, decide=bool(tolerances))
     if contributors:
         progress("uncertainty budget", 0.0)
@@ -102,18 +104,14 @@ def evaluate(
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
     comparisons = (held,) if isinstance(held, Comparison) else held.sessions
-    return Evaluation(measured, result, comparisons, improved, then, budget, verdicts)
+    return Evaluation(measured, result, comparisons, improved, then, budget, general, verdicts)
 
 
 def _stated(measured: Measured, *, decide: bool) -> tuple[Contributor, ...]:
     """Contributors that the sessions state, or to decide on tolerances those of their instruments to begin with."""
     sessions = measured.recorded
-    if not decide and not all(session.description.budget for session in sessions):
-        return ()
-    try:
-        return default_budget(sessions)
-    except ModelError:
-        return ()
+    stated = all(session.description.budget for session in sessions)
+    return known_contributors(sessions)[0] if decide or stated else ()
 
 
 def _complete(step: Step, contributors: Sequence[Contributor], seed: int) -> Step:

@@ -138,7 +138,8 @@ def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     yield words.phrase(goodness_of_fit(document))
     if fits(document["p_value"]) == "bad":
         yield words("only_if_right")
-    yield words("u_is_complete" if document["uncertainty"] == "budget" else "u_is_incomplete")
+    complete = "u_is_general" if found.general else "u_is_complete"
+    yield words(complete if document["uncertainty"] == "budget" else "u_is_incomplete")
     yield words("model_is", model=", ".join([words.phrase(found.result.model_name), *document["effects"]]))
     yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
     if document["effects"]:
