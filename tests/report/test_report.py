@@ -83,7 +83,7 @@ def evaluated(name: str) -> Evaluation:
     return evaluate(
         Measured((session,), FitRequest((session,))),
         diagnosis=whole,
-        contributors=default_budget([session.instrument]) if whole else (),
+        contributors=default_budget([session]) if whole else (),
         tolerances={"EXX": 10e-6} if name == "iso230_2" else None,
     )
 
@@ -192,7 +192,7 @@ def test_an_error_motion_is_drawn_once():
 
 def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     tables = {table.title: table for table in blocks("tracking_2d", TextTable)}
-    assert tables["Effects that were looked for, the most probable first"].rows[0][1] == "backlash_y"
+    assert tables["Effects looked for, the most probable first"].rows[0][0] == "✓ backlash_y"
     assert [row[0] for row in tables["Step by step"].rows] == ["first model", "1 reading set aside", "backlash_y"]
     assert [row[0] for row in tables["Readings set aside"].rows] == ["90"]
     found = evaluated("tracking_2d")

@@ -18,7 +18,15 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["FIGURES", "Positioning", "diagonal_tests", "positioning", "positioning_runs", "positioning_uncertainty"]
+__all__ = [
+    "FIGURES",
+    "Positioning",
+    "diagonal_tests",
+    "of_diagonals",
+    "positioning",
+    "positioning_runs",
+    "positioning_uncertainty",
+]
 
 _DRAWS = 200
 # Cosine between the direction that is read and the line from which it is read along it.
@@ -245,6 +253,11 @@ def diagonal_tests(observations: Observations) -> dict[str, Any]:
     uncertainty of the diagonal that it is of. NaN where the runs went one way only.
     """
     runs = positioning_runs(observations, diagonals=True)
+    return {"iso230_6": of_diagonals(runs)} if runs else {}
+
+
+def of_diagonals(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """An entry `iso230_6` of a map: the runs along diagonals, and the figures of all of a kind together."""
     kinds: dict[str, list[dict[str, Any]]] = {}
     for run in runs:
         plane = "".join(axis for axis, sign in zip("XYZ", run["axis"], strict=True) if sign != "0")
@@ -258,7 +271,7 @@ def diagonal_tests(observations: Observations) -> dict[str, Any]:
         }
         for kind, own in kinds.items()
     ]
-    return {"iso230_6": {"runs": runs, "tests": tests}} if runs else {}
+    return {"runs": list(runs), "tests": tests}
 
 
 def _either_way(signs: str) -> frozenset[str]:

@@ -32,7 +32,7 @@ _NARROW = 5.0
 # Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.
 _WIDEST, _LOWEST = 9.5, 0.8
 # Dots of an inch on paper.
-_DPI = 220
+_DPI = 150
 # Panels of residuals over covariates.
 _PANELS = 4
 
@@ -105,8 +105,10 @@ def _translate(figure: Figure, words: Words) -> None:
         text.set_text(words.phrase(text.get_text()))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         # Names of places are written anew whenever the figure is drawn.
-        if isinstance(axis.get_major_locator(), FixedLocator):
-            axis.set_ticklabels([words.phrase(label.get_text()) for label in axis.get_majorticklabels()])
+        said = [label.get_text() for label in axis.get_majorticklabels()]
+        # Of panels that share an axis one alone has them.
+        if isinstance(axis.get_major_locator(), FixedLocator) and any(said):
+            axis.set_ticklabels([words.phrase(text) for text in said])
 
 
 def _wrap_titles(figure: Figure) -> None:

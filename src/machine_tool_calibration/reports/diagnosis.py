@@ -151,10 +151,14 @@ class Report:
     Attributes:
         words: paragraphs, the verdict first.
         tables: the numbers; empty ones are left out.
+        forecast: sentences on what dominates the map's uncertainty, and what makes it smaller.
+        details: what to measure next, what this measurement could not show, and what was not looked for.
     """
 
     words: tuple[str, ...]
     tables: tuple[TextTable, ...]
+    forecast: tuple[str, ...]
+    details: tuple[TextTable, ...]
 
 
 def diagnosis_report(
@@ -173,6 +177,8 @@ def diagnosis_report(
         _coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
+    ]
+    details = [
         _confounded(diagnosis, advice),
         _next(advice),
         _hidden_table(diagnosis),
@@ -180,10 +186,13 @@ def diagnosis_report(
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
-    words = list(verdict_words(diagnosis, changes, advice))
-    if advice.dominant is not None and advice.dominant.cause != "readings":
-        words += dominant_words(advice.dominant)
-    return Report(tuple(words), tuple(table for table in tables if table.rows))
+    dominant = advice.dominant
+    return Report(
+        words=tuple(verdict_words(diagnosis, changes, advice)),
+        tables=tuple(table for table in tables if table.rows),
+        forecast=() if dominant is None or dominant.cause == "readings" else tuple(dominant_words(dominant)),
+        details=tuple(table for table in details if table.rows),
+    )
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
@@ -357,9 +366,9 @@ def show_diagnosis(
         )
         return
     report = diagnosis_report(found, then.advice, then.changes, shown)
-    for paragraph in report.words:
+    for paragraph in (*report.words, *report.forecast):
         screen.print(paragraph, markup=False)
-    for table in report.tables:
+    for table in (*report.tables, *report.details):
         show_table(screen, table)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
 
@@ -13,8 +14,6 @@ __all__ = ["direct_tables", "scatter_words"]
 
 # p-value below which a step or a parameter counts as significant.
 _SIGNIFICANT = 0.01
-# p-value of the fit below which the readings do not lie within their declared uncertainty.
-_MISFIT = 1e-3
 
 
 def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
@@ -25,8 +24,7 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
     found, declared = scatter["found"], scatter["declared"]
     both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
     more = f"The readings scatter {rounded(found / declared)} times their declared uncertainty about the model ({both})"
-    ask = "Whether something is missing in the model, `mtcal diagnose` says."
-    if p_value is not None and p_value < _MISFIT and scatter.get("one_direction_p_value", 0.0) >= _MISFIT:
+    if fits(p_value) == "bad" and fits(scatter.get("one_direction_p_value", 0.0)) != "bad":
         alone = f"{quantity(scatter['one_direction'], 'm')}, declared {quantity(declared, 'm')}"
         return (
             f"The readings of one direction agree within their declared uncertainty (scatter {alone}); both directions "
@@ -34,11 +32,11 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
             "it, as the map has one value for both."
         )
     if scatter["uncertainties_from"] == "scatter":
-        return f"{more}: standard uncertainties use the scatter. {ask}"
-    if p_value is not None and p_value < _MISFIT:
+        return f"{more}: standard uncertainties use the scatter."
+    if fits(p_value) == "bad":
         # What differs from run to run takes it up, so that the scatter beside that is as declared.
-        return f"{more}: runs differ among themselves, which standard uncertainties contain. {ask}"
-    if p_value is not None and p_value > 1 - _MISFIT:
+        return f"{more}: runs differ among themselves, which standard uncertainties contain."
+    if fits(p_value) == "too well":
         return (
             f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
             f"declared; from the scatter alone they would be {rounded(found / declared)} times as large."

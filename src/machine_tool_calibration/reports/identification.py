@@ -12,7 +12,9 @@ import numpy as np
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (
+    as_exact,
     declared_words,
     micrometres,
     not_ruled_out,
@@ -48,8 +50,6 @@ __all__ = [
 ]
 
 
-# p-value of the residuals below which the model is in doubt.
-_DOUBTFUL = 0.01
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 
 
@@ -67,23 +67,27 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     if error.size:
         rows.append(("points of the map", _points(error_map.get("points"), len(error))))
         text = "not determined"
+        known = np.isfinite(uncertainty).any()
+        expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
-            text = f"{quantity(_rms(error), 'm')} RMS, {quantity(_largest(error), 'm')} at most{_lost(error)}"
+            shown = [as_exact(size, "m", u) for size, u in zip((_rms(error), _largest(error)), expanded, strict=True)]
+            text = f"{shown[0]} RMS, {shown[1]} at most{_lost(error)}"
         rows.append(("position error", text))
-    if np.isfinite(uncertainty).any():
-        rows.append(
-            (
-                "its uncertainty U (k = 2)",
-                f"{quantity(2 * _rms(uncertainty), 'm')} RMS, {quantity(2 * _largest(uncertainty), 'm')} at most"
-                f"{_if_right(document)}",
-            )
-        )
+        if known:
+            mean, most = (as_exact(u, "m", u) for u in expanded if u is not None)
+            text = f"{mean} RMS, {most} at most{_without(document)}{_if_right(document)}"
+            rows.append(("its uncertainty U (k = 2)", text))
     rows += _motions(error_map)
     missing = document.get("not_determined") or []
     if missing:
         names = ", ".join(entry["name"] for entry in missing[:6])
         rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
     return rows
+
+
+def _without(document: Mapping[str, Any]) -> str:
+    """What U lacks."""
+    return "" if document.get("uncertainty") == "budget" else ", without instrument and temperature"
 
 
 def _lost(error: np.ndarray) -> str:
@@ -102,8 +106,8 @@ def _points(points: Any, count: int) -> str:
     if places == count:
         return str(count)
     return (
-        f"{count}, at {places} places: a place counts once for each direction of approach, temperature … at which "
-        "effects move it otherwise"
+        f"{count} at {places} places: a place with an error for each direction of approach or temperature counts once "
+        "for each"
     )
 
 
@@ -121,7 +125,8 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
             out.append((title, "not determined"))
             continue
         unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
-        most, expanded = (quantity(float(size), unit) for size in (np.abs(found[good]).max(), 2 * u[good].max()))
+        largest = 2 * float(u[good].max())
+        most, expanded = (as_exact(size, unit, largest) for size in (float(np.abs(found[good]).max()), largest))
         text = f"{most} at most, U (k = 2) at most {expanded}"
         out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
     return out
@@ -129,10 +134,9 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _if_right(document: dict[str, Any]) -> str:
     """A warning where the readings speak against the model on which the uncertainty rests."""
-    p, scatter = document.get("p_value"), (document.get("error_map") or {}).get("scatter") or {}
-    if "one_direction" in scatter:  # only the reversal, which is part of the result, is in it beside the scatter
-        return ""
-    return ", if the model were right" if p is not None and p < _DOUBTFUL else ""
+    if "one_direction" in ((document.get("error_map") or {}).get("scatter") or {}):
+        return ""  # only the reversal, which is part of the result, is in it beside the scatter
+    return ", if the model were right" if fits(document.get("p_value")) == "bad" else ""
 
 
 def _array(value: Any) -> np.ndarray:
@@ -164,7 +168,8 @@ def show_result(
         screen.print(session_headline(session))
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
-    screen.print(goodness_of_fit(document))
+    ask = " `mtcal diagnose` looks for what is missing." if fits(document["p_value"]) in ("bad", "nearly") else ""
+    screen.print(goodness_of_fit(document) + ask)
     show_suspicions(screen, document["suspicious"])
     for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
         screen.print(words)
@@ -282,18 +287,18 @@ def goodness_of_fit(document: Mapping[str, Any]) -> str:
     direct = scatter_words(document.get("error_map") or {}, p)
     if direct is not None:
         return direct
-    ratio = chi**0.5
-    if p < 1e-3:
+    how, ratio = fits(p), rounded(chi**0.5)
+    if how == "bad":
         return (
-            f"The readings scatter {rounded(ratio)} times their declared uncertainty about the model ({p_value(p)}): "
-            "something is missing in it, or the declared uncertainty is too small. `mtcal diagnose` looks for it."
+            f"The readings scatter {ratio} times their declared uncertainty about the model ({p_value(p)}): "
+            "something is missing in it, or the declared uncertainty is too small."
         )
-    if p > 1 - 1e-3:
-        return f"The readings scatter only {rounded(ratio)} times their declared uncertainty: it is stated too large."
-    if p < 0.05:
+    if how == "too well":
+        return f"The readings scatter only {ratio} times their declared uncertainty: it is stated too large."
+    if how == "nearly":
         return (
             f"The model fits the readings nearly within their declared uncertainty ({p_value(p)}): something small may "
-            "be missing in it. `mtcal diagnose` looks for it."
+            "be missing in it."
         )
     return f"The model fits the readings within their declared uncertainty ({p_value(p)})."
 

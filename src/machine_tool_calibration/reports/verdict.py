@@ -13,6 +13,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.look import Structure
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.planning.advice import Advice, Separation
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (
     p_value,
     probability,
@@ -37,8 +38,6 @@ __all__ = [
     "verdict_words",
 ]
 
-# Chance below which residuals count as larger than declared.
-_TOO_LARGE = 0.01
 _MANY = 3
 # Standard uncertainties between confounded effects from which the readings distinguish them all the same.
 _APART = 6.0
@@ -125,7 +124,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.likely:
         return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
-    if diagnosis.chosen.sessions[0].spec.reads_machine and look.fit.p_value < _TOO_LARGE:
+    if diagnosis.chosen.sessions[0].spec.reads_machine and fits(look.fit.p_value) == "bad":
         return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
     if good_enough(diagnosis):
         return f"Nothing is missing that matters: the residual is {residual}."
@@ -253,7 +252,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.chosen.sessions[0].spec.reads_machine:
         yield from _scatter(diagnosis)
         return
-    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
+    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fits(joint.p_value) == "bad":
         text = f"The readings scatter {rounded(ratio)} times as much as declared, which noise does not explain."
         if noise.from_repeats is not None and diagnosis.noisy:
             repeats = quantity(noise.from_repeats, "m")
@@ -274,9 +273,9 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     declared = noise.declared
     found = float(np.sqrt(fit.reduced_chi_square)) * declared
     both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
-    if fit.p_value < _TOO_LARGE:
+    if fits(fit.p_value) == "bad":
         yield f"The deviations scatter more about the model than was declared ({both}): sizes and tests use it."
-    elif fit.p_value > 1.0 - _TOO_LARGE:
+    elif fits(fit.p_value) == "too well":
         yield f"The deviations scatter less about the model than was declared ({both}): tests use what they scatter."
     else:
         yield f"The deviations scatter about the model as was declared ({both})."
