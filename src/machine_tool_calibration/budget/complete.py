@@ -74,7 +74,7 @@ def _content(
 
 def _run(run: Mapping[str, Any], more: Mapping[str, Array], figures: Mapping[str, str]) -> dict[str, Any]:
     """A run by ISO 230-2 or along a diagonal, whose figures have expanded uncertainties; by their published names."""
-    out = {**run, "note": "U by ISO/TR 230-9: the repeatability of the runs and all contributors of the budget."}
+    out = {key: value for key, value in run.items() if key != "note"}  # that the instrument's comes on top
     for name, figure in figures.items():
         names = (f"{name}_{run['axis']}.{run['setup']}", f"{name}_{run['axis']}")
         square = next((more[name] for name in names if name in more), None)

@@ -180,7 +180,7 @@ class Budget:
     @cached_property
     def complete(self) -> Array:
         """(M,) standard uncertainty that is stated: the combined one, or what the readings show where that is more."""
-        return np.fmax(self.u, np.where(np.isfinite(self.u), self.numbers.u, np.nan))
+        return np.maximum(self.u, self.numbers.u)
 
     @cached_property
     def expanded(self) -> Array:
