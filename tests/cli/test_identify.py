@@ -52,7 +52,7 @@ def test_for_people(say):
     text = words(out)
     assert "tracking interferometer in 2 dimensions, pointed open loop: 288 readings in 4 setups (A, B, C, D)" in text
     assert "The model fits the readings within their declared uncertainty (p = 0.57)." in text
-    assert "position error 5.10 µm RMS, 10.8 µm at most" in text
+    assert "position error 5.10 µm RMS, 10.84 µm at most" in text
     assert "its uncertainty U (k = 2) 0.47" in text
     assert "datum: no shift and no turn of all targets" in text
 
@@ -90,7 +90,7 @@ def test_a_map_in_two_directions_and_too_few_runs_are_said(say, tmp_path):
     session = simulate(spec).session
     write_session(session.with_readings(session.readings.select(session.readings.repeat == 0)), tmp_path / "s")
     _, out, _ = say(tmp_path / "s", "--effect", "backlash_x")
-    assert "22, at 11 places: a place counts once for each direction of approach" in words(out)
+    assert "22 at 11 places: one for each direction of approach" in words(out)
     assert "ISO 230-2 asks for 5 runs in each direction" in words(out)
     assert "repeatability and accuracy are not determined" in words(out)
     _, out, _ = say(tmp_path / "s")

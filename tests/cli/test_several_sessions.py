@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
-from machine_tool_calibration.methods.fitted import FitRequest, joint_models
+from machine_tool_calibration.methods.fitted import joint_models
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
@@ -63,7 +63,7 @@ def test_an_effect_with_the_name_of_an_error_motion_hides_it_not(
 
 def test_export_with_an_effect(sessions: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = said(capsys, "export", *sessions, "--effect", "backlash_y", "--format", "isg", "-o", tmp_path / "tables")
-    assert "RMS compensated" in text and "backlash_y" in text
+    assert "RMS left" in text and "backlash_y" in text
 
 
 def test_compare_for_people(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -148,8 +148,7 @@ def test_every_session_keeps_the_variant_of_the_history(several_methods: list[st
         )  # fmt: skip
         for step in (1, -1):
             sessions = tuple(opened[::step])
-            said_of = entry.of_sessions(prints[::step], [path.name for path in paths][::step])
-            _, models = joint_models(FitRequest(sessions, ("a", "b"), entry.variant(said_of, sessions)))
+            _, models = joint_models(entry.request(sessions, [path.name for path in paths][::step], prints[::step]))
             assert models[::step] == names
 
 

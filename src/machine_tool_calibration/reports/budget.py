@@ -63,7 +63,7 @@ def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
 def sum_title(one: Sum) -> str:
     """Name of a column: the quantity, which of its numbers, and the unit."""
     which = ", RMS" if one.index is None else ", largest" if one.quantity.count > 1 else ""
-    name = "position error along one axis" if one.quantity.name == POSITION_ERROR else one.quantity.name
+    name = "position error per axis" if one.quantity.name == POSITION_ERROR else one.quantity.name
     return f"{name}{which} / {_unit(one)[1]}"
 
 

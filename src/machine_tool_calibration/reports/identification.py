@@ -106,8 +106,7 @@ def _points(points: Any, count: int) -> str:
     if places == count:
         return str(count)
     return (
-        f"{count} at {places} places: a place with an error for each direction of approach or temperature counts once "
-        "for each"
+        f"{count} at {places} places: one for each direction of approach (or temperature) in which a place was reached"
     )
 
 
