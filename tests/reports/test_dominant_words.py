@@ -45,7 +45,7 @@ def test_words_of_the_other_causes(cause: str, words: str) -> None:
 def test_a_diagnosis_says_it_where_it_is_not_the_scatter() -> None:
     found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     report = diagnosis_report(found, Advice(dominant=FOUND), {})
-    assert any("add the diagonal nnp" in words for words in report.words)
+    assert any("add the diagonal nnp" in words for words in report.forecast)
     document = diagnosis_document(found, Advice(dominant=FOUND), {})
     assert document["dominant"]["cause"] == "angular errors"
     assert document["dominant"]["measure"][0]["uncertainty"] == 2e-7

@@ -161,7 +161,7 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
     # Export: what a controller would leave, and the report, on the disk and downloaded.
     press("Export")
     press("Show what would be left")
-    page.get_by_text("RMS compensated").wait_for()
+    page.get_by_text("RMS left").wait_for()
     press("Save the files")
     page.get_by_text("Download compensation.ini").wait_for()
     page.get_by_label("Diagnosis in the report").select_option("left out")

@@ -29,9 +29,9 @@ from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["FormulaEffect", "checked_definition", "formula_effect", "read_effects"]

@@ -27,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
-from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
 
 
 _SHOWN = 8
+_FEW = 3
 _MANY = 3
 
 
@@ -150,10 +151,14 @@ class Report:
     Attributes:
         words: paragraphs, the verdict first.
         tables: the numbers; empty ones are left out.
+        forecast: sentences on what dominates the map's uncertainty, and what makes it smaller.
+        details: what to measure next, what this measurement could not show, and what was not looked for.
     """
 
     words: tuple[str, ...]
     tables: tuple[TextTable, ...]
+    forecast: tuple[str, ...]
+    details: tuple[TextTable, ...]
 
 
 def diagnosis_report(
@@ -172,6 +177,8 @@ def diagnosis_report(
         _coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
+    ]
+    details = [
         _confounded(diagnosis, advice),
         _next(advice),
         _hidden_table(diagnosis),
@@ -179,10 +186,13 @@ def diagnosis_report(
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
-    words = list(verdict_words(diagnosis, changes, advice))
-    if advice.dominant is not None and advice.dominant.cause != "readings":
-        words += dominant_words(advice.dominant)
-    return Report(tuple(words), tuple(table for table in tables if table.rows))
+    dominant = advice.dominant
+    return Report(
+        words=tuple(verdict_words(diagnosis, changes, advice)),
+        tables=tuple(table for table in tables if table.rows),
+        forecast=() if dominant is None or dominant.cause == "readings" else tuple(dominant_words(dominant)),
+        details=tuple(table for table in details if table.rows),
+    )
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
@@ -334,17 +344,52 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     return TextTable("Effects that were not looked for", ("effect", "why"), rows)
 
 
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN) -> None:
-    """In words first, then the tables.
+def show_diagnosis(
+    screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN, *, details: bool = False
+) -> None:
+    """The verdict, the effects and the next step; with details all words and all tables.
 
     Args:
         screen: where.
         found: the diagnosis.
         then: what follows from it.
-        shown: how many candidates beside the accepted ones; 0 for all.
+        shown: of the details, how many candidates beside the accepted ones; 0 for all.
+        details: whether they are wanted.
     """
+    if not details:
+        for paragraph in verdict_words(found, then.changes, then.advice, brief=True):
+            screen.print(paragraph)
+        show_table(screen, _brief(found, then.changes))
+        screen.print(next_step(found, then.advice))
+        screen.print(
+            "--details: how sure, what is confounded or would not show, smallest sizes, all that was looked for"
+        )
+        return
     report = diagnosis_report(found, then.advice, then.changes, shown)
-    for paragraph in report.words:
+    for paragraph in (*report.words, *report.forecast):
         screen.print(paragraph)
-    for table in report.tables:
+    for table in (*report.tables, *report.details):
         show_table(screen, table)
+
+
+def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
+    """The effects found and what may be there instead, or the most probable ones where none is sure."""
+    ranked = [finding for finding in diagnosis.ranked if finding.rank]
+    own = [finding for finding in ranked if finding.name in diagnosis.accepted]
+    others = [finding for finding in ranked if finding not in own][:_FEW]
+    likely = [finding for finding in others if finding.probability > AS_GOOD]
+    rows = tuple(_sized(diagnosis, finding, changes) for finding in ([*own, *likely] if own else others))
+    title = "Found (✓), and what else is probable" if likely else "Found"
+    return TextTable(
+        title if own else "Looked for, the most probable first",
+        ("effect", "probability", "size ± U (k = 2)", "residual then / µm"),
+        rows,
+    )
+
+
+def _sized(diagnosis: Diagnosis, finding: Finding, changes: Mapping[str, Consequence]) -> tuple[str, ...]:
+    change = changes.get(finding.name)
+    sizes = sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
+    _, after = before_and_after(diagnosis, finding, changes)
+    name = f"{'✓ ' if finding.name in diagnosis.accepted else ''}{finding.name}"
+    return name, probability(finding.probability), sizes, micrometres(after)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "NOT_DETERMINED",
+    "as_exact",
     "decimals",
     "declared_words",
     "duration",
@@ -79,6 +80,20 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     if places > 9:
         return f"{rounded(number)} ± {rounded(expanded)}{after}"
     return f"{fixed(number, places)} ± {fixed(expanded, places)}{after}"
+
+
+def as_exact(value: float, unit: str, expanded: float | None) -> str:
+    """A value with its unit and as many digits as its expanded uncertainty allows; three without one.
+
+    Args:
+        value: in the unit.
+        unit: SI.
+        expanded: uncertainty in the unit, of which two figures count; None where it is not known.
+    """
+    factor, shown = _scale(unit, abs(value))
+    places = 10 if not expanded else decimals(expanded * factor)
+    after = f" {shown}" if shown else ""
+    return f"{rounded(value * factor)}{after}" if places > 9 else f"{fixed(value * factor, places)}{after}"
 
 
 def _scale(unit: str, size: float) -> tuple[float, str]:

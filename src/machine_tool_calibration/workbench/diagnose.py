@@ -128,7 +128,9 @@ class DiagnosePage:
         sizes = [size.document() for size in state.model.fit.result.joint.marginal.sizes]
         report = diagnosis_report(found, then.advice, then.changes)
         self._words.object = paragraphs([*report.words[:1], *reproducibility_words(sizes)])
-        self._more.object = paragraphs(report.words[1:]) + tables(report.tables)
+        self._more.object = paragraphs((*report.words[1:], *report.forecast)) + tables(
+            (*report.tables, *report.details)
+        )
         ranked = [finding for finding in found.ranked if finding.rank][:_SHOWN]
         names = [finding.name for finding in ranked]
         self._ranking.y_range.factors = names[::-1]

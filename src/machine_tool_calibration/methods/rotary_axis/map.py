@@ -100,8 +100,31 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
         "axis_average_line": line,
         "datum": ROTARY_DATUM,
     }
+    content["iso230_7"] = _error_motion_values(model, fit)
     untold = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()
     return ErrorMap(content, points, error, uncertainty, cov, untold)
+
+
+def _error_motion_values(model: RotaryAxisModel, fit: Fit) -> list[dict[str, Any]]:
+    """Error motion values of ISO 230-7:2015, Clause 3: the range of each error motion over the angles that tell it.
+
+    The motions are relative to the axis average line, sensed in the machine's fixed directions as a tool at rest does,
+    and of all revolutions together: the synchronous ones. U (k = 2) is that of the difference of the two ends.
+    """
+    table, out = model.table, []
+    for j, name in enumerate(table.motions):
+        mine = len(model.own) + j * len(table.nodes) + np.arange(len(table.nodes))
+        mine = mine[fit.determined[mine]]
+        along, value, u = name[1] in (table.axis, "XYZ"["ABC".index(table.axis)]), np.nan, np.nan
+        kind = ("tilt", "angular positioning") if name[1] in "ABC" else ("radial", "axial")
+        if len(mine) > 1:
+            high, low = mine[np.argmax(fit.theta[mine])], mine[np.argmin(fit.theta[mine])]
+            value = float(fit.theta[high] - fit.theta[low])
+            between = fit.covariance[high, high] + fit.covariance[low, low] - 2.0 * fit.covariance[high, low]
+            u = float(np.sqrt(max(between, 0.0)))
+        told = {"kind": kind[along], "motion": name, "angles": len(mine), "value": value, "U": 2.0 * u}
+        out.append({**told, "unit": "rad" if name[1] in "ABC" else "m"})
+    return out
 
 
 def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Array]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
+from machine_tool_calibration.methods.iso230_2 import diagonal_tests
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
@@ -35,6 +36,8 @@ def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:
     if told is not None:
         content["angular_size"] = told.size
         content["angular_probability"] = told.probability
+    if fit.joint.given is None:  # of the readings themselves: a refit changes nothing of them
+        content |= diagonal_tests(model.observations)
     content["datum"] = f"{model.datum}; here {profiles.oriented}" if profiles.oriented else model.datum
     corner = np.array([nodes[0] for nodes in model.blocks])
     points = np.concatenate(

@@ -9,16 +9,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.description import (
-    LARGEST,
-    SMALLEST,
-    Place,
-    Probing,
-    StationSetup,
-    StepDiagonal,
-)
+from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
+from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
 __all__ = ["check_sizes", "check_units", "diagonal_units", "direction_units", "probing_units"]
 
