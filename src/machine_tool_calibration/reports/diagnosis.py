@@ -306,8 +306,7 @@ def _detectable(diagnosis: Diagnosis) -> TextTable:
             rows.append((found.name, *_smallest(found, sizes)))
     rows.sort()
     title = "Smallest size that this measurement would have found (80 % power)"
-    note = "what each coefficient is, `mtcal effects ID` says" if rows else ""
-    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows), note)
+    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows))
 
 
 def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, str]:

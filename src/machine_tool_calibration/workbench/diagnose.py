@@ -12,12 +12,13 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
+from machine_tool_calibration.reports.quantities import probability, quantity, sizes_in_words
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
     controls,
+    folded,
     legend_above,
     new_figure,
     paragraphs,
@@ -48,12 +49,13 @@ class DiagnosePage:
     """Which effect is missing."""
 
     title = "Diagnose"
-    blocks = 6
+    about = "Which physical effect the model lacks, and how the residuals show it."
+    blocks = 7
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
         self._trial: Model | None = None
-        self._words, self._more, self._said = text(), text(), text()
+        self._words, self._more, self._said, self._tables = text(), text(), text(), text()
         self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
         self._ranking = new_figure(
             "Probability that it is missing", "", "", height=330, y_range=FactorRange(),
@@ -88,7 +90,7 @@ class DiagnosePage:
         when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)
-        self._add = bar_button("Add it to the model", self._use, "success", disabled=True)
+        self._add = bar_button("Add it to the model", self._use, "primary", disabled=True)
         self._all = bar_button("Add all that the diagnosis names", self._improve, disabled=True)
         self._own = OwnEffect(state, self._new_effect)
         self.view = pn.Column(
@@ -102,8 +104,13 @@ class DiagnosePage:
             self._words,
             self._said,
             beside(self._ranking, self._over, self._added, least=400),
-            self._own.view,
             self._more,
+            self._own.view,
+            folded(
+                "All that was looked for: sizes, confounded effects, what to measure next, smallest sizes, and why "
+                "some were not looked for",
+                self._tables,
+            ),
             sizing_mode="stretch_width",
         )
 
@@ -121,14 +128,13 @@ class DiagnosePage:
         if state.diagnosis is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
             self._words.object = paragraphs([said])
-            self._more.object = ""
+            self._more.object = self._tables.object = ""
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
         found, then = state.diagnosis
-        sizes = [size.document() for size in state.model.fit.result.joint.marginal.sizes]
         report = diagnosis_report(found, then.advice, then.changes)
-        self._words.object = paragraphs([*report.words[:1], *reproducibility_words(sizes)])
-        self._more.object = paragraphs(report.words[1:]) + tables(report.tables)
+        self._words.object = f"<b>{paragraphs(report.words[:1])}</b>"
+        self._more.object, self._tables.object = paragraphs(report.words[1:]), tables(report.tables)
         ranked = [finding for finding in found.ranked if finding.rank][:_SHOWN]
         names = [finding.name for finding in ranked]
         self._ranking.y_range.factors = names[::-1]
