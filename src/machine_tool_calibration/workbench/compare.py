@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -21,6 +20,7 @@ from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (
     BUTTON,
+    DIM,
     bar_button,
     beside,
     controls,
@@ -47,7 +47,6 @@ _HOVER = [
 _LISTED = 14
 # Setups up to which each has a button that hides it.
 _BUTTONS = 24
-_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
 
 
 class ComparePage:
@@ -75,7 +74,7 @@ class ComparePage:
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
         for k, plot in enumerate(self._plots):
             x = f"against{k}"
-            plot.scatter(x, "residual", source=source, view=self._view, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(x, "residual", source=source, view=self._view, size=4, color="color", alpha=0.7, **DIM)
             plot.scatter(
                 x, "aside", source=source, view=self._view, size=8, marker="x", color="#b00020", nonselection_alpha=0.3
             )
@@ -92,7 +91,7 @@ class ComparePage:
         self._strip = new_figure("Residuals by setup, worst on top", "residual, µm", "",
                                  hover=_HOVER, y_range=FactorRange())  # fmt: skip
         self._strip.scatter(
-            "residual", "setup", source=source, view=self._view, size=4, color="color", alpha=0.5, **_DIM
+            "residual", "setup", source=source, view=self._view, size=4, color="color", alpha=0.5, **DIM
         )
         self._strip.add_layout(self._band[2])
         for k, choice in enumerate(self._against):
@@ -107,7 +106,7 @@ class ComparePage:
         self._look = bar_button("Select those set aside", self._select_aside, visible=False)
         self._cleared = bar_button("Clear the selection", self._clear)
         self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
-        self._table, self._left = text(), text()
+        self._table = text()
         self.view = pn.Column(
             self._words,
             controls(
@@ -117,7 +116,7 @@ class ComparePage:
             pn.Row(self._legend, self._count, sizing_mode="stretch_width"),
             beside(*self._plots),
             beside(self._map, self._strip),
-            beside(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"), least=560),
+            beside(self._setups, self._table, least=560),
             folded("By repeat, region, direction of approach and covariate", self._more),
             sizing_mode="stretch_width",
         )  # fmt: skip
@@ -147,7 +146,6 @@ class ComparePage:
         self._back.disabled = not model.aside
         self._look.visible = bool(model.aside)
         self._suggest.visible = bool(self._state.found.keys() - model.aside - model.kept)
-        self._left.object = tables(self._set_aside_or_kept())
         self._draw_plane()
         self._say_selected()
 
@@ -216,38 +214,25 @@ class ComparePage:
                 millimetres(1e-6 * data["measured"][k]),
                 _number(data["residual"][k]),
                 _number(data["studentized"][k]),
-                "" if np.isnan(data["aside"][k]) else f"set aside, was {_number(data['aside'][k])}",
+                self._told(k),
             )
             for k in first
         )
         title = "Readings selected" if chosen else "Readings that fit worst"
-        heads = ("row", "setup, repeat", "x, y, z / mm", "measured / mm", "residual / µm", "studentized", " ")
+        heads = ("row", "setup, repeat", "x, y, z / mm", "measured / mm", "residual / µm", "studentized", "set aside")
         left = len(among) - len(first)
         return TextTable(title, heads, rows, f"and {left} more" if chosen and left else "")
 
-    def _set_aside_or_kept(self) -> Iterator[TextTable]:
-        """The readings that are set aside and those that are kept though a search had set them aside, if there are."""
-        state = self._state
-        data = self._readings.data
-        names = {name: k for k, name in enumerate(data["row"])}
-        for title, numbers, note in (
-            ("Set aside", state.model.aside, "select some to put them back alone; none is selected: all come back"),
-            ("Kept: put back, so that no search sets them aside again", state.model.kept, ""),
-        ):
-            rows = []
-            for number in sorted(numbers)[:_LISTED]:
-                name = state.subject.name(number)
-                k = names.get(name)
-                setup = "" if k is None else f"{data['setup'][k]}, {data['repeat'][k]}"
-                place = [] if k is None else [f"{float(data[axis][k]):.1f}" for axis in "xyz"]
-                away = state.found.get(number)
-                by = "by you" if away is None else f"a search: {1e6 * away:.3g} µm from what all others predict"
-                rows.append((name, setup, ", ".join(place), by))
-            if rows:
-                left = len(numbers) - len(rows)
-                more = f"and {left} more; " if left else ""
-                heads = ("row", "setup, repeat", "x, y, z / mm", "set aside by")
-                yield TextTable(title, heads, tuple(rows), (more + note).removesuffix("; "))
+    def _told(self, k: int) -> str:
+        """Whether a reading is set aside, by whom, or kept though a search had set it aside."""
+        number, state = self._readings.number(k), self._state
+        if number in state.model.kept:
+            return "kept: no search sets it aside"
+        if number not in state.model.aside:
+            return ""
+        away = state.found.get(number)
+        by = "by you" if away is None else f"by a search: {quantity(away, 'm')} from what all others predict"
+        return f"{by}; its residual was {_number(self._readings.data['aside'][k])} µm"
 
     def _set_aside(self) -> None:
         self._use_without("fitting without them", self._state.model.aside | set(self._readings.selected))

@@ -12,9 +12,10 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.quantities import probability, quantity, sizes_in_words
+from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.workbench.look import (
+    DIM,
     bar_button,
     beside,
     controls,
@@ -38,7 +39,6 @@ _HOVER = [
     ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
     ("pattern", "@pattern{0.000} µm"),
 ]  # fmt: skip
-_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
 # The pattern lies over residuals in all colours of setups.
 _PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 # Effects of the bars.
@@ -72,7 +72,7 @@ class DiagnosePage:
         )  # fmt: skip
         self._over = new_figure("Residuals, and what it would take out", "", "µm", height=330, hover=_HOVER)
         self._over.scatter(
-            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM
+            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **DIM
         )
         self._over.scatter(
             "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
@@ -80,7 +80,7 @@ class DiagnosePage:
         )  # fmt: skip
         self._added = new_figure("Do the residuals follow it? (line: slope 1)", "pattern, µm", "residual, µm",
                                  height=330, hover=_HOVER)  # fmt: skip
-        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
+        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **DIM)
         self._line = ColumnDataSource({"x": [], "y": []})
         self._added.line("x", "y", source=self._line, color="#555555")
         legend_above(self._over)
@@ -182,11 +182,7 @@ class DiagnosePage:
         name = trial.step.change
         sizes = sizes_in_words(effect_estimates(trial.fit.result.joint, [name]))
         moved = trial.step.map_change
-        words = (
-            f"With {name}: {sizes} (k = 2); residual {quantity(now.rms_residual, 'm')} → "
-            f"{quantity(then.rms_residual, 'm')} RMS, reduced chi-square {now.reduced_chi_square:.3g} → "
-            f"{then.reduced_chi_square:.3g}"
-        )
+        words = f"With {name}: {sizes} (k = 2); {residual_change(now.rms_residual, then.rms_residual)}"
         words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
         self._said.object = escape(" ".join([f"{words}.", *negative_words(trial.fit.result.joint, [name])]))
 

@@ -22,6 +22,7 @@ from machine_tool_calibration.reports.tables import TextTable
 __all__ = [
     "BUTTON",
     "CSS",
+    "DIM",
     "bar_button",
     "beside",
     "controls",
@@ -55,6 +56,8 @@ td { padding: 1px 10px 1px 0; border-bottom: 1px solid #e8e8e8; vertical-align: 
 h2 { font-size: 16px; margin: 0; display: inline; } code { font-size: 12px; }
 .note { color: #555; font-size: 11px; } .error { color: #b00020; font-weight: 600; }
 """
+DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
+"""How points look that are not selected."""
 _SHORT = 24  # characters of a table's cell that are not broken
 _TOOLS = "box_select,lasso_select,tap,pan,wheel_zoom,box_zoom,reset"
 BUTTON = """

@@ -16,6 +16,7 @@ from machine_tool_calibration.reports.comparison import in_words, stand_out
 from machine_tool_calibration.reports.information import counts_in_words, session_tables
 from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.workbench.look import (
+    DIM,
     beside,
     new_figure,
     paragraphs,
@@ -32,7 +33,6 @@ from machine_tool_calibration.workbench.work import Work
 __all__ = ["MeasurementPage", "seen_from"]
 
 _HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
-_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
 
 
 def seen_from(position: Array, turn: float, tilt: float) -> Array:
@@ -83,7 +83,7 @@ class MeasurementPage:
         source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", "3d:u", "3d:v")
         for name, plot in self._plots.items():
             across, upwards = ("3d:u", "3d:v") if name == "3d" else tuple(name)
-            plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **DIM)
             ends = ("u", "v") if name == "3d" else tuple(name)
             plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
             plot.text(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import panel as pn
 
@@ -29,29 +29,8 @@ from machine_tool_calibration.workbench.work import Work
 __all__ = ["window"]
 
 
-class Page(Protocol):
-    """A page of the window.
-
-    Attributes:
-        title: what it is called.
-        about: what it is for.
-        blocks: how many.
-        view: the blocks that are shown, one below the other.
-    """
-
-    title: str
-    about: str
-    blocks: int
-    view: Any
-
-    def __init__(self, state: State, readings: Readings, work: Work) -> None:
-        """An empty one."""
-
-    def refresh(self) -> None:
-        """Show the model in use."""
-
-
-_PAGES: tuple[type[Page], ...] = (
+# Each has a title, what it is about, how many blocks it has, these as `view`, and shows the model in use on `refresh`.
+_PAGES: tuple[Any, ...] = (
     MeasurementPage,
     ComparePage,
     DiagnosePage,
@@ -114,12 +93,12 @@ class _Window:
         self._state.watch(self._changed)
         # A page is made when it is first looked at, and filled when it is looked at and stale: what a browser does not
         # show costs it nearly as much as what it shows.
-        pages: tuple[type[Page] | type[LivePage], ...] = (*_PAGES, LivePage)
-        self._makers: dict[str, Callable[[], Page]] = {
+        pages: tuple[Any, ...] = (*_PAGES, LivePage)
+        self._makers: dict[str, Callable[[], Any]] = {
             page.title: partial(page, self._state, self._readings, self._work) for page in _PAGES
         }
         self._makers[LivePage.title] = partial(LivePage, self._state, self._work, feed)
-        self._pages: dict[str, Page] = {}
+        self._pages: dict[str, Any] = {}
         self._places = {
             page.title: [pn.Column(sizing_mode="stretch_width") for _ in range(page.blocks)] for page in pages
         }

@@ -11,6 +11,7 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource
 
+from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.dominant import ANGULAR
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.style import round_down, spaced
@@ -32,6 +33,7 @@ from machine_tool_calibration.workbench.look import (
     typed_out,
     when_changed,
 )
+from machine_tool_calibration.workbench.map_plot import map_arrows
 from machine_tool_calibration.workbench.models import looked_ahead, planned
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
@@ -192,7 +194,7 @@ class PlanPage:
         extent = float(np.ptp(now.points, axis=0).max()) if len(now.points) else 0.0
         factor = round_down(_LENGTH * extent / (2 * largest)) if largest > 0 and extent > 0 else 0.0
         for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
-            source.data = _ellipses(one, factor)
+            source.data = map_arrows(ErrorMap({}, one.points, np.zeros_like(one.points), one.uncertainty), factor)
         self._where.title.text = f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
         self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
 
@@ -226,14 +228,3 @@ class PlanPage:
         self._saved.claim(paths)
         write_session(then.session, folder, overwrite=True)
         self._saved.offer(paths)
-
-
-def _ellipses(one: Outlook, factor: float) -> dict[str, np.ndarray]:
-    """Expanded uncertainties at the places of a map as columns of a plot, mm, and in µm for what is said."""
-    wide = 2.0 * one.uncertainty
-    out = {}
-    for k, axis in enumerate("xyz"):
-        out[axis] = 1e3 * one.points[:, k]
-        out[f"w{axis}"] = 2e3 * factor * np.nan_to_num(wide[:, k])
-        out[f"u{axis}"] = 1e6 * wide[:, k]
-    return out
