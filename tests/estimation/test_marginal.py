@@ -47,8 +47,8 @@ def test_folding_is_the_inverse_of_the_covariance() -> None:
     covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
     every = np.column_stack([wide, spread])
     assert metric.inner(slice(None), slice(None)) == pytest.approx(every.T @ np.linalg.solve(covariance, every))
-    assert metric.data[:, 0] == pytest.approx(every.T @ np.linalg.solve(covariance, readings))
-    assert metric.squares[0] == pytest.approx(readings @ np.linalg.solve(covariance, readings))
+    assert metric.data == pytest.approx(every.T @ np.linalg.solve(covariance, readings))
+    assert metric.squares == pytest.approx(readings @ np.linalg.solve(covariance, readings))
     assert metric.log_prior == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1])
 
 
@@ -73,10 +73,10 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
         covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
         inverse = np.linalg.inv(covariance)
         assert beside.inner(slice(3), slice(3)) == pytest.approx(wide.T @ inverse @ wide, abs=1e-8)
-        assert beside.data[:3, 0] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
-        assert beside.squares[0] == pytest.approx(readings @ inverse @ readings)
-        assert beside.log_null[0] == pytest.approx(prior + log_marginal(readings, covariance))
-        assert metric.log_beside(member, scale) == pytest.approx(beside.log_null[0])
+        assert beside.data[:3] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
+        assert beside.squares == pytest.approx(readings @ inverse @ readings)
+        assert beside.log_null == pytest.approx(prior + log_marginal(readings, covariance))
+        assert metric.log_beside(member, scale) == pytest.approx(beside.log_null)
 
 
 def test_folding_one_after_the_other_is_folding_both() -> None:

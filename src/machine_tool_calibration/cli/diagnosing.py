@@ -103,7 +103,6 @@ class Wanted:
             entry.effects,
             tuple(entry.own_effects(own)),
             keep_all=True,
-            sets=tuple(entry.sets()),
         )
         return Measured(sessions, chosen, history.way_to(entry.number))
 

@@ -14,10 +14,9 @@ from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.model.result import EffectSet
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
+__all__ = ["Coefficient", "Entry", "History", "Part"]
 
 # Difference of the criterion from which it speaks strongly for a model (Kass and Raftery 1995).
 _CLEARLY = 6.0
@@ -30,13 +29,6 @@ class Coefficient(Record):
     value: Finite
     standard_uncertainty: Finite
     unit: str
-
-
-class Alternative(Record):
-    """A set of effects over which the map is averaged, with its probability."""
-
-    effects: tuple[str, ...]
-    probability: Finite
 
 
 class Part(Record):
@@ -68,9 +60,8 @@ class Entry(Record):
         model: the method's variant; of several sessions `joint`, as each has its own.
         sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
-        own: definitions of those of them, and of the alternatives, that are the user's own by formula.
+        own: definitions of those of them that are the user's own by formula.
         change: what it has and its parent has not, in a few words.
-        alternatives: sets of effects that the readings do not distinguish, over which its map is the mean.
         data: fingerprint of the readings; another one means other readings.
         used: number of readings in the fit.
         set_aside: rows of readings that were taken for outliers, of one session.
@@ -94,7 +85,6 @@ class Entry(Record):
     effects: tuple[str, ...] = ()
     own: tuple[dict[str, Any], ...] = ()
     change: str = ""
-    alternatives: tuple[Alternative, ...] = ()
     data: str
     used: int
     set_aside: tuple[int, ...] = ()
@@ -107,13 +97,6 @@ class Entry(Record):
     map_uncertainty_rms: Finite | None = None
     map_change_rms: Finite | None = None
     parameters: tuple[Coefficient, ...] = ()
-
-    def sets(self) -> list[EffectSet]:
-        """The alternatives as an identification takes them."""
-        # here and below, because the file is read without the calculation that the results need
-        from machine_tool_calibration.model.result import EffectSet
-
-        return [EffectSet(one.effects, one.probability) for one in self.alternatives]
 
     def of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
         """What it says of each session: itself of a single one, of several the part of the same readings or name.
@@ -156,6 +139,7 @@ class Entry(Record):
         kept = [definition for definition in self.own if definition.get("id") not in there]
         if not kept:
             return list(known)
+        # here, because the file is read without the calculation that the effects need
         from machine_tool_calibration.effects.formula import formula_effect
 
         return [*known, *(formula_effect(one, f"model {self.number} of the history") for one in kept)]

@@ -71,7 +71,7 @@ def components(gram: Gram, repeats: Gram | None = None) -> Components:
         repeats: the same among readings of the same thing, which then tell the sizes.
     """
     ratios, _, logs = zip(*size_grid(gram if repeats is None else repeats), strict=True)
-    squares = np.array([marginal_at(gram, ratio).squares[0] for ratio in ratios])
+    squares = np.array([marginal_at(gram, ratio).squares for ratio in ratios])
     return Components(tuple(ratios), np.array(logs) - logsumexp(logs), squares, gram.freedom)
 
 

@@ -161,7 +161,7 @@ class Subject:
             )
             before = models[-1] if models else None
             chosen = self.measurement.chosen(entry.variant(said, self.measurement.sessions), entry.effects, self.own)
-            made = self.tried(before, entry.change, replace(chosen, sets=tuple(entry.sets())), aside, kept)
+            made = self.tried(before, entry.change, chosen, aside, kept)
             models.append(replace(made, number=entry.number))
         return models
 

@@ -21,7 +21,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
 )
 from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, EFFECT, FURTHER, LAW, STRUCTURE, THE_SAME
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
@@ -32,16 +32,12 @@ from machine_tool_calibration.residuals.pool import Pool
 __all__ = ["Absorbed", "EffectSearch", "Structure", "search_effects"]
 
 
-# Chance below which a structure is named, and below which places that differ more than their repeats are.
-_TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
 # Numbers of first coefficients of an effect that are tried alone.
 _LEADING = (1, 2, 4)
-# Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
-_ABSORBED = 1e-4
-# Probability from which an effect's law is tried with its tolerance, and how many are in any case.
-_MAY_BE, _BEST = 0.02, 6
+# Effects whose laws are tried with their tolerances in any case.
+_BEST = 6
 # Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
@@ -149,7 +145,7 @@ def search_effects(
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
-    further = ACCEPTED if side_by_side else FURTHER
+    further = priors.ACCEPTED if side_by_side else priors.FURTHER
     accepted = _accepted(columns, findings, groups, found, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
@@ -177,8 +173,8 @@ def search_effects(
 def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
     """The effects, those that may be in with what their laws leave open; none where no law does."""
     out, changed = columns.candidates[: columns.effects], False
-    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k, 0])
-    for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > _MAY_BE)}:
+    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k])
+    for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > priors.MAY_BE)}:
         effect = out[k].effect
         if effect is not None and effect.tolerance > 0.0:
             point = found.best.get(k) or found.single.best[k]
@@ -190,7 +186,7 @@ def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
     effects = [k for k in columns.seen if k < columns.effects]
     log_odds = np.full(len(columns.candidates), -np.inf)
     for k in columns.seen:
-        prior = min(EFFECT, 1.0 / len(effects)) if k in effects else STRUCTURE
+        prior = min(priors.EFFECT, 1.0 / len(effects)) if k in effects else priors.STRUCTURE
         log_odds[k] = np.log(prior / (1.0 - prior))
     apart = _apart(columns)
     return search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
@@ -262,7 +258,10 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
             for own in (*leading, shaped):
                 place = slice(first, first + len(own.every))
                 squares = before[place]
-                if np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1] > _ABSORBED:
+                if (
+                    np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1]
+                    > priors.ABSORBED
+                ):
                     share = -float(np.log(candidate.count * (len(leading) + 1)))
                     blocks.append(Block.of(c, place, own, squares, share))
             first += len(shaped.every)
@@ -313,7 +312,7 @@ def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[B
         basis = basis_of(inner[block.place, block.place])
         squares = np.sum((basis.T @ joined[block.place]) ** 2, axis=0)
         taken = np.diff(np.append(0.0, np.cumsum(squares))[ends])
-        repeated |= (basis.shape[1] >= rank) & (taken >= THE_SAME**2 * rank)
+        repeated |= (basis.shape[1] >= rank) & (taken >= priors.THE_SAME**2 * rank)
     others = [block for block in blocks if block.shaped.coefficients]
     return others + [block for block, known in zip(free, repeated, strict=True) if not known]
 
@@ -345,11 +344,11 @@ def _accepted(
             surest.
     """
     place = columns.place
-    sure = [f.name for f in findings if f.probability > ACCEPTED]
+    sure = [f.name for f in findings if f.probability > priors.ACCEPTED]
     known = {place[name] for name in sure}
     for group in groups:
         members = [place[name] for name in group]
-        if not known & set(members) and found.of(*members) > ACCEPTED and found.gains(known, members[0]):
+        if not known & set(members) and found.of(*members) > priors.ACCEPTED and found.gains(known, members[0]):
             sure.append(group[0])
     sure.sort(key=lambda name: -found.log_factor(place[name]))
     alike = {name: next((group for group in groups if name in group), (name,)) for name in sure}
@@ -360,12 +359,12 @@ def _accepted(
 
 def _of_law(pool: Pool, signals: Mapping[str, Array], name: str, other: str) -> bool:
     """Whether an effect is a small part of what a surer one may differ from its law by: smooth in time as it is."""
-    if rms(signals[name] / pool.sigma) > LAW * rms(signals[other] / pool.sigma):
+    if rms(signals[name] / pool.sigma) > priors.LAW * rms(signals[other] / pool.sigma):
         return False
     both = np.concatenate([signals[name][None], signals[other][None], smooth_share(pool, signals[other])])
     inner = pool.screen(both).gram[:-1, :-1]
     basis = basis_of(inner[1:, 1:])
-    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > ALIKE**2 * inner[0, 0])
+    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > priors.ALIKE**2 * inner[0, 0])
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
@@ -384,14 +383,14 @@ def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -
     beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
-        log_factor = float(beside.log_factors[k, 0])
+        log_factor = float(beside.log_factors[k])
         # Paid for by the structures' prior against all others: what no effect says.
         p = found.p_value(k, log_factor)
-        if p <= _TOLD:
+        if p <= priors.STRUCTURE_CHANCE:
             block = columns.blocks[beside.best[k].block]
             taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _words(columns.candidates[k].name, block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, taken / float(tried[0].squares[0]))))
+            out.append((p, -log_factor, Structure(*words, p, taken / tried[0].squares)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
@@ -407,7 +406,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     out = []
     for noise in every:
         p, repeats = noise.lack_of_fit_p, noise.from_repeats
-        if p is not None and p < _LACK and repeats is not None:
+        if p is not None and p < priors.LACK_OF_FIT_CHANCE and repeats is not None:
             share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)
             out.append(Structure("place", "places differ more than their repeats", p, share))
     return tuple(out)

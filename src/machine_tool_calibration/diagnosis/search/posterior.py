@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
-from machine_tool_calibration.diagnosis.search.priors import LIKELY
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
 __all__ = ["Posterior", "search"]
@@ -85,7 +85,7 @@ class Posterior:
         """Logarithm of a candidate's Bayes factor: beside the rest of the best set if it is in there, else alone."""
         rest = frozenset(self.best) - {candidate}
         if candidate not in self.best or rest not in self.log_weights:
-            return float(self.single.log_factors[candidate, 0])
+            return float(self.single.log_factors[candidate])
         gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
         return gained - float(self.log_odds[candidate])
 
@@ -104,7 +104,7 @@ class Posterior:
     def exchanges(self, candidate: int, other: int) -> bool:
         """Whether another candidate is in where this one is not, and more probably than where this one is."""
         instead = self.without(other, candidate)
-        return instead > max(LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
+        return instead > max(priors.LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
 
     def without(self, member: int, other: int) -> float:
         """Probability of the sets that hold one candidate and not the other."""
@@ -139,7 +139,7 @@ class _Search:
         key = frozenset(members.items())
         if key not in self.grown:
             self.grown[key] = beside = table(self.blocks, self.beside(members), len(self.log_odds))
-            self._keep(members, self.prior(members) + float(beside.log_null[0]))
+            self._keep(members, self.prior(members) + beside.log_null)
             for k in beside.best:
                 if k not in members:
                     self._keep_beside(members, k, beside)
@@ -158,7 +158,7 @@ class _Search:
     def _keep_beside(self, members: Members, k: int, beside: Table) -> None:
         """The set of some members and another candidate, from the table beside these members."""
         if self.may_stand({*members, k}):
-            weight = self.prior(members) + self.log_odds[k] + float(beside.log_evidence[k, 0])
+            weight = self.prior(members) + self.log_odds[k] + float(beside.log_evidence[k])
             self._keep({**members, k: beside.best[k]}, weight)
 
     def _keep(self, members: Members, log_weight: float) -> None:
@@ -179,7 +179,7 @@ def search(
     """The posterior over sets.
 
     Args:
-        gram: inner products, with one data set.
+        gram: inner products.
         blocks: of all candidates; none of one that the model absorbs.
         log_odds: (candidates,) logarithm of the prior odds of each.
         side_by_side: whether many effects are expected at once: the machine itself is read.
@@ -203,7 +203,7 @@ def search(
         done.add(ready[0])
         work.grow(work.polished(ready[0]))
     beside = work.beside(work.found[ranked[0]][1])
-    logs = np.array([metric.log_null[0] for metric in beside])
+    logs = np.array([metric.log_null for metric in beside])
     shares = np.exp(logs - logsumexp(logs))
     order = np.argsort(-shares, kind="stable")
     return Posterior(
@@ -213,7 +213,7 @@ def search(
         log_weights={key: work.found[key][0] for key in ranked},
         single=single,
         metrics=tuple(work.tried[k] for k in order),
-        variance=float(shares @ [metric.squares[0] for metric in beside]) / max(gram.freedom, 1),
+        variance=float(shares @ [metric.squares for metric in beside]) / max(gram.freedom, 1),
     )
 
 
@@ -228,11 +228,11 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
     alone: set[Point] = set()
     for ratio, prior, _ in (grid[k] for k in {likeliest, least}):
         found = table(blocks, [marginal_at(gram, ratio, prior)], len(log_odds))
-        ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k, 0] + log_odds[k]))[:_GROWN]
+        ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.
     used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
-    few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used, :1], squares=gram.squares[:1])
+    few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used])
     tried = [marginal_at(few, ratio, prior) for ratio, prior, _ in grid]
     keep, first = np.array([log for _, _, log in grid]) > max(log for _, _, log in grid) + np.log(_COUNTS), 0
     for point in alone:
@@ -254,8 +254,8 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
     ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
     place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
     inner = np.eye(len(columns)) + [metric.inner(columns, columns) * np.outer(scale, scale) for metric in work.tried]
-    data = np.array([metric.data[columns, 0] * scale for metric in work.tried])
-    squares = np.array([metric.squares[0] for metric in work.tried])
+    data = np.array([metric.data[columns] * scale for metric in work.tried])
+    squares = np.array([metric.squares for metric in work.tried])
     left, determinant = np.empty((2, len(pairs), len(work.tried)))
     for n, (i, j) in enumerate(pairs):
         own = np.append(place[i], place[j])

@@ -21,6 +21,7 @@ from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of
 from machine_tool_calibration.diagnosis.search.look import EffectSearch
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
@@ -30,8 +31,6 @@ __all__ = ["Prediction", "predictions"]
 
 # Parts into which setups and places are divided at most.
 _PARTS = 4
-# Logarithm of the likelihood ratio of one part beyond which it contradicts: one in twenty.
-_CLEARLY = 3.0
 # Effects that are held against readings left out: more are not distinguished that way.
 _MOST = 6
 # Variance of the noise over that declared below which the residuals are rounding.
@@ -71,11 +70,11 @@ class Prediction:
         places alone; what half the setups or cycles do not show is none of the machine.
         """
         gains = np.array(self.log_gains)
-        if gains.min() >= -_CLEARLY:
-            return bool(gains.sum() < -_CLEARLY)
+        if gains.min() >= -priors.CONTRADICTING:
+            return bool(gains.sum() < -priors.CONTRADICTING)
         if self.what == _PLACES:
-            return bool(gains.sum() < _CLEARLY)
-        return bool(gains.sum() < -_CLEARLY or 2 * int((gains < 0).sum()) >= len(gains))
+            return bool(gains.sum() < priors.CONTRADICTING)
+        return bool(gains.sum() < -priors.CONTRADICTING or 2 * int((gains < 0).sum()) >= len(gains))
 
 
 def predictions(
@@ -145,7 +144,7 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        factor = float(table([block], [base.beside(columns_of(others), unit)], 1).log_factors[0, 0])
+        factor = float(table([block], [base.beside(columns_of(others), unit)], 1).log_factors[0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out
