@@ -66,7 +66,8 @@ class ComparePage:
         self._count = text("", min_width=150)
         self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=300) for k in (1, 2)]
         self._plane = pn.widgets.Select(name="Map in the plane", width=100)
-        self._legend = pn.widgets.CheckButtonGroup(name="Setups that are shown", margin=(3, 4))
+        self._legend = pn.widgets.CheckButtonGroup(margin=(3, 4))
+        self._shown = pn.Row(pn.pane.HTML("<label>Setups shown</label>", margin=(8, 4)), self._legend)
         self._view = CDSView(filter=AllIndices())
         self._band = [
             BoxAnnotation(fill_color="#009e73", fill_alpha=0.1, line_color=None, level="underlay") for _ in range(3)
@@ -113,7 +114,7 @@ class ComparePage:
                 *self._against, self._plane, self._rows, self._aside, self._back, self._look, self._cleared,
                 self._suggest,
             ),
-            pn.Row(self._legend, self._count, sizing_mode="stretch_width"),
+            pn.Row(self._shown, self._count, sizing_mode="stretch_width"),
             beside(*self._plots),
             beside(self._map, self._strip),
             beside(self._setups, self._table, least=560),
@@ -159,7 +160,7 @@ class ComparePage:
             ]
             self._legend.param.update(options=list(setups)[:_BUTTONS], value=list(setups)[:_BUTTONS])
             self._legend.stylesheets = [BUTTON, ".bk-btn:not(.bk-active) { opacity: 0.4; }", *edges]
-            self._legend.visible = 1 < len(setups) <= _BUTTONS
+            self._shown.visible = 1 < len(setups) <= _BUTTONS
         options = {self._readings.labels[name]: name for name in self._readings.ranked}
         if self._against[0].options == options and self._plane.options == self._readings.planes:
             return

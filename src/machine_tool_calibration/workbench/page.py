@@ -141,7 +141,6 @@ class _Window:
         state = self._state
         self._stale = set(self._places)
         named = " + ".join(path.absolute().name for path in state.paths)
-        self._document.title = f"{named} · mtcal workbench"
         where = escape(", ".join(str(path.absolute()) for path in state.paths), quote=True)
         warned = f' <span class="error">{escape(state.warning)}</span>' if state.warning else ""
         self._head.object = f'<b title="{where}">{escape(named)}</b>: {escape(state.headline)}.{warned}'

@@ -95,7 +95,7 @@ def serve(
         {"workbench": lambda: window(targets, own, variant, feed=feed, live=live)},
         port=port,
         address=_HERE,
-        title="mtcal workbench",
+        title=" · ".join([*(target.absolute().name for target in targets), "mtcal workbench"]),
         prefix=token,
         unused_session_lifetime_milliseconds=_KEPT,
         use_index=False,
