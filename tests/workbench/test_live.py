@@ -40,7 +40,7 @@ def tell(heard: Heard, session: Session, rows: slice = slice(None), start: int =
     names, table = reading_columns(session)
     for row in table[rows]:
         stamp = start + round(row[names.index("time")] * 1e9)
-        heard.read(stamp, Reading("machine", names, array("d", row)))
+        heard.read(stamp, Reading(names, array("d", row)))
 
 
 def calculated(feed: Feed, now: float) -> None:
@@ -89,19 +89,10 @@ def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(ses
     heard = Heard()
     tell(heard, session, slice(0, 3))
     with pytest.raises(CalibrationError):
-        heard.read(START, Reading("machine", ("time", "reading_index"), (0.0, -4.0)))
+        heard.read(START, Reading(("time", "reading_index"), (0.0, -4.0)))
     with pytest.raises(CalibrationError):
         heard.describe("method: nonsense")
     assert heard.count[1] == 3 and heard.setups == session.setup_ids
-
-
-def test_readings_of_earlier_releases_name_their_setup_in_the_header(session: Session) -> None:
-    heard = Heard()
-    for k, frame in enumerate(("first", "second", "first")):
-        heard.read(START + k, Reading(frame, ("displacement",), (1e-3,)))
-    heard.describe(description_yaml(session.description))
-    heard.read(START + 9, Reading(session.setup_ids[2], ("displacement",), (1e-3,)))
-    assert [setup for setup, _ in heard.rows(-1, 0)[2]] == [0, 1, 0, 2]
 
 
 def state(node: str, kind: str, at: float, *, repeats: bool, message: str = "measuring") -> NodeState:

@@ -14,8 +14,8 @@ from scipy import special
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
+from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -26,7 +26,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, 
 from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.restated import changed, declared
+from machine_tool_calibration.model.refits import changed, declared
 from machine_tool_calibration.model.result import ErrorMap, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
@@ -110,8 +110,8 @@ class Diagnosis:
         first, last = self.fits[0], self.fits[-1]
         if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
             return False
-        freedom = first.solution.degrees_of_freedom
-        chance = special.chdtrc(freedom, freedom * self.search.variance)
+        dof = first.solution.degrees_of_freedom
+        chance = special.chdtrc(dof, dof * self.search.variance)
         if self.search.variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_CHANCE:
             return False
         excess = first.solution.chi_square - first.solution.degrees_of_freedom
@@ -221,22 +221,24 @@ def _search(
     def look_for(tried: Sequence[Candidate]) -> EffectSearch:
         return search_effects(first.joint, tried, structures, side_by_side=side_by_side)
 
-    look = look_for(candidates)
-    fine = _resolved(pool, candidates, look, fit_with)
+    search = look_for(candidates)
+    fine = _resolved(pool, candidates, search, fit_with)
     if fine is not None:
-        look = look_for(fine)
+        search = look_for(fine)
     progress("readings that are left out", 0.7)
-    predicted = predictions(searched.sessions, look, lambda left: fit_sessions(replace(searched, sessions=left)).joint)
-    noise = look.noise[0]
+    predicted = predictions(
+        searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
+    )
+    noise = search.noise[0]
     if repeated is not None:
         noise = replace(noise, from_repeats=repeated.from_repeats, repeats=repeated.repeats)
-    fitted, refused = _added(look, predicted, first, fit_with)
+    fitted, refused = _added(search, predicted, first, fit_with)
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
         verdict="",
-        accepted=tuple(name for name in look.accepted if name not in refused),
-        search=look,
+        accepted=tuple(name for name in search.accepted if name not in refused),
+        search=search,
         noise=noise,
         fitted=fitted,
         predicted=predicted,
@@ -264,35 +266,35 @@ def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise 
 def _resolved(
     pool: Pool,
     candidates: Sequence[Candidate],
-    look: EffectSearch,
+    search: EffectSearch,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> list[Candidate] | None:
     """The candidates with finer nonlinear coefficients of the accepted effects; None where the grid does."""
     used = {
-        c.name: look.of(c.name).shape
+        c.name: search.of(c.name).shape
         for c in candidates
-        if c.name in look.accepted and c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
+        if c.name in search.accepted and c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
     }
     if not used:
         return None
     try:
-        fit = fit_with(look.accepted).joint
+        fit = fit_with(search.accepted).joint
     except ModelError:
         return None
     return between_the_grid(pool, candidates, used, fit)
 
 
 def _added(
-    look: EffectSearch,
+    search: EffectSearch,
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
     """The first model and one after every effect that can be added, and why the other probable ones cannot."""
     fitted, accepted, refused = [first], list[str](), dict[str, str]()
-    for name in look.accepted:
+    for name in search.accepted:
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
-        if not look.of(name).plausible:
+        if not search.of(name).plausible:
             refused[name] = "no machine or instrument has such a size"
         elif against:
             refused[name] = f"it does not predict {against[0]} that are left out"
@@ -312,18 +314,18 @@ def _added(
 
 def _verdict(found: Diagnosis) -> str:
     """From the probabilities and the absolute misfit alone."""
-    look, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
+    search, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
     if found.contradicted:
         return "unexplained"
-    if look.unknown > priors.ACCEPTED and not _good_enough(found):
+    if search.unknown > priors.ACCEPTED and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
-        left = max((s.share for s in look.left), default=0.0) * last.chi_square
+        left = max((s.share for s in search.left), default=0.0) * last.chi_square
         if not found.accepted or left > first.chi_square - last.chi_square:
             return "unexplained"
     if found.accepted:
         return "missing_effect"
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
-    if look.nothing < 1.0 - priors.SURE and not _good_enough(found):
+    if search.nothing < 1.0 - priors.SURE and not _good_enough(found):
         return "unexplained"
     return "outliers" if found.outliers else "adequate"
 

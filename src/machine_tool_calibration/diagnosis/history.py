@@ -14,6 +14,7 @@ from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["Coefficient", "Entry", "History", "Part"]
@@ -98,26 +99,55 @@ class Entry(Record):
     map_change_rms: Finite | None = None
     parameters: tuple[Coefficient, ...] = ()
 
-    def of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
-        """What it says of each session: itself of a single one, of several the part of the same readings or name.
+    def request(
+        self, sessions: Sequence[Session], labels: Sequence[str], prints: Sequence[str], own: Sequence[Effect] = ()
+    ) -> FitRequest:
+        """The model as it was fitted, of the readings that it was fitted to.
+
+        What was set aside is left out of the sessions, and what was put back is known to be sound, where they have it.
 
         Args:
-            prints: fingerprints of the readings.
+            sessions: the measurements, with all their readings.
             labels: names of the sessions.
+            prints: fingerprints of their readings.
+            own: the user's own effects at present; they take the place of the model's of the same name.
+
+        Raises:
+            ModelError: a definition of an effect cannot be.
         """
+        # here and below, because the file is read without the calculation that the results need
+        import numpy as np
+
+        from machine_tool_calibration.methods.fitted import FitRequest
+
+        said = self._of_sessions(prints, labels)
+        kept = []
+        for session, one in zip(sessions, said, strict=True):
+            if one is not None:
+                rows = session.readings.row.tolist()
+                session = session.keeping(set(one.kept).intersection(rows))
+                aside = np.isin(rows, [row for row in one.set_aside if row not in session.sound])
+                session = session.without(aside) if aside.any() else session
+            kept.append(session)
+        return FitRequest(
+            tuple(kept),
+            tuple(labels),
+            self._variant(said, sessions),
+            self.effects,
+            tuple(self.own_effects(own)),
+            keep_all=True,
+        )
+
+    def _of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
+        """What it says of each session: itself of a single one, of several the part of the same readings or name."""
         if len(prints) == 1:
             return [self]
         by_data = {part.data: part for part in self.sessions}
         by_label = {part.label: part for part in self.sessions}
         return [by_data.get(data, by_label.get(label)) for data, label in zip(prints, labels, strict=True)]
 
-    def variant(self, said: Sequence[Entry | Part | None], sessions: Sequence[Session]) -> str | None:
-        """The variant to ask for, so that sessions are fitted as this model was; None for their defaults.
-
-        Args:
-            said: what it says of each session (`of_sessions`).
-            sessions: the measurements.
-        """
+    def _variant(self, said: Sequence[Entry | Part | None], sessions: Sequence[Session]) -> str | None:
+        """The variant to ask for, so that sessions are fitted as this model was; None for their defaults."""
         if len(sessions) == 1:
             return self.model
         # Of several, those that have the variant that was asked for took it, all others what they can share.

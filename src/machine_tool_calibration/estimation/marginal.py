@@ -48,7 +48,7 @@ class Gram:
         data: (K,) of these with the data.
         squares: squared norm of the data.
         family: (u,) family of each spread column.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
+        dof: degrees of freedom of the readings beside the model's unknowns.
         sizes: of the last families, where they are known in their own unit: with their prior probabilities.
         prior_dof: readings that what is known of the noise is worth; infinite where it is known.
     """
@@ -57,7 +57,7 @@ class Gram:
     data: Array
     squares: float
     family: IntArray
-    freedom: int
+    dof: int
     sizes: tuple[dict[float, float], ...] = ()
     prior_dof: float = priors.DECLARED_DOF
 
@@ -84,13 +84,13 @@ class Gram:
         """
         if np.isinf(self.prior_dof):
             return np.asarray(-0.5 * left)
-        return np.asarray(-0.5 * (self.freedom + self.prior_dof) * np.log(self.prior_dof + left))
+        return np.asarray(-0.5 * (self.dof + self.prior_dof) * np.log(self.prior_dof + left))
 
     def noise(self, left: Array) -> Array:
         """Variance of the noise by the squares that are left, over that declared, or over the known one."""
         if np.isinf(self.prior_dof):
             return np.ones_like(left)
-        return np.asarray((self.prior_dof + left) / (self.prior_dof + self.freedom))
+        return np.asarray((self.prior_dof + left) / (self.prior_dof + self.dof))
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,14 @@ class Marginal:
         """Logarithm of the evidence without any candidate."""
         return self.log_prior + float(self.gram.log_likelihood(self.squares))
 
-    def log_beside(self, columns: IntArray, scale: Array) -> float:
+    def log_null_with(self, columns: IntArray, scale: Array) -> float:
         """What `log_null` is with columns of given scales folded in, without folding them in."""
         lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
         explained = float(np.sum(_below(lower, scale * self.data[columns]) ** 2))
         left = max(self.squares - explained, NOTHING * self.gram.squares)
         return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left))
 
-    def beside(self, columns: IntArray, scale: Array) -> Marginal:
+    def with_columns(self, columns: IntArray, scale: Array) -> Marginal:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
         inner, data = self.inner(columns, slice(None)), self.data[columns]
         lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
@@ -198,7 +198,7 @@ def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Mar
     """That of one size of each family, in units of the noise, with the logarithm of its prior."""
     plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros(0))
     used = np.flatnonzero(plain.tau)
-    return plain.beside(gram.spread[used], plain.tau[used])
+    return plain.with_columns(gram.spread[used], plain.tau[used])
 
 
 def _below(lower: Array, right: Array) -> Array:

@@ -140,7 +140,7 @@ class FittedSessions:
         return self.map_of(self.joint)
 
     def map_of(self, joint: JointFit) -> ErrorMap:
-        """The machine's errors by another fit of the same models, such as a restated one (`model.restated`)."""
+        """The machine's errors by another fit of the same models, such as a restated one (`model.refits`)."""
         if self.common is None:
             fit = joint.fits[0]
             return fit.model.error_map(fit)

@@ -72,11 +72,11 @@ class PureError:
     Attributes:
         gram: (u + 1, u + 1) inner products of [functions that do not reproduce, residual] there, over the declared
             uncertainty.
-        freedom: degrees of freedom.
+        dof: degrees of freedom.
     """
 
     gram: Array
-    freedom: int
+    dof: int
 
     def outside(self, own: BoolArray, family: IntArray) -> Gram:
         """Without functions that the model has as unknowns of its own, such as the constants of runs.
@@ -92,8 +92,8 @@ class PureError:
         along = root.T @ self.gram[np.append(own, False)]
         left = self.gram - along.T @ along
         left[np.append(own, False)], left[:, np.append(own, False)] = 0.0, 0.0
-        freedom = max(self.freedom - int(kept.sum()), 1)
-        return Gram(left[:-1, :-1], left[:-1, -1], max(float(left[-1, -1]), 0.0), family, freedom)
+        dof = max(self.dof - int(kept.sum()), 1)
+        return Gram(left[:-1, :-1], left[:-1, -1], max(float(left[-1, -1]), 0.0), family, dof)
 
 
 def reproducibility(observations: Observations) -> tuple[Family, ...]:
@@ -129,21 +129,21 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         residuals: (n,) of each, over the declared uncertainty.
         names: of the families that count.
     """
-    columns, left, freedom = [], [], 0
+    columns, left, dof = [], [], 0
     for observations, residual in zip(observed, residuals, strict=True):
         place = observations.place
         stride = -(-len(place) // _ENOUGH)
         some = np.flatnonzero(place % stride == 0)
         mine = groups(place[some])
         count = np.bincount(mine)
-        freedom += int(np.sum(count - 1))
+        dof += int(np.sum(count - 1))
         families = [family.columns()[:, some] for family in reproducibility(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
         mean = np.array([np.bincount(mine, values) / count for values in both])
         both -= mean[:, mine]
         columns.append(both[:-1])
         left.append(both[-1])
-    if freedom < priors.ENOUGH_REPEATS:
+    if dof < priors.ENOUGH_REPEATS:
         return None
     own = [len(c) for c in columns]
     whole = np.zeros((sum(own) + 1, sum(own) + 1))
@@ -153,7 +153,7 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         both = np.concatenate([c, r[None]])
         whole[np.ix_(place, place)] += both @ both.T
         first += len(c)
-    return PureError(whole, freedom)
+    return PureError(whole, dof)
 
 
 def _smooth(observations: Observations, group: IntArray) -> Array:
@@ -170,8 +170,8 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
     scaled = np.where(flat[group], 0.0, (time - low[group]) / np.where(flat, 1.0, half)[group] - 1.0)
     series = np.polynomial.legendre.legvander(scaled, len(weights) - 1).T * weights[:, None]
     for degree in range(len(weights)):
-        told = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
-        out[degree] = np.where(told[group], series[degree], 0.0)
+        determined = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
+        out[degree] = np.where(determined[group], series[degree], 0.0)
     return out
 
 

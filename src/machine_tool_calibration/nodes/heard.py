@@ -131,7 +131,6 @@ class Heard:
         self._rows: list[tuple[int, float]] = []
         self._run = 0
         self._first: int | None = None
-        self._frames: list[str] = []
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
         self._calls: dict[int, Call] = {}
@@ -173,19 +172,11 @@ class Heard:
             received = Received() if again else self._received
             if received.add(stamp, reading) or again:
                 self._received = received
-                self._rows, self._frames, self._run = [], [], self._run + 1
+                self._rows, self._run = [], self._run + 1
             if len(self._received) > len(self._rows):
-                setup = int(index) if np.isfinite(index) else self._of_frame(reading.frame)
+                setup = int(index) if np.isfinite(index) else 0
                 self._first = stamp if not self._rows else self._first
                 self._rows.append((setup, displacement))
-
-    def _of_frame(self, frame: str) -> int:
-        """Of earlier releases, whose readings name their setup in the header."""
-        if frame in self.setups:
-            return self.setups.index(frame)
-        if frame not in self._frames:
-            self._frames.append(frame)
-        return self._frames.index(frame)
 
     def say(self, state: NodeState) -> None:
         """A node said how it is: again and again, or on the topic of its own.

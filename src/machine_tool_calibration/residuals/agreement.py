@@ -61,12 +61,12 @@ class Noise:
     odds: float
 
 
-def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) -> Noise:
+def noise_of(size: Array, redundancy: float, explained: BoolArray | None = None) -> Noise:
     """The noise of predicted residuals, of which those beyond the limit have no say.
 
     Args:
         size: their sizes over the declared uncertainty.
-        freedom: degrees of freedom of their scatter.
+        redundancy: degrees of freedom of their scatter.
         explained: which are no gross errors, however large.
     """
     if not len(size):
@@ -74,11 +74,11 @@ def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) ->
     single = size if explained is None else size[~explained]
     inside = np.ones(len(size), dtype=bool)
     for _ in range(ROUNDS):
-        scale, tails = _bulk(size[inside], freedom)
+        scale, tails = _bulk(size[inside], redundancy)
         beyond = single[single > priors.SUSPECTED * scale] / scale
         width = max(priors.WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else priors.WIDTH
         count = 0
-        while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
+        while (more := int(np.sum(beyond > (limit := _limit(tails, redundancy, width, count, len(size)))))) > count:
             count = more
         last, inside = inside, size <= limit * scale
         if np.array_equal(inside, last):
@@ -98,17 +98,17 @@ def _unit(dof: float) -> float:
     return float(special.stdtrit(dof, 0.75) / special.ndtri(0.75))
 
 
-def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> float:
+def _limit(tails: Array, redundancy: float, width: float, count: int, n: int) -> float:
     """Where the evidence for a gross error passes that for noise; `tails` are the probabilities of `_DOFS`."""
     share = (priors.GROSS_ERRORS + count) / (priors.GROSS_ERRORS_DOF + n)
     z = np.geomspace(1.0, 300.0, 400)
     gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
-    noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
+    noise = np.stack([_density(z, min(dof, max(redundancy, _DOFS[0]))) for dof in _DOFS])
     beyond = gross > np.logaddexp.reduce(noise + np.log(np.maximum(tails, 1e-300))[:, None])
     return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
 
 
-def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
+def _bulk(size: Array, redundancy: float) -> tuple[float, Array]:
     """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
 
     Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
@@ -125,7 +125,7 @@ def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
         beyond = np.log(np.maximum(2.0 * special.stdtr(dof, -within[:, -1] * _unit(dof)), 1e-300))
         every = _density(within, dof).sum(axis=1) - inside * np.log(scales) + (len(ordered) - inside) * beyond
         best.append(float(scales[int(np.argmax(every))]))
-        evidence.append(min(freedom / len(size), 1.0) * float(every.max()))
+        evidence.append(min(redundancy / len(size), 1.0) * float(every.max()))
     tails = special.softmax(np.array(evidence) + np.log(_TAILS))
     return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
 

@@ -25,7 +25,7 @@ def searched(
         data=columns.T @ readings,
         squares=float(readings @ readings),
         family=np.zeros(0, dtype=np.int64),
-        freedom=N,
+        dof=N,
     )
     shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
     either = np.zeros(1, dtype=bool)

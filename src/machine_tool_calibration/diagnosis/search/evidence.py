@@ -2,7 +2,7 @@
 """How probable the readings are with an effect in the model, from inner products alone.
 
 The model's own unknowns were projected off; spread between runs and mountings, and effects that are taken for granted,
-are folded into the metric. What is left of an effect is a small matrix for each set of its nonlinear coefficients, so
+are folded into the marginal. What is left of an effect is a small matrix for each set of its nonlinear coefficients, so
 that the number of readings does not matter. The coefficients b of an effect are normal about zero with a standard
 deviation s on a grid of scales; sizes that do not occur are cut off, and a sign that is expected has its odds. The
 variance of the noise is integrated out, with what was declared as knowledge worth a number of readings.
@@ -131,7 +131,7 @@ class Point:
         block: index of the block.
         scale: of its coefficients, over their units.
         log_rest: logarithm of the candidate's evidence over that at this point, if signs and sizes that do not occur
-            were not cut off there: as columns that are folded into the metric are not.
+            were not cut off there: as columns that are folded into the marginal are not.
     """
 
     block: int
@@ -141,7 +141,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Table:
-    """Evidence of every candidate, beside what is folded into the metric.
+    """Evidence of every candidate, beside what is folded into the marginal.
 
     Attributes:
         log_evidence: (candidates,) logarithm of each candidate's evidence, over all its nonlinear coefficients and
@@ -165,7 +165,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
 
     Args:
         blocks: of all candidates.
-        tried: metrics, over which the evidence is summed.
+        tried: marginals, over which the evidence is summed.
         candidates: how many there are.
         only: the one that is asked for; the others count as absorbed.
     """
@@ -198,7 +198,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
         log_evidence[candidate] = _log_sum(total[places])
         k = int(places[np.argmax(most[places])])
         best[candidate] = Point(k, float(scale[k]), float(log_evidence[candidate] - uncut[k]))
-    return Table(log_evidence, float(np.logaddexp.reduce([metric.log_null for metric in tried])), best)
+    return Table(log_evidence, float(np.logaddexp.reduce([marginal.log_null for marginal in tried])), best)
 
 
 def _log_sum(logs: Array) -> Array:
@@ -231,12 +231,12 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
 
 
 def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal]) -> tuple[Array, Array]:
-    """Logarithm of the evidence of blocks of as many columns each, summed over the metrics.
+    """Logarithm of the evidence of blocks of as many columns each, summed over the marginals.
 
     Args:
         blocks: with k columns each.
         scales: (blocks, scales).
-        tried: metrics.
+        tried: marginals.
 
     Returns:
         (blocks, scales), and the same with signs and sizes that do not occur.
@@ -244,11 +244,11 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     gram = tried[0].gram
     unit = np.array([block.unit for block in blocks])
     columns = columns_of(blocks).reshape(unit.shape)
-    inner = np.array([_own(metric, columns) for metric in tried]) * unit[:, :, None] * unit[:, None, :]
+    inner = np.array([_own(marginal, columns) for marginal in tried]) * unit[:, :, None] * unit[:, None, :]
     values, vectors = np.linalg.eigh((inner + inner.swapaxes(2, 3)) / 2.0)
     values = np.maximum(values, 0.0)
     turned = vectors.swapaxes(2, 3)
-    along = (turned @ np.array([metric.data[columns] * unit for metric in tried])[..., None])[..., 0]
+    along = (turned @ np.array([marginal.data[columns] * unit for marginal in tried])[..., None])[..., 0]
     # What lies in the model's span has rounding only.
     floor = np.array([block.floor for block in blocks])[None, :, None]
     absorbed = values <= np.maximum(floor, _ABSORBED * values[..., -1:])
@@ -256,9 +256,9 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     s2 = scales[None, :, :, None] ** 2
     grown = 1.0 + s2 * values[:, :, None, :]
     gain = s2 / grown
-    squares = np.array([metric.squares for metric in tried])[:, None, None]
+    squares = np.array([marginal.squares for marginal in tried])[:, None, None]
     left = np.maximum(squares - (gain @ along[..., None] ** 2)[..., 0], NOTHING * squares)
-    prior = np.array([metric.log_prior for metric in tried])[:, None, None]
+    prior = np.array([marginal.log_prior for marginal in tried])[:, None, None]
     value = prior - 0.5 * np.log(grown).sum(axis=-1) + gram.log_likelihood(left)
     uncut = _log_sum(value)
     if not any(map(_is_bounded, blocks)):
@@ -269,8 +269,8 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     high = (np.array([block.high for block in blocks]) / unit)[None, :, None]
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
-    freedom = gram.freedom + gram.prior_dof
-    least, zero, most = (_normal((limit - mean) / deviation, freedom) for limit in (low, 0.0, high))
+    dof = gram.dof + gram.prior_dof
+    least, zero, most = (_normal((limit - mean) / deviation, dof) for limit in (low, 0.0, high))
     scale = scales[None, :, :, None]
     after, before = _log_between(least, most), _log_between(low / scale, high / scale)
     # One that is expected to be positive: of either sign, at these odds.
@@ -283,11 +283,11 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     return _log_sum(value), uncut
 
 
-def _normal(t: Array, freedom: float) -> Array:
+def _normal(t: Array, dof: float) -> Array:
     """Normal deviate that is as improbable as a Student one (Wallace 1959): itself where the noise is known exactly."""
-    if np.isinf(freedom):
+    if np.isinf(dof):
         return t
-    return np.asarray(np.sign(t) * np.sqrt(freedom * np.log1p(t**2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3))
+    return np.asarray(np.sign(t) * np.sqrt(dof * np.log1p(t**2 / dof)) * (8 * dof + 1) / (8 * dof + 3))
 
 
 def _log_between(low: Array, high: Array) -> Array:
@@ -302,7 +302,7 @@ def _log_between(low: Array, high: Array) -> Array:
     return np.asarray(out)
 
 
-def _own(metric: Marginal, columns: IntArray) -> Array:
+def _own(marginal: Marginal, columns: IntArray) -> Array:
     """(blocks, k, k) inner products of each block's own columns."""
-    half = metric.half[:, columns.reshape(-1)].reshape(len(metric.half), *columns.shape).transpose(1, 2, 0)
-    return np.asarray(metric.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))
+    half = marginal.half[:, columns.reshape(-1)].reshape(len(marginal.half), *columns.shape).transpose(1, 2, 0)
+    return np.asarray(marginal.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))

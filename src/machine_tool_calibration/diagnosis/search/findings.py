@@ -96,24 +96,24 @@ def basis_of(inner: Array) -> Array:
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
 
 
-def fitted_in(metric: Marginal, place: slice) -> tuple[Array, Array]:
+def fitted_in(marginal: Marginal, place: slice) -> tuple[Array, Array]:
     """Columns fitted to what the model leaves: their basis, and the readings along it.
 
     Their squares are what the columns take up of the readings' squares.
     """
-    basis = basis_of(metric.inner(place, place))
-    return basis, basis.T @ metric.data[place]
+    basis = basis_of(marginal.inner(place, place))
+    return basis, basis.T @ marginal.data[place]
 
 
-def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
+def posterior_of(marginal: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
     """Mean of a block's coefficients, normal about zero with the scale of its point, and their covariance over sigma^2.
 
     The covariance is that of the noise's variance 1.
     """
     deviation = block.unit * point.scale
-    inner = metric.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
+    inner = marginal.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
     covariance = np.linalg.inv(inner) * np.outer(deviation, deviation)
-    return covariance @ metric.data[block.place], covariance
+    return covariance @ marginal.data[block.place], covariance
 
 
 def _outside(inner: Array) -> BoolArray:
@@ -127,30 +127,30 @@ def _largest(squares: Array) -> float:
 
 
 def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, found: Posterior) -> Finding:
-    """Fit a candidate to what the model leaves, in the metric of what does not reproduce.
+    """Fit a candidate to what the model leaves, in the marginal of what does not reproduce.
 
     Args:
         number: of the candidate in the posterior.
         candidate: what it is.
         pool: the readings.
-        plain: the metric in which all runs and mountings reproduce.
+        plain: the marginal in which all runs and mountings reproduce.
         found: the posterior.
     """
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
-    def rms_with(taken: float) -> float:
-        return float(np.sqrt(max(plain.squares - taken, 0.0) / readings)) * rms(pool.sigma)
+    def rms_with(explained: float) -> float:
+        return float(np.sqrt(max(plain.squares - explained, 0.0) / readings)) * rms(pool.sigma)
 
     if point is None:
         return Finding(candidate, candidate.shapes[0].shape, rms_with(0.0))
     block = found.blocks[point.block]
     place, shaped = block.own, block.shaped
-    metric, log_factor = found.metrics[0], found.log_factor(number)
-    basis, along = fitted_in(metric, place)
-    inner, squares, gain = metric.inner(place, place), metric.squares, float(along @ along)
+    marginal, log_factor = found.marginals[0], found.log_factor(number)
+    basis, along = fitted_in(marginal, place)
+    inner, squares, gain = marginal.inner(place, place), marginal.squares, float(along @ along)
     rank, count = basis.shape[1], len(shaped.columns)
-    variance = max(squares - gain, NOTHING * squares) / max(metric.gram.freedom - rank, 1)
-    mean, covariance = posterior_of(metric, block, point)
+    variance = max(squares - gain, NOTHING * squares) / max(marginal.gram.dof - rank, 1)
+    mean, covariance = posterior_of(marginal, block, point)
     signal, deviation = mean[:count], np.sqrt(np.diag(covariance)[:count] * variance)
     fitted = zip(shaped.coefficients, signal.tolist(), deviation.tolist(), _outside(inner), strict=True)
     # Readings without any noise leave nothing.
@@ -161,7 +161,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
         shape=shaped.shape,
         rms_after=rms_with(float(np.sum(fitted_in(plain, place)[1] ** 2))),
         place=place,
-        sizes=tuple(Size(c, value, uncertainty) for c, value, uncertainty, told in fitted if told),
+        sizes=tuple(Size(c, value, uncertainty) for c, value, uncertainty, seen in fitted if seen),
         signal=signal,
         rank=rank,
         probability=found.of(number),
@@ -201,7 +201,7 @@ def alias_groups(
         found: the posterior.
         index: number of each candidate in the posterior, by name.
     """
-    inner = found.metrics[0].gram.inner
+    inner = found.marginals[0].gram.inner
     places = {f.name: f.place for f in findings if f.place is not None}
     bases = {name: basis_of(inner[place, place]) for name, place in places.items()}
 

@@ -13,7 +13,7 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, effect_candidates
-from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
+from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import build_model

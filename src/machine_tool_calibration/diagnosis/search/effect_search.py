@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look at what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
+"""The search in what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _ROUNDING = 1e-6
 _LEADING = (1, 2, 4)
 # Effects whose laws are tried with their tolerances in any case.
 _BEST = 6
-# Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
+# Share of a column's squares that its variation within the runs is at least explained for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
 
@@ -75,7 +75,7 @@ class Structure:
 
 @dataclass(frozen=True)
 class EffectSearch:
-    """One look at what a fitted model leaves.
+    """What was found in what a fitted model leaves.
 
     Attributes:
         fit: of the model.
@@ -149,7 +149,7 @@ def search_effects(
     accepted = _accepted(columns, findings, groups, found, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
-    without_cause = [_beside_effects(columns, found, k) for k in found.best]
+    without_cause = [_without_cause(columns, found, k) for k in found.best]
     return EffectSearch(
         fit=fit,
         noise=noise,
@@ -162,7 +162,7 @@ def search_effects(
         left=_structure(columns, found, accepted) if accepted else structure,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         sets=_named_sets(columns, found),
-        spread=dict(zip(columns.pool.spread[2], found.metrics[0].ratio, strict=True)),
+        spread=dict(zip(columns.pool.spread[2], found.marginals[0].ratio, strict=True)),
         variance=found.variance,
         signals={columns.candidates[k].name: _signal(columns, found, k) for k in found.best},
         without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *(further for further, _ in without_cause)]),
@@ -188,19 +188,21 @@ def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
     for k in columns.seen:
         prior = min(priors.EFFECT, 1.0 / len(effects)) if k in effects else priors.STRUCTURE
         log_odds[k] = np.log(prior / (1.0 - prior))
-    apart = _apart(columns)
-    return search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
+    exclusive = _exclusive(columns)
+    return search(
+        columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, exclusive=exclusive
+    )
 
 
 def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
     """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
     point = found.best.get(k) or found.single.best[k]
     block = columns.blocks[point.block]
-    metric = found.beside([other for other in found.best if other != k] if k in found.best else [])[0]
-    return np.asarray(posterior_of(metric, block, point)[0] @ block.shaped.every)
+    marginal = found.marginals_with([other for other in found.best if other != k] if k in found.best else [])[0]
+    return np.asarray(posterior_of(marginal, block, point)[0] @ block.shaped.every)
 
 
-def _beside_effects(columns: _Columns, found: Posterior, k: int) -> tuple[Array, Array]:
+def _without_cause(columns: _Columns, found: Posterior, k: int) -> tuple[Array, Array]:
     """Columns of a structure in the most probable set, or by which an effect differs from its law; what is expected."""
     point = found.best[k]
     block = columns.blocks[point.block]
@@ -269,7 +271,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     return _Columns(pool, every, len(candidates), projected, gram, blocks)
 
 
-def _apart(columns: _Columns) -> list[frozenset[int]]:
+def _exclusive(columns: _Columns) -> list[frozenset[int]]:
     """Pairs of effects of which one contains the other."""
     place = columns.place
     every = enumerate(columns.candidates)
@@ -311,14 +313,14 @@ def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[B
     for block in mine:
         basis = basis_of(inner[block.place, block.place])
         squares = np.sum((basis.T @ joined[block.place]) ** 2, axis=0)
-        taken = np.diff(np.append(0.0, np.cumsum(squares))[ends])
-        repeated |= (basis.shape[1] >= rank) & (taken >= priors.THE_SAME**2 * rank)
+        explained = np.diff(np.append(0.0, np.cumsum(squares))[ends])
+        repeated |= (basis.shape[1] >= rank) & (explained >= priors.THE_SAME**2 * rank)
     others = [block for block in blocks if block.shaped.coefficients]
     return others + [block for block, known in zip(free, repeated, strict=True) if not known]
 
 
 def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
-    ratio, families = found.metrics[0].ratio, len(found.metrics[0].ratio) - len(columns.gram.sizes)
+    ratio, families = found.marginals[0].ratio, len(found.marginals[0].ratio) - len(columns.gram.sizes)
     plain = marginal_at(columns.gram, (0.0,) * families + ratio[families:])
     effects = enumerate(columns.candidates[: columns.effects])
     out = [finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects]
@@ -379,7 +381,7 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
 
 def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
-    tried = found.beside([columns.place[name] for name in accepted])
+    tried = found.marginals_with([columns.place[name] for name in accepted])
     beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
@@ -388,9 +390,9 @@ def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -
         p = found.p_value(k, log_factor)
         if p <= priors.STRUCTURE_CHANCE:
             block = columns.blocks[beside.best[k].block]
-            taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
+            explained = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _words(columns.candidates[k].name, block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, taken / tried[0].squares)))
+            out.append((p, -log_factor, Structure(*words, p, explained / tried[0].squares)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 

@@ -14,12 +14,12 @@ from machine_tool_calibration.estimation import priors, variance_components
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.model import stated
+from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
-from machine_tool_calibration.model.restated import declared
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
@@ -181,7 +181,7 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
 def test_scatter_grows_without_a_jump() -> None:
     """No test decides beforehand whether the readings' scatter counts."""
     chi_square = np.linspace(0.0, 100.0, 400)
-    scatter = np.array([stated._scatter(value, 10) for value in chi_square])
+    scatter = np.array([marginal_fit._scatter(value, 10) for value in chi_square])
     assert (np.diff(scatter) >= 0.0).all()
     assert np.diff(scatter).max() < 0.05
     assert scatter[0] == 1.0

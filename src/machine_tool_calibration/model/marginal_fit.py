@@ -213,7 +213,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     root = _root(joint, total, squares)
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
-    freedom = solution.degrees_of_freedom
+    dof = solution.degrees_of_freedom
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
     # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
     imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
@@ -225,7 +225,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     left = [fit.residuals / fit.model.sigma for fit in joint.fits]
     repeated = of_repeats(observed, left, families) if len(runs) else None
     found = components(
-        Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, freedom),
+        Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof),
         None if repeated is None else repeated.outside(~seen[runs], own),
     )
     chosen = np.argsort(-found.log_weights)
@@ -233,13 +233,13 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ found.squares[chosen])
-    scatter = _scatter(squares_left, freedom)
+    scatter = _scatter(squares_left, dof)
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
     tau[:, runs] = ratios[:, own]
     if imperfect.any():
         tau[:, imperfect] = _misfit(
-            projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], freedom
+            projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof
         )
     random = None
     if joint.random is None:
@@ -253,7 +253,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
 
 
-def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], freedom: int) -> float:
+def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], dof: int) -> float:
     """Root mean square of the size of what every model lacks a little, beside what does not reproduce.
 
     Args:
@@ -261,11 +261,11 @@ def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float
         order: (u,) the functions of runs, then those of what a model lacks.
         own: family of each of the former.
         ratio: size of each family, in units of the noise.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
+        dof: degrees of freedom of the readings beside the model's unknowns.
     """
     inner, data = projected[np.ix_(order, order)], projected[order, -1]
     family = np.append(own, np.full(len(order) - len(own), len(ratio)))
-    gram = Gram(inner, data, float(projected[-1, -1]), family, freedom)
+    gram = Gram(inner, data, float(projected[-1, -1]), family, dof)
     logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null for s, p in priors.IMPERFECTION_SIZES.items()]
     return float(np.sqrt(special.softmax(logs) @ np.square(list(priors.IMPERFECTION_SIZES))))
 
@@ -407,18 +407,18 @@ def _with_random(
     return found, step, covariance
 
 
-def _scatter(chi_square: float, freedom: int) -> float:
+def _scatter(chi_square: float, dof: int) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
     Either what was declared holds, as knowledge worth a number of readings, or it says next to nothing: the mean of the
     variance over both, by the probability that each gives the readings' scatter (inverse-gamma priors). Less scatter
     makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    worth = np.array([priors.DECLARED_DOF, priors.HARDLY_DECLARED_DOF])
-    half = 0.5 * (freedom + worth)
-    logs = special.gammaln(half) - special.gammaln(0.5 * worth) + 0.5 * worth * np.log(worth)
-    logs = logs - half * np.log(worth + chi_square)
-    variance = special.softmax(logs) @ ((worth + chi_square) / (worth + freedom))
+    prior = np.array([priors.DECLARED_DOF, priors.HARDLY_DECLARED_DOF])
+    half = 0.5 * (dof + prior)
+    logs = special.gammaln(half) - special.gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
+    logs = logs - half * np.log(prior + chi_square)
+    variance = special.softmax(logs) @ ((prior + chi_square) / (prior + dof))
     return float(np.sqrt(max(variance, 1.0)))
 
 
