@@ -45,7 +45,7 @@ WHOLE = ("tracking_2d", "iso230_2")
 ABOUT = {
     "machine": {"name": "VMC <850> & </script>", "serial": "007"},
     "date": "2026-03-01",
-    "operator": "Erika Müller",
+    "operator": "Erika Müller\x1b[31m",
 }
 
 
@@ -158,6 +158,7 @@ def test_what_people_wrote_cannot_become_part_of_the_page():
     text = page("tracking_2d", "en")
     assert "VMC &lt;850&gt; &amp; &lt;/script&gt;" in text
     assert "VMC <850>" not in text
+    assert "\x1b" not in text and "Erika Müller\ufffd[31m" in text
 
 
 @pytest.mark.parametrize("name", ["tracking_2d", "rotary_axis"])

@@ -33,7 +33,7 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "dominant", "expected_model", "limits_of"]
+__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "angular_size", "dominant", "expected_model", "limits_of"]
 
 ANGULAR = 5e-6
 """Root mean square of a usual machining centre's angular errors, rad."""
@@ -158,9 +158,13 @@ def limits_of(session: Session, model: str | None = None) -> Dominant | None:
         built = build_model(session, model)[0]
     except CalibrationError:
         return None
-    spread = built.spread if isinstance(built, StepDiagonalModel) else None
-    angular = ANGULAR if spread is None else spread.size
-    return dominant(session, model=model, angular=angular, drift=DRIFT * max(_warming(session), 1.0))
+    return dominant(session, model=model, angular=angular_size(built), drift=DRIFT * max(_warming(session), 1.0))
+
+
+def angular_size(model: MethodModel) -> float:
+    """What the readings of a model say of the size of the machine's angular errors, rad; what is usual if nothing."""
+    spread = model.spread if isinstance(model, StepDiagonalModel) else None
+    return ANGULAR if spread is None else spread.size
 
 
 def _warming(session: Session) -> float:

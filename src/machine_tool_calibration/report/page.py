@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = ["check_endings", "html", "save_pictures", "write_report"]
 
+# Control characters, which no text needs and a terminal obeys, become the sign for one that cannot be shown.
+_UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0)} - {0x09, 0x0A, 0x0D}, "\ufffd")
+
 
 def write_report(
     found: Evaluation,
@@ -92,7 +95,7 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
     if for_paper:  # where nothing can be turned
         content = [own for own in content if not all(isinstance(block, Turnable) for block in own.blocks)]
     machines = [name_of_machine(one.about) for one in origin.sessions]
-    return environment.get_template("report.html").render(
+    page = environment.get_template("report.html").render(
         words=words,
         sections=content,
         origin=origin,
@@ -104,6 +107,7 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         drawings=json.dumps(drawings).replace("</", "<\\/") if interactive else "",
         library=library() if interactive else "",
     )
+    return page.translate(_UNPRINTABLE)
 
 
 def _numbers(table: TextTable) -> list[int]:

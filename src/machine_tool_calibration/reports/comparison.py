@@ -13,7 +13,7 @@ from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
-__all__ = ["comparison_columns", "comparison_document", "in_words"]
+__all__ = ["comparison_columns", "comparison_document", "in_words", "stand_out"]
 
 
 # p-value at which repeats speak against the model.
@@ -40,8 +40,8 @@ def _own_in_words(comparison: Comparison) -> str:
         first = f"the model fits {nearly}within the declared uncertainty ({declared}; {p_value(p)})"
     else:
         first = f"the readings scatter {rounded(ratio)} times the declared uncertainty; {_where(comparison)}"
-    apart = _stand_out(len(comparison.outliers))
-    cause = " What the cause is, `mtcal diagnose` says." if how == "bad" else ""
+    apart = f" {stand_out(len(comparison.outliers))}." if comparison.outliers else ""
+    cause = " What the cause is, a diagnosis says." if how == "bad" else ""
     return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
 
 
@@ -49,7 +49,8 @@ def _joint_in_words(comparison: JointComparison) -> str:
     """Whether the common model fits all sessions, and if not, which it fits worst."""
     joint = comparison.joint
     ratio, p = joint.reduced_chi_square**0.5, joint.p_value
-    apart = _stand_out(sum(len(one.outliers) for one in comparison.sessions))
+    count = sum(len(one.outliers) for one in comparison.sessions)
+    apart = f" {stand_out(count)}." if count else ""
     how = fits(p)
     if how == "too well":
         return f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large.{apart}"
@@ -62,7 +63,7 @@ def _joint_in_words(comparison: JointComparison) -> str:
         where = f"worst is session {label} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)"
     return (
         f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}.{apart} Whether the sessions "
-        "contradict each other, `mtcal identify` says."
+        "contradict each other, the result of all together says."
     )
 
 
@@ -98,10 +99,9 @@ def _repeats(overall: Overall, apart: bool) -> str:
     )
 
 
-def _stand_out(count: int) -> str:
-    if not count:
-        return ""
-    return f" {count} reading{'s do' if count > 1 else ' does'} not belong to the rest: `mtcal identify` names them."
+def stand_out(count: int) -> str:
+    """That so many readings do not belong to the rest."""
+    return f"{count} reading{'s do' if count > 1 else ' does'} not belong to the rest"
 
 
 def comparison_document(comparison: Comparison | JointComparison) -> dict[str, Any]:

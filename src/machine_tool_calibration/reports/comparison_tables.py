@@ -120,7 +120,7 @@ def _note(comparison: Comparison, shown: list[list[Trend]]) -> str:
         notes.append(f"fully correlated with the model's own unknowns: {', '.join(hidden)}")
     notes.append(
         f"{tried} tried: the smallest of so many p-values is about {1 / (tried + 1):.1g} where the model is right; "
-        "`mtcal diagnose` allows for that"
+        "a diagnosis allows for that"
     )
     return "; ".join(notes)
 

@@ -44,11 +44,14 @@ __all__ = [
 
 
 def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed."""
+    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
+
+    In shares: what U is, the map says, and the sizes assumed here are no part of that.
+    """
     if found.cause == "readings":
         yield (
-            f"the readings' own scatter dominates the map's uncertainty, U = {quantity(2 * found.uncertainty, 'm')} "
-            f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats help"
+            f"the readings' own scatter dominates the map's uncertainty: {100 * found.shares['readings']:.0f} % of its "
+            "variance; more repeats help"
         )
         return
     share = f"{100 * found.shares[found.cause]:.0f} % of its variance"
@@ -56,14 +59,13 @@ def dominant_words(found: Dominant) -> Iterator[str]:
     if found.cause == "time":
         assumed = f"a drift of {quantity(found.drift, 'm/s')}"
     yield (
-        f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty, "
-        f"U = {quantity(2 * found.uncertainty, 'm')} (k = 2) on the average: {share}, for {assumed}"
+        f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty: {share}, for {assumed}"
     )
     for remedy in found.remedies:
         besides = f", and {remedy.aside}" if remedy.aside else ""
         time = f" ({duration(remedy.seconds)}{besides})" if remedy.seconds is not None else ""
-        again = "" if found.again is None else f"; the same once more: {quantity(2 * found.again, 'm')}"
-        yield f"  {remedy.measure}{time}: U = {quantity(2 * remedy.uncertainty, 'm')}{again}"
+        again = "" if found.again is None else f", the same once more {100 * found.again / found.uncertainty:.0f} %"
+        yield f"  {remedy.measure}{time} leaves {100 * remedy.uncertainty / found.uncertainty:.0f} % of U{again}"
     if not found.remedies:
         yield "  none of the further measurements that were considered does clearly better than the same once more"
 
@@ -316,8 +318,7 @@ def _detectable(diagnosis: Diagnosis) -> TextTable:
             rows.append((found.name, *_smallest(found, sizes)))
     rows.sort()
     title = "Smallest size that this measurement would have found (80 % power)"
-    note = "what each coefficient is, `mtcal effects ID` says" if rows else ""
-    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows), note)
+    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows))
 
 
 def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, str]:

@@ -23,6 +23,7 @@ __all__ = [
     "duration",
     "fixed",
     "micrometres",
+    "millimetres",
     "not_ruled_out",
     "p_value",
     "plus_minus",
@@ -119,6 +120,14 @@ def micrometres(metres: float | None, *, signed: bool = False) -> str:
     if abs(metres) < _NOTHING:
         return "0"
     return f"{'+' if signed and metres > 0 else ''}{rounded(1e6 * metres)}"
+
+
+def millimetres(metres: float, places: int = 6) -> str:
+    """A long distance in millimetres down to the nanometre, in groups of three digits; a dash if it is not known."""
+    if not math.isfinite(metres):
+        return NOT_DETERMINED
+    whole, rest = f"{1e3 * metres:,.{places}f}".split(".")
+    return f"{whole}.{','.join(rest[k : k + 3] for k in range(0, places, 3))}".replace(",", "\u202f")
 
 
 def probability(value: float | None) -> str:

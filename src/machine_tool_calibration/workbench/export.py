@@ -38,6 +38,7 @@ class ExportPage:
     """Report, tables and controller files of the model in use."""
 
     title = "Export"
+    about = "Report, tables and files for a controller, all of the model in use."
     blocks = 10
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
