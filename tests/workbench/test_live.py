@@ -95,15 +95,6 @@ def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(ses
     assert heard.count[1] == 3 and heard.setups == session.setup_ids
 
 
-def test_readings_of_earlier_releases_name_their_setup_in_the_header(session: Session) -> None:
-    heard = Heard()
-    for k, frame in enumerate(("first", "second", "first")):
-        heard.read(START + k, Reading(frame, ("displacement",), (1e-3,)))
-    heard.describe(description_yaml(session.description))
-    heard.read(START + 9, Reading(session.setup_ids[2], ("displacement",), (1e-3,)))
-    assert [setup for setup, _ in heard.rows(-1, 0)[2]] == [0, 1, 0, 2]
-
-
 def state(node: str, kind: str, at: float, *, repeats: bool, message: str = "measuring") -> NodeState:
     return NodeState(node, kind, 0, message, at=at, repeats=repeats)
 
@@ -158,18 +149,6 @@ def test_a_request_is_answered_or_its_node_has_gone() -> None:
     for _ in range(20):
         heard.ask("estimator/identify")
     assert len(heard.calls) < 10
-
-
-def test_answers_are_told_in_the_units_of_people() -> None:
-    from machine_tool_calibration.workbench.live import answer_words
-
-    assert answer_words("measuring 288 readings") == "measuring 288 readings"
-    content = {"observations": 288, "rms_residual": 2.5e-7, "accepted": [], "reduced_chi_square": 1.04321, "missing": 0}
-    assert answer_words(json.dumps(content)) == (
-        "observations 288; RMS residual 0.250 µm; accepted none; reduced chi square 1.04"
-    )
-    assert answer_words('{"summary": "All is well.", "p_value": 0.5}') == "All is well."
-    assert answer_words("[1]") == "[1]"
 
 
 @pytest.mark.parametrize("most", [1, 4, 10])

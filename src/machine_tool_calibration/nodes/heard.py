@@ -10,13 +10,14 @@ import re
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.session.collect import Reading, Received
-from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
 
@@ -131,7 +132,6 @@ class Heard:
         self._rows: list[tuple[int, float]] = []
         self._run = 0
         self._first: int | None = None
-        self._frames: list[str] = []
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
         self._calls: dict[int, Call] = {}
@@ -151,7 +151,7 @@ class Heard:
         Raises:
             CalibrationError: it is none.
         """
-        setups = tuple(setup.id for setup in parse_description(text, "session").setups)
+        setups = tuple(setup.id for setup in description_of(text).setups)
         with self._lock:
             self.description, self.setups = text, setups
 
@@ -173,19 +173,11 @@ class Heard:
             received = Received() if again else self._received
             if received.add(stamp, reading) or again:
                 self._received = received
-                self._rows, self._frames, self._run = [], [], self._run + 1
+                self._rows, self._run = [], self._run + 1
             if len(self._received) > len(self._rows):
-                setup = int(index) if np.isfinite(index) else self._of_frame(reading.frame)
+                setup = int(index) if np.isfinite(index) else 0
                 self._first = stamp if not self._rows else self._first
                 self._rows.append((setup, displacement))
-
-    def _of_frame(self, frame: str) -> int:
-        """Of earlier releases, whose readings name their setup in the header."""
-        if frame in self.setups:
-            return self.setups.index(frame)
-        if frame not in self._frames:
-            self._frames.append(frame)
-        return self._frames.index(frame)
 
     def say(self, state: NodeState) -> None:
         """A node said how it is: again and again, or on the topic of its own.
@@ -200,7 +192,7 @@ class Heard:
                 raise CalibrationError(f"more than {_NODES} nodes")
             states[key] = state
 
-    def publish(self, **changes: Mapping[str, Array] | str) -> None:
+    def publish(self, **changes: Any) -> None:
         """The estimator published a part of its result; the arguments are fields of `Published`."""
         self.published = replace(self.published, number=self.published.number + 1, **changes)
 

@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from functools import partial
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -37,10 +38,11 @@ from machine_tool_calibration.session.collect import Reading
 
 __all__ = ["Listener"]
 
-_REST = 0.05  # s in which messages gather: to wake for each of a thousand a second costs twice as much
+_REST = 0.1  # s between looks at whether it is over
 _LOOK = 0.5  # s between looks at which services there are
 _PATIENCE = 5  # looks; a first answer is lost where the server does not know its client yet
 _NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
+_GOAL = re.compile("goal ([0-9a-f]{32}): ")
 _TYPES = {"std_srvs/srv/Trigger", "rcl_interfaces/srv/GetParameters"}
 _PERMISSION = "services_move_axes"
 _FIELDS = {"error_map": FIELDS, "residuals": ("row", "setup", "residual")}
@@ -69,9 +71,11 @@ class Listener:
         self._clients: dict[str, Client] = {}
         self._asked: dict[str, int] = {}
         self._allowed: dict[str, bool] = {}
+        self._goals: dict[str, int] = {}  # which call began a calculation
         node = self._node
         node.create_subscription(String, "session", lambda message: heard.describe(message.data), LATCHED)
         node.create_subscription(JointState, "reading", self._read, READINGS)
+        node.create_subscription(DiagnosticArray, "estimator/outcome", self._ended, LATCHED)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, SLOW)
         for topic, latched in _STATUSES.items():
             tell = partial(self._said, topic.rpartition("/")[0])
@@ -102,15 +106,26 @@ class Listener:
                 self._heard.answer(number, False, "the service is not there")
                 return
             asked = client.call_async(Trigger.Request())
-            asked.add_done_callback(
-                lambda done: self._heard.answer(number, done.result().success, done.result().message)
-            )
+            asked.add_done_callback(lambda done: self._answered(number, done.result()))
 
         post(self._node, call)
 
+    def _answered(self, number: int, response: Trigger.Response) -> None:
+        goal = _GOAL.match(response.message) if response.success else None
+        if goal is None:
+            self._heard.answer(number, response.success, response.message)
+        else:  # a calculation has begun; what it gives is the answer
+            self._goals[goal[1]] = number
+
+    def _ended(self, message: DiagnosticArray) -> None:
+        for outcome in message.status[:1]:
+            number = self._goals.pop(outcome.hardware_id, None)
+            if number is not None:
+                self._heard.answer(number, not outcome.level[0], outcome.message)
+
     def _hear(self) -> None:
-        while not self._over.wait(_REST):
-            self._guest.hear_all()
+        while not self._over.is_set():
+            self._guest.hear(_REST)
 
     def _read(self, message: JointState) -> None:
         names = tuple(message.name)
@@ -184,7 +199,7 @@ class Listener:
         self._asked[name] = self._asked.get(name, 0) - 1
         return self._allowed.get(name)
 
-    def _permitted(self, name: str, values: list) -> None:
+    def _permitted(self, name: str, values: list[Any]) -> None:
         self._allowed[name] = bool(values and values[0].bool_value)
 
 
