@@ -41,7 +41,7 @@ from worlds import ALIKE, ROWS, UNLISTED, Row, Values, World, gain, least_square
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.restated import declared
+from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session

@@ -12,10 +12,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from papers.study_probing import fit_first_case
 
 from machine_tool_calibration.methods.probing.map import responses
 from machine_tool_calibration.methods.probing.propagation import monte_carlo
-from machine_tool_calibration.validation.study_probing import fit_first_case
 
 
 def main() -> None:

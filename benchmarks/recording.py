@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +29,10 @@ from machine_tool_calibration.recording.cdr import (
     JOINT_STATE,
     NUMBERS,
     JointStateReader,
+    decode,
     definition_of,
     encode,
     encode_joint_state,
-    numbers,
     part,
     typestore,
 )
@@ -91,8 +92,8 @@ def speed(count: int) -> None:
 
     def read_own(path: Path, topic: str, kind: str) -> int:
         states = JointStateReader()
-        decode: Callable[[bytes], object] = numbers if kind == NUMBERS else states.read
-        return sum(decode(message.data) is not None for message in BagReader(path).messages([topic]))
+        read: Callable[[bytes], object] = states.read if kind == JOINT_STATE else partial(decode, kind)
+        return sum(read(message.data) is not None for message in BagReader(path).messages([topic]))
 
     def read_rosbags(path: Path, topic: str, kind: str) -> int:
         store = typestore()
@@ -225,7 +226,9 @@ def live(seconds: float) -> None:
             process.wait(timeout=30)
             stopped = time.perf_counter() - begin
         bag = BagReader(path)
-        samples = np.concatenate([numbers(message.data) for message in bag.messages(["/instrument/displacement"])])
+        samples = np.concatenate(
+            [decode(NUMBERS, message.data).data for message in bag.messages(["/instrument/displacement"])]
+        )
         assert np.array_equal(samples, np.arange(len(samples)))
         delays = [message.log_time - message.publish_time for message in bag.messages(["/joint_states"])]
         print(
@@ -252,7 +255,9 @@ def kill(count: int, seed: int) -> None:
             report = recover(path, saved)
             bag = BagReader(saved)
             *_, last = bag.messages(["/joint_states"])
-            samples = np.concatenate([numbers(message.data) for message in bag.messages(["/instrument/displacement"])])
+            samples = np.concatenate(
+                [decode(NUMBERS, message.data).data for message in bag.messages(["/instrument/displacement"])]
+            )
             assert np.array_equal(samples, np.arange(len(samples))), "a gap"
             cost = killed - float(JointStateReader().read(last.data).positions[0])
             costs.append(cost)

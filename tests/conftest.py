@@ -131,5 +131,7 @@ def ros_domain() -> int:
 @pytest.fixture
 def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is published takes all to reproduce and the model for exact, for what is known in closed form then."""
-    monkeypatch.setattr("machine_tool_calibration.model.stated.reproducibility", lambda observations: ())
-    monkeypatch.setattr("machine_tool_calibration.model.stated.imperfection", lambda observations: np.zeros((0, 1)))
+    monkeypatch.setattr("machine_tool_calibration.model.marginal_fit.reproducibility", lambda observations: ())
+    monkeypatch.setattr(
+        "machine_tool_calibration.model.marginal_fit.imperfection", lambda observations: np.zeros((0, 1))
+    )

@@ -14,7 +14,7 @@ from machine_tool_calibration.budget.contributor import Contributor, default_bud
 from machine_tool_calibration.budget.propagate import KNOWN, REPEATABILITY, Budget, propagate
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
-from machine_tool_calibration.model.restated import changed, declared
+from machine_tool_calibration.model.refits import changed, declared
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 

@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
-from machine_tool_calibration.methods.fitted import FitRequest, joint_models
+from machine_tool_calibration.methods.fitted import joint_models
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
@@ -148,8 +148,7 @@ def test_every_session_keeps_the_variant_of_the_history(several_methods: list[st
         )  # fmt: skip
         for step in (1, -1):
             sessions = tuple(opened[::step])
-            said_of = entry.of_sessions(prints[::step], [path.name for path in paths][::step])
-            _, models = joint_models(FitRequest(sessions, ("a", "b"), entry.variant(said_of, sessions)))
+            _, models = joint_models(entry.request(sessions, [path.name for path in paths][::step], prints[::step]))
             assert models[::step] == names
 
 

@@ -43,21 +43,21 @@ def test_a_grid_of_sizes_ends_where_its_weight_ends() -> None:
 def test_folding_is_the_inverse_of_the_covariance() -> None:
     wide, spread, readings = columns(1, 3), columns(2, 5), columns(3, 1)[:, 0]
     ratio, place = (0.7, 2.5), np.array([0, 0, 0, 1, 1])
-    metric = marginal_at(replace(gram_of(wide, spread, readings), family=place), ratio)
+    marginal = marginal_at(replace(gram_of(wide, spread, readings), family=place), ratio)
     covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
     every = np.column_stack([wide, spread])
-    assert metric.inner(slice(None), slice(None)) == pytest.approx(every.T @ np.linalg.solve(covariance, every))
-    assert metric.data[:, 0] == pytest.approx(every.T @ np.linalg.solve(covariance, readings))
-    assert metric.squares[0] == pytest.approx(readings @ np.linalg.solve(covariance, readings))
-    assert metric.log_prior == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1])
+    assert marginal.inner(slice(None), slice(None)) == pytest.approx(every.T @ np.linalg.solve(covariance, every))
+    assert marginal.data == pytest.approx(every.T @ np.linalg.solve(covariance, readings))
+    assert marginal.squares == pytest.approx(readings @ np.linalg.solve(covariance, readings))
+    assert marginal.log_prior == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1])
 
 
 def test_no_spread_folds_to_nothing() -> None:
     gram = gram_of(columns(1, 3), columns(2, 5), columns(3, 1)[:, 0])
-    metric = marginal_at(gram, (0.0,))
-    assert metric.log_prior == 0.0
-    assert metric.half.shape == (0, 8)
-    assert metric.inner(slice(None), slice(None)) == pytest.approx(gram.inner)
+    marginal = marginal_at(gram, (0.0,))
+    assert marginal.log_prior == 0.0
+    assert marginal.half.shape == (0, 8)
+    assert marginal.inner(slice(None), slice(None)) == pytest.approx(gram.inner)
 
 
 @pytest.mark.parametrize("spread_columns", [0, 3])
@@ -67,24 +67,24 @@ def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_col
     gram = gram_of(wide, spread, readings)
     member, scale = np.array([1, 2]), np.array([0.7, 1.3])
     for ratio, prior, _ in size_grid(gram):
-        metric = marginal_at(gram, ratio, prior)
-        beside = metric.beside(member, scale)
+        marginal = marginal_at(gram, ratio, prior)
+        beside = marginal.with_columns(member, scale)
         own = wide[:, member] * scale
         covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
         inverse = np.linalg.inv(covariance)
         assert beside.inner(slice(3), slice(3)) == pytest.approx(wide.T @ inverse @ wide, abs=1e-8)
-        assert beside.data[:3, 0] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
-        assert beside.squares[0] == pytest.approx(readings @ inverse @ readings)
-        assert beside.log_null[0] == pytest.approx(prior + log_marginal(readings, covariance))
-        assert metric.log_beside(member, scale) == pytest.approx(beside.log_null[0])
+        assert beside.data[:3] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
+        assert beside.squares == pytest.approx(readings @ inverse @ readings)
+        assert beside.log_null == pytest.approx(prior + log_marginal(readings, covariance))
+        assert marginal.log_null_with(member, scale) == pytest.approx(beside.log_null)
 
 
 def test_folding_one_after_the_other_is_folding_both() -> None:
     wide = columns(13, 3)
     gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
-    metric = marginal_at(gram, (2.0,))
+    marginal = marginal_at(gram, (2.0,))
     one, two = np.array([0]), np.array([2])
-    apart = metric.beside(one, np.array([0.4])).beside(two, np.array([1.1]))
-    together = metric.beside(np.array([0, 2]), np.array([0.4, 1.1]))
+    apart = marginal.with_columns(one, np.array([0.4])).beside(two, np.array([1.1]))
+    together = marginal.with_columns(np.array([0, 2]), np.array([0.4, 1.1]))
     assert apart.log_null == pytest.approx(together.log_null)
     assert apart.data == pytest.approx(together.data)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, size_grid
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.marginal import Gram, size_grid
 from machine_tool_calibration.estimation.variance_components import components
 
 GROUPS, EACH = 6, 6
@@ -43,7 +44,7 @@ def projected(model: np.ndarray, spread: np.ndarray, place: np.ndarray, readings
     both = np.column_stack([spread, readings])
     both = both - q @ (q.T @ both)
     gram = both.T @ both
-    return Gram(gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1], place, len(readings) - model.shape[1])
+    return Gram(gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1]), place, len(readings) - model.shape[1])
 
 
 def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarray) -> tuple[float, float]:
@@ -52,11 +53,11 @@ def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarr
     normal = model.T @ inverse @ model
     rest = readings - model @ np.linalg.solve(normal, model.T @ inverse @ readings)
     squares = float(rest @ inverse @ rest)
-    freedom = len(readings) - model.shape[1]
+    dof = len(readings) - model.shape[1]
     log_variance = np.linspace(-6.0, 6.0, 4001)
     # Scaled inverse chi-square about the declared variance, in the logarithm of the variance.
-    prior = -0.5 * DECLARED_DOF * (log_variance + np.exp(-log_variance))
-    likelihood = -0.5 * freedom * log_variance - 0.5 * squares * np.exp(-log_variance)
+    prior = -0.5 * priors.DECLARED_DOF * (log_variance + np.exp(-log_variance))
+    likelihood = -0.5 * dof * log_variance - 0.5 * squares * np.exp(-log_variance)
     determinants = -0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1])
     return float(determinants + logsumexp(prior + likelihood)), squares
 

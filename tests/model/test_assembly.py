@@ -142,7 +142,6 @@ def result_of(model):
         model_name="line",
         rejected=(),
         observations=9,
-        alone=error_map,
     )
 
 

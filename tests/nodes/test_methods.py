@@ -128,7 +128,7 @@ def _session(operator):
 
     collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
     for message in operator.readings:
-        collector.add(message.header.frame_id, list(message.name), list(message.position))
+        collector.add(list(message.name), list(message.position))
     return collector.session("live", check=True)
 
 

@@ -72,7 +72,7 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
 def session_of(operator):
     collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
     for message in operator.readings:
-        collector.add(message.header.frame_id, list(message.name), np.asarray(message.position))
+        collector.add(list(message.name), np.asarray(message.position))
     return collector.session("live")
 
 

@@ -44,23 +44,14 @@ def test_value_by_name() -> None:
     assert np.isnan(state.value("y"))
 
 
-@given(st.lists(st.floats(), max_size=40), st.text("ab,", max_size=5))
-def test_numbers_as_the_library_reads_them(values: list[float], label: str) -> None:
-    dims = [cdr.part("std_msgs/msg/MultiArrayDimension", label, len(values), 1)] * (len(values) % 3)
-    data = cdr.encode(cdr.NUMBERS, cdr.part("std_msgs/msg/MultiArrayLayout", dims, 0), np.array(values, dtype=float))
-    assert cdr.numbers(data).tobytes() == np.array(values, dtype=float).tobytes()
-
-
 def test_big_endian() -> None:
     text = b"\x00\x00\x00\x00" + b"\x00\x00\x00\x03hi\x00"
     assert cdr.text(text) == "hi"
-    numbers = b"\x00\x00\x00\x00" + bytes(8) + b"\x00\x00\x00\x01" + bytes(4) + np.array([2.5], dtype=">f8").tobytes()
-    assert cdr.numbers(numbers).tolist() == [2.5]
 
 
 @given(st.binary(max_size=200), st.sampled_from([0, 1]))
 def test_noise_gives_session_errors_only(data: bytes, order: int) -> None:
-    for read in (cdr.JointStateReader().read, cdr.numbers, cdr.text, *(_reader(topic.type) for topic in GRAPH_TOPICS)):
+    for read in (cdr.JointStateReader().read, cdr.text, *(_reader(topic.type) for topic in GRAPH_TOPICS)):
         try:
             read(bytes([0, order, 0, 0]) + data)
         except SessionError as error:

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.cdr import TEXT, decode, definition_of, encode, typestore
-from machine_tool_calibration.recording.mcap_file import MAGIC
+from machine_tool_calibration.recording.mcap_reader import MAGIC
 from machine_tool_calibration.recording.reader import BagReader
 
 
@@ -210,7 +210,7 @@ def test_bombs(tmp_path: Path, size: int, claimed: int, copies: int, expected: s
 
 
 def test_many_bombs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from machine_tool_calibration.recording import records as chunks
+    from machine_tool_calibration.recording import mcap_reader as chunks
 
     monkeypatch.setattr(chunks, "_FREE", 1 << 20)
     path = foreign(tmp_path / "many.mcap")

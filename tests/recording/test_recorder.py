@@ -22,7 +22,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
 from machine_tool_calibration.errors import UnfinishedError
-from machine_tool_calibration.recording.cdr import JointStateReader, numbers, text
+from machine_tool_calibration.recording.cdr import NUMBERS, JointStateReader, decode, text
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.recover import recover
 
@@ -97,7 +97,7 @@ def stop(process: Recorder, number: int = signal.SIGINT) -> str:
 
 
 def samples_of(bag: BagReader, topic: str = "/instrument/displacement") -> np.ndarray:
-    return np.concatenate([numbers(message.data) for message in bag.messages([topic])])
+    return np.concatenate([decode(NUMBERS, message.data).data for message in bag.messages([topic])])
 
 
 def test_a_graph_in_its_namespace(tmp_path: Path, ros_domain: int) -> None:

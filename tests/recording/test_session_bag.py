@@ -49,13 +49,6 @@ def test_there_and_back(name: str, namespace: str, tmp_path: Path) -> None:
     assert_equal(session, open_measurement(tmp_path / "bag" / "bag_0.mcap"))
 
 
-def test_a_recording_whose_frames_are_ids_of_setups_as_in_earlier_releases() -> None:
-    bag = DATA / "earlier_recording"
-    frames = [JointStateReader().read(message.data).frame for message in BagReader(bag).messages(["/reading"])]
-    assert list(dict.fromkeys(frames)) == ["A", "B", "C", "D"]
-    assert_equal(read_session(bag / "session"), session_from_bag(bag))
-
-
 def test_readings_are_in_the_frame_of_the_machine(tmp_path: Path) -> None:
     session = read_session(DATA / "rotary_axis")
     session_to_bag(session, tmp_path / "bag")
@@ -164,35 +157,36 @@ def test_a_description_that_is_sent_again_changes_nothing(tmp_path: Path) -> Non
     assert_equal(session, session_from_bag(tmp_path / "bag"))
 
 
-def damaged(tmp_path: Path, setup: str, names: list[str], values: list[float]) -> str:
+def damaged(tmp_path: Path, names: list[str], values: list[float]) -> str:
     session = read_session(DATA / "rotary_axis")
     with BagWriter(tmp_path / "bag") as bag:
         write(bag, session, rows=slice(0, 3))
-        bag.write("/reading", encode_joint_state(9, setup, names, np.array(values)), 10)
+        bag.write("/reading", encode_joint_state(9, "machine", names, np.array(values)), 10)
     with pytest.raises(SessionError) as caught:
         session_from_bag(tmp_path / "bag")
     return str(caught.value).removeprefix(f"{tmp_path}/bag ")
 
 
-GOOD = ["time", "repeat", "target_index", "c", "displacement"]
+GOOD = ["time", "repeat", "setup_index", "target_index", "c", "displacement"]
 
 
 @pytest.mark.parametrize(
-    ("setup", "names", "values", "expected"),
+    ("names", "values", "expected"),
     [
-        ("E", GOOD, [9, 0, 0, 0, 0], "/reading row 3: unknown setup 'E'; session has A, B, C, D"),
-        ("A", GOOD, [9, 0, 7, 0, 0], "/reading row 3: target_index is 7, not 0 to 2"),
-        ("A", GOOD, [9, 0, 0.5, 0, 0], "/reading row 3: target_index is 0.5, not 0 to 2"),
-        ("A", GOOD, [9, 0, np.nan, 0, 0], "/reading row 3: target is empty; session has P, Q, K"),
-        ("A", GOOD, [9, 0.5, 0, 0, 0], "/reading row 3: repeat is 0.5, not 0, 1, 2 …"),
-        ("A", GOOD, [9, 0, 0, 0], "/reading row 3: 5 names and 4 values"),
-        ("A", ["c", "c"], [0, 0], "/reading row 3: a name stands twice in c, c"),
-        ("A", GOOD, [1, 0, 0, 0, 0], "/reading row 3: time runs backwards, from 6 s to 1 s"),
-        ("A", GOOD, [9, 0, 0, 0, 0], "/reading: 1 station; rotary_axis needs at least 3 (no reading from B, C, D)"),
+        (GOOD, [9, 0, 4, 0, 0, 0], "/reading row 3: setup_index is 4, not 0 to 3"),
+        (GOOD, [9, 0, np.nan, 0, 0, 0], "/reading row 3: setup is empty; session has A, B, C, D"),
+        (GOOD, [9, 0, 0, 7, 0, 0], "/reading row 3: target_index is 7, not 0 to 2"),
+        (GOOD, [9, 0, 0, 0.5, 0, 0], "/reading row 3: target_index is 0.5, not 0 to 2"),
+        (GOOD, [9, 0, 0, np.nan, 0, 0], "/reading row 3: target is empty; session has P, Q, K"),
+        (GOOD, [9, 0.5, 0, 0, 0, 0], "/reading row 3: repeat is 0.5, not 0, 1, 2 …"),
+        (GOOD, [9, 0, 0, 0, 0], "/reading row 3: 6 names and 5 values"),
+        (["c", "c"], [0, 0], "/reading row 3: a name stands twice in c, c"),
+        (GOOD, [1, 0, 0, 0, 0, 0], "/reading row 3: time runs backwards, from 6 s to 1 s"),
+        (GOOD, [9, 0, 0, 0, 0, 0], "/reading: 1 station; rotary_axis needs at least 3 (no reading from B, C, D)"),
     ],
 )
-def test_defects(tmp_path: Path, setup: str, names: list[str], values: list[float], expected: str) -> None:
-    assert damaged(tmp_path, setup, names, values) == expected
+def test_defects(tmp_path: Path, names: list[str], values: list[float], expected: str) -> None:
+    assert damaged(tmp_path, names, values) == expected
 
 
 @pytest.mark.parametrize("content", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 40])

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from machine_tool_calibration.errors import RecordingError
-from machine_tool_calibration.recording import mcap_file
+from machine_tool_calibration.recording import writer
 from machine_tool_calibration.recording.cdr import TEXT, encode
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.recover import recover
@@ -173,8 +173,8 @@ def test_a_topic_must_be_registered(tmp_path: Path) -> None:
         bag.write("/nowhere", b"", 0)
 
 
-def test_a_full_disk_costs_only_what_did_not_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    room = [6_000]
+def full_disk(monkeypatch: pytest.MonkeyPatch, room: list[int]) -> None:
+    """A disk that takes so many bytes more, and then half of a write before it fails."""
     write = os.write
 
     def limited(file: int, data: bytes) -> int:
@@ -184,28 +184,37 @@ def test_a_full_disk_costs_only_what_did_not_fit(tmp_path: Path, monkeypatch: py
         room[0] -= taken
         return write(file, bytes(data[:taken]))
 
-    monkeypatch.setattr(mcap_file.os, "write", limited)
+    monkeypatch.setattr(writer.os, "write", limited)
+
+
+def test_what_a_full_disk_refuses_waits_for_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = [6_000]
+    full_disk(monkeypatch, room)
+    monkeypatch.setattr(writer, "_MOST_WAITING", 5_000)
     bag = BagWriter(tmp_path / "bag", flush_seconds=3600)
     bag.add_topic("/text", TEXT)
-    refused = 0
-    for i in range(40):
-        bag.write("/text", encode(TEXT, os.urandom(100).hex()), i)
+    taken, refused = 0, set()
+    for i in range(60):
         try:
+            bag.write("/text", encode(TEXT, os.urandom(100).hex()), i)
+            taken += 1
             bag.flush()
         except RecordingError as error:
             assert "No space left on device" in str(error)
             assert "mtcal recover" in str(error)
-            refused += 1
-    assert 0 < refused < 40
-    assert bag.lost == refused
-    assert bag.messages == 40 - refused
+            refused.add(i)
+    assert 20 < taken < 60 and len(refused) > 60 - taken
+    assert bag.messages == taken and bag.waits
     room[0] = 10**9  # somebody made room
+    assert 0 < recover(tmp_path / "bag", tmp_path / "new").messages < taken  # as if it had been killed
     bag.write("/text", encode(TEXT, "again"), 100)
+    bag.flush()
+    assert not bag.waits
     bag.close()
     monkeypatch.undo()
-    assert BagReader(tmp_path / "bag").messages_in_all == 41 - refused
+    assert BagReader(tmp_path / "bag").messages_in_all == taken + 1
     with Reader(tmp_path / "bag") as reader:
-        assert sum(1 for _ in reader.messages()) == 41 - refused
+        assert sum(1 for _ in reader.messages()) == taken + 1
 
 
 def test_a_disk_that_is_full_between_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,16 +222,16 @@ def test_a_disk_that_is_full_between_two_files(tmp_path: Path, monkeypatch: pyte
     bag.add_topic("/text", TEXT)
     bag.write("/text", encode(TEXT, "first"), 0)
     bag.flush()
-    opened = mcap_file.os.open
+    opened = writer.os.open
 
     def refused(*arguments: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(mcap_file.os, "open", refused)
+    monkeypatch.setattr(writer.os, "open", refused)
     for i in (2, 3):
         with pytest.raises(RecordingError, match="No space left"):
             bag.write("/text", encode(TEXT, "refused"), i * 10**9)
-    monkeypatch.setattr(mcap_file.os, "open", opened)
+    monkeypatch.setattr(writer.os, "open", opened)
     bag.write("/text", encode(TEXT, "second"), 4 * 10**9)
     bag.close()
     texts = [BagReader(bag.folder).decode(message).data for message in BagReader(bag.folder).messages()]
@@ -240,9 +249,10 @@ def test_a_disk_that_stays_full_leaves_what_recover_needs(tmp_path: Path, monkey
     def full(file: int, data: bytes) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(mcap_file.os, "write", full)
+    monkeypatch.setattr(writer.os, "write", full)
     bag.write("/text", encode(TEXT, "lost"), 2)
     with pytest.raises(RecordingError, match="No space left"):
         bag.close()
     monkeypatch.undo()
+    assert bag.messages == 1
     assert recover(tmp_path / "bag", tmp_path / "new").messages == 1

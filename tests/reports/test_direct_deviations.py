@@ -21,11 +21,11 @@ def step(model: str, scatter: float, p_value: float | None, *sizes: dict[str, An
     return {"model": model, "unknowns": 3, "rms": scatter, "scatter": scatter, "parameters": list(sizes), **known}
 
 
-def plate(*, curves: float, aside: list[int]) -> dict[str, Any]:
+def plate(*, curves: float) -> dict[str, Any]:
     scale = step("scale", 4e-6, 1e-9, size("scale", 3e-5, 1e-9))
     two = step("scales", 3e-6, 0.2, size("scale of X", 2e-5, 0.2), size("squareness", None, None))
     steps = [step("rigid", 9e-6, None), scale, two, step("curves", 2e-6, curves)]
-    return {"places": 100, "steps": steps, "set_aside": aside}
+    return {"places": 100, "steps": steps}
 
 
 def words(content: dict[str, Any]) -> list[str]:
@@ -33,24 +33,18 @@ def words(content: dict[str, Any]) -> list[str]:
 
 
 def test_the_steps_of_a_plate_say_what_is_significant() -> None:
-    (said,) = words({"plate": plate(curves=1e-4, aside=[])})
+    (said,) = words({"plate": plate(curves=1e-4)})
     assert said == (
         "Significant (p < 0.01): scale. Not significant: scale of X. Curves beyond that are significant "
         "(they take 1.00 µm)."
     )
-    table, *_ = direct_tables({"plate": plate(curves=1e-4, aside=[])})
+    (more,) = words({"plate": plate(curves=0.5)})
+    assert "Curves beyond that are not significant" in more
+    table, *_ = direct_tables({"plate": plate(curves=1e-4)})
     assert isinstance(table, TextTable) and len(table.rows) == 4
     _, one, two, _ = (row[-1] for row in table.rows)
     assert "(not significant)" not in str(one)
     assert "(not significant)" in str(two) and str(two).endswith("squareness not determined")
-
-
-def test_rows_that_were_left_out_of_the_steps_are_named_but_not_all_of_many() -> None:
-    first, one = words({"plate": plate(curves=0.5, aside=[7])})
-    assert "Curves beyond that are not significant" in first
-    assert one.startswith("Left out of these steps, but not of the fit: row 7 (the first row is 0)")
-    _, many = words({"plate": plate(curves=0.5, aside=list(range(20)))})
-    assert "rows 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 … (the" in many
 
 
 def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> None:

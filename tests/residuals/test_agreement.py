@@ -90,5 +90,5 @@ def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:
     change = np.zeros(len(readings))
     change[first] = [76.5e-6, 298e-6, -31.6e-6]
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
-    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert {o.row for o in found} == {int(readings.row[k]) for k in first}

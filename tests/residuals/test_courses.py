@@ -12,7 +12,7 @@ import pytest
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, set_aside, suspected_rows
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -32,7 +32,7 @@ setups:
 
 def found_in(session: Session) -> list[Outlier]:
     """What is set aside by the method's own model."""
-    return find_outliers(session, lambda part: build_model(part)[0])[0]
+    return find_outliers(session, lambda part: build_model(part)[0])
 
 
 def warming(folder: Path, constants: tuple[float, float], size: float, gross: dict[int, float]) -> Session:
@@ -70,9 +70,9 @@ def test_an_answer_does_not_depend_on_what_was_asked_before() -> None:
     def build(part: Session) -> MethodModel:
         return build_model(part)[0]
 
-    first = set_aside(session, build)[0]
+    first = find_outliers(session, build)
     suspected_rows(session, build)
-    assert set_aside(session, build)[0] == first
+    assert find_outliers(session, build) == first
 
 
 def test_a_place_that_is_lost_is_said() -> None:

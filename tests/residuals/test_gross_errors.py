@@ -12,7 +12,7 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.residuals.gross_errors import find_outliers, set_aside
+from machine_tool_calibration.residuals.gross_errors import find_outliers, without
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
@@ -45,7 +45,8 @@ def with_gross_errors(session: Session, share: float, seed: int) -> tuple[Sessio
 def test_gross_errors_of_five_percent_are_found(name: str) -> None:
     session = simulate(SimulationSpec(plan=PLANS[name], seed=11)).session
     wrong, rows = with_gross_errors(session, 0.05, 12)
-    found, kept = find_outliers(wrong, lambda part: build_model(part)[0])
+    found = find_outliers(wrong, lambda part: build_model(part)[0])
+    kept = without(wrong, found)
     fit = fit_models([build_model(kept)[0]]).fits[0]
     missed = rows - {o.row for o in found}
     if missed:
@@ -65,7 +66,7 @@ def test_what_a_doubtful_reading_decided_is_decided_anew() -> None:
     """Of two repeats the wrong one stayed, and by it sound readings of that place were taken for wrong ones."""
     plan = PRESETS["step_diagonal"].model_copy(update={"diagonals": ("ppp", "npp", "pnp"), "repeats": 2})
     wrong, rows = with_gross_errors(simulate(SimulationSpec(plan=plan, seed=34)).session, 0.05, 134)
-    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert rows <= {o.row for o in found}
     assert all(o.ambiguous for o in found if o.row not in rows)
 
@@ -77,7 +78,7 @@ def test_sound_readings_are_kept(name: str) -> None:
         noise = simulate(SimulationSpec(plan=PLANS[name], seed=seed)).session.sigma
         spread = Spread(slope=size * noise, bow=size * noise)
         session = simulate(SimulationSpec(plan=PLANS[name], seed=seed, spread=spread)).session
-        assert set_aside(session, lambda part: build_model(part)[0])[0] == []
+        assert find_outliers(session, lambda part: build_model(part)[0]) == []
 
 
 @pytest.mark.parametrize(
@@ -91,7 +92,7 @@ def test_sound_readings_are_kept(name: str) -> None:
 )
 def test_a_missing_effect_is_no_gross_error(name: str, effect: str, size: float) -> None:
     spec = SimulationSpec(plan=PLANS[name], seed=3, effects=(FlawSpec(id=effect, size=size),))
-    found, _ = set_aside(simulate(spec).session, lambda part: build_model(part)[0])
+    found = find_outliers(simulate(spec).session, lambda part: build_model(part)[0])
     assert len(found) <= 1
 
 
@@ -102,7 +103,7 @@ def test_a_step_within_a_run_is_no_gross_error() -> None:
     change = np.zeros(len(readings))
     change[mine[len(mine) // 2 :]] = 20 * session.sigma
     stepped = session.with_readings(replace(readings, displacement=readings.displacement + change))
-    assert set_aside(stepped, lambda part: build_model(part)[0])[0] == []
+    assert find_outliers(stepped, lambda part: build_model(part)[0]) == []
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -116,7 +117,7 @@ def test_several_at_an_angle_with_twice_as_many_readings_as_unknowns(seed: int) 
     change = np.zeros(len(readings))
     change[hit] = session.sigma * rng.uniform(20, 100, len(hit)) * rng.choice([-1.0, 1.0], len(hit))
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
-    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert set(readings.row[hit].tolist()) <= {o.row for o in found}
     assert all("nothing tells which is right" in o.reason for o in found if o.row not in readings.row[hit])
 
@@ -131,7 +132,8 @@ def test_what_only_a_doubtful_reading_could_tell_stays_wrong() -> None:
     change = np.zeros(len(readings))
     change[[154, 208]] = session.sigma * np.array([92.0, -92.0])
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
-    found, kept = set_aside(wrong, lambda part: build_model(part)[0])
+    found = find_outliers(wrong, lambda part: build_model(part)[0])
+    kept = without(wrong, found, as_lost=True)
     assert {154, 208} <= {o.row for o in found}
     assert np.isnan(kept.readings.displacement[[154, 208]]).all()
 
@@ -144,7 +146,7 @@ def test_two_at_the_end_of_a_run_are_no_lasting_change() -> None:
     first = np.flatnonzero((readings.setup == 1) & (readings.repeat == 0) & (target == target[0]))[:3]
     change[first[[0, 2]]] = -20 * session.sigma
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
-    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert {o.row for o in found} == set(readings.row[first[[0, 2]]].tolist())
 
 
@@ -154,7 +156,7 @@ def test_beside_a_missing_effect_what_is_far_beyond_all_others_is_found() -> Non
         plan=PRESETS["tracking_2d"], effects=(FlawSpec(id="backlash_y", size=2e-6),), chips=Chips(fraction=0.01)
     )
     made = simulate(spec)
-    found, _ = find_outliers(made.session, lambda part: build_model(part)[0])
+    found = find_outliers(made.session, lambda part: build_model(part)[0])
     assert len(made.truth.outliers) == 5
     assert sorted(o.row for o in found) == sorted(made.truth.outliers)
 
@@ -163,7 +165,7 @@ def test_what_rounding_leaves_is_no_gross_error() -> None:
     plan = TrackingPlan(dimension=2, pointing="tracking", station_uncertainty=1e-3)
     for seed in range(5):
         session = simulate(SimulationSpec(plan=plan, seed=seed, noise_factor=0.0)).session
-        assert find_outliers(session, lambda part: build_model(part)[0])[0] == []
+        assert find_outliers(session, lambda part: build_model(part)[0]) == []
 
 
 def test_two_readings_of_a_place_of_which_either_may_be_wrong() -> None:

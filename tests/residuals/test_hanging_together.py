@@ -20,7 +20,7 @@ def found_of(plan: str, seed: int, errors: Mapping[int, float]) -> list[Outlier]
     displacement = readings.displacement.copy()
     displacement[list(errors)] += session.sigma * np.array(list(errors.values()))
     changed = session.with_readings(replace(readings, displacement=displacement))
-    return find_outliers(changed, lambda part: build_model(part)[0])[0]
+    return find_outliers(changed, lambda part: build_model(part)[0])
 
 
 def assert_right(found: list[Outlier], errors: Mapping[int, float]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.gross_errors import find_outliers
+from machine_tool_calibration.residuals.gross_errors import find_outliers, without
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -32,7 +32,8 @@ def test_sound_neighbours_of_a_chip_are_put_back() -> None:
     for seed in range(4, 12):
         session = chipped(seed, CHIPS)
         chips = {int(session.readings.row[k]) for k in CHIPS}
-        found, kept = find_outliers(session, lambda part: build_model(part)[0])
+        found = find_outliers(session, lambda part: build_model(part)[0])
+        kept = without(session, found)
         rows = {o.row for o in found}
         wrong += len(rows - chips)
         blamed += len(rows & chips)

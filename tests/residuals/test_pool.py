@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.step_diagonal.small_angles import NONE, mean_shape
-from machine_tool_calibration.model.imperfection import IMPERFECTION_SIZES
 from machine_tool_calibration.residuals.pool import RANDOM, Pool
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -29,7 +29,7 @@ def test_angular_errors_are_a_family_of_their_own(pool: Pool) -> None:
     # What is left out is below a third of a standard uncertainty where the angles are as large as they may be.
     assert np.abs(own.T @ own - expected).max() * max(random.sizes) ** 2 < (pool.sigma.max() / 3.0) ** 2
     assert sum(random.sizes.values()) == pytest.approx(1.0)
-    assert pool.sizes == (IMPERFECTION_SIZES, random.sizes)
+    assert pool.sizes == (priors.IMPERFECTION_SIZES, random.sizes)
     assert random.sizes[0.0] == NONE
 
 

@@ -26,8 +26,8 @@ def test_the_same_session_whatever_the_blocks(block: int, monkeypatch: pytest.Mo
     names, table = reading_columns(session)
     collector = Collector(session.description, Place("session", "reading"))
     assert np.isnan(collector.last_time)
-    for setup, row in zip(session.readings.setup, table, strict=True):
-        collector.add(session.setup_ids[setup], names, row)
+    for row in table:
+        collector.add(names, row)
     assert collector.last_time == 3345.0
     assert len(collector) == 216
     other = collector.session("live")
@@ -40,10 +40,10 @@ def test_the_same_session_whatever_the_blocks(block: int, monkeypatch: pytest.Mo
 def test_names_that_change_on_the_way() -> None:
     session = read_session(DATA / "tracking_2d")
     collector = Collector(session.description, Place("session", "reading"))
-    base = ["time", "repeat", "x", "y", "azimuth", "displacement"]
-    collector.add("A", base, [0.0, 0, 1, 2, 3, 4])
-    collector.add("A", [*base, "load"], [1.0, 0, 1, 2, 3, 4, 9])
-    collector.add("A", base[::-1], [40, 30, 20, 10, 0, 2.0])
+    base = ["time", "repeat", "setup_index", "x", "y", "azimuth", "displacement"]
+    collector.add(base, [0.0, 0, 0, 1, 2, 3, 4])
+    collector.add([*base, "load"], [1.0, 0, 0, 1, 2, 3, 4, 9])
+    collector.add(base[::-1], [40, 30, 20, 10, 0, 0, 2.0])
     readings = collector.session("live", check=False).readings
     assert readings.columns["time"].tolist() == [0.0, 1.0, 2.0]
     assert readings.columns["x"].tolist() == [1.0, 1.0, 10.0]
@@ -51,17 +51,17 @@ def test_names_that_change_on_the_way() -> None:
     assert np.array_equal(readings.columns["load"], [np.nan, 9.0, np.nan], equal_nan=True)
 
 
-def test_a_setup_is_told_by_its_place_or_as_in_earlier_releases_by_the_frame() -> None:
+def test_a_setup_is_told_by_its_place() -> None:
     session = read_session(DATA / "tracking_2d")
-    collector = Collector(session.description, Place("session", "reading"))
     base = ["time", "repeat", "x", "y", "azimuth", "displacement"]
-    collector.add("machine", [*base, "setup_index"], [0.0, 0, 1, 2, 3, 4, 2.0])
-    collector.add("B", base, [1.0, 0, 1, 2, 3, 4])
+    collector = Collector(session.description, Place("session", "reading"))
+    collector.add([*base, "setup_index"], [0.0, 0, 1, 2, 3, 4, 2.0])
     readings = collector.session("live", check=False).readings
-    assert readings.setup.tolist() == [2, 1]
+    assert readings.setup.tolist() == [2]
     assert "setup_index" not in readings.columns
-    collector.add("machine", base, [2.0, 0, 1, 2, 3, 4])
-    with pytest.raises(SessionError, match=r"machine"):
+    collector = Collector(session.description, Place("session", "reading"))
+    collector.add(base, [1.0, 0, 1, 2, 3, 4])
+    with pytest.raises(SessionError, match=r"^reading: the column 'setup_index' is missing$"):
         collector.session("live", check=False)
 
 
@@ -72,14 +72,14 @@ def test_a_session_can_be_taken_before_the_last_reading() -> None:
     with pytest.raises(SessionError, match=r"^reading: no readings$"):
         collector.session("live")
     for count, row in enumerate(table[:20], 1):
-        collector.add("A", names, row)
+        collector.add(names, row)
         assert len(collector.session("live", check=False).readings) == count
     with pytest.raises(SessionError, match=r"^reading: 1 station; "):
         collector.session("live")
 
 
 def message(time: float, index: float = math.nan) -> Reading:
-    return Reading("machine", ("time", "reading_index", "displacement"), (time, index, 0.0))
+    return Reading(("time", "reading_index", "displacement"), (time, index, 0.0))
 
 
 def test_what_is_received_is_in_the_order_of_time_and_once() -> None:
@@ -97,7 +97,7 @@ def test_readings_of_one_time_that_differ_are_of_two_sessions() -> None:
     for time in (1.0, 2.0):
         assert not received.add(round(time * 1e9), message(time, time))
     assert not received.add(2_000_000_000, message(2.0, 2.0))
-    other = Reading("machine", ("time", "reading_index", "displacement"), (2.0, 2.0, 1e-5))
+    other = Reading(("time", "reading_index", "displacement"), (2.0, 2.0, 1e-5))
     assert received.add(2_000_000_000, other) == 2
     assert received.in_order() == [other] and received.missing == 2
 

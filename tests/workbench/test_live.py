@@ -40,7 +40,7 @@ def tell(heard: Heard, session: Session, rows: slice = slice(None), start: int =
     names, table = reading_columns(session)
     for row in table[rows]:
         stamp = start + round(row[names.index("time")] * 1e9)
-        heard.read(stamp, Reading("machine", names, array("d", row)))
+        heard.read(stamp, Reading(names, array("d", row)))
 
 
 def calculated(feed: Feed, now: float) -> None:
@@ -89,7 +89,7 @@ def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(ses
     heard = Heard()
     tell(heard, session, slice(0, 3))
     with pytest.raises(CalibrationError):
-        heard.read(START, Reading("machine", ("time", "reading_index"), (0.0, -4.0)))
+        heard.read(START, Reading(("time", "reading_index"), (0.0, -4.0)))
     with pytest.raises(CalibrationError):
         heard.describe("method: nonsense")
     assert heard.count[1] == 3 and heard.setups == session.setup_ids

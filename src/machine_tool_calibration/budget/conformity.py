@@ -30,7 +30,7 @@ from machine_tool_calibration.budget.published import (
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.restated import drawn
+from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = ["RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]

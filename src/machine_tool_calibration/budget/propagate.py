@@ -31,7 +31,7 @@ from machine_tool_calibration.budget.published import (
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.restated import changed, covariance_of, declared
+from machine_tool_calibration.model.refits import changed, covariance_of, declared
 from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = [

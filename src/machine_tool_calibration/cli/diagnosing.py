@@ -75,8 +75,6 @@ class Wanted:
             return Measured(sessions, FitRequest(sessions, tuple(labels), self.model, self.effects, tuple(own)))
         if self.effects or self.model:
             raise click.UsageError("--from-history is without --effect and --model.")
-        import numpy as np
-
         from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
         history = read_history(history_path(*paths))
@@ -85,26 +83,7 @@ class Wanted:
             raise no_model(paths)
         if entry.data != fingerprint(*sessions):
             note(f"the readings have changed since model {entry.number} was made of them")
-        kept = []
-        said = entry.of_sessions([fingerprint(session) for session in sessions], labels)
-        for session, model in zip(sessions, said, strict=True):
-            if model is None:
-                kept.append(session)
-                continue
-            rows = session.readings.row.tolist()
-            # What was put back belongs to the model, as what was set aside does.
-            session = session.keeping(set(model.kept).intersection(rows))
-            aside = np.isin(rows, [row for row in model.set_aside if row not in session.sound])
-            kept.append(session.without(aside) if aside.any() else session)
-        chosen = FitRequest(
-            tuple(kept),
-            tuple(labels),
-            entry.variant(said, sessions),
-            entry.effects,
-            tuple(entry.own_effects(own)),
-            keep_all=True,
-            sets=tuple(entry.sets()),
-        )
+        chosen = entry.request(sessions, labels, [fingerprint(session) for session in sessions], own)
         return Measured(sessions, chosen, history.way_to(entry.number))
 
     def unused(self, measured: Measured, paths: Sequence[Path], fit: JointFit) -> str | None:

@@ -39,7 +39,6 @@ SECTIONS = {
     "Identify": ("info", "identify", "report", "features", "budget", "conformity", "compare-formulations"),
     "Find what the model lacks": ("compare", "compare-maps", "diagnose", "improve", "history", "workbench", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
-    "Check the software": ("validate",),
 }
 # Verbs that only read and show.
 _LIGHT = ("effects", "history", "info")

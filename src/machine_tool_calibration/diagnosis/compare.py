@@ -305,11 +305,11 @@ def compare(subject: Session | FitRequest | Fit | Result | JointResult) -> Compa
     if isinstance(subject, Session | FitRequest):
         chosen = FitRequest.of(subject)
         fitted = fit_sessions(chosen)
-        apart = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in gross_errors(chosen)]
+        aside = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in gross_errors(chosen)]
     else:
         fitted = fitted_sessions(subject)
-        apart = [() for _ in fitted.model_names]
-    triples = zip(fitted.joint.fits, apart, fitted.model_names, strict=True)
+        aside = [() for _ in fitted.model_names]
+    triples = zip(fitted.joint.fits, aside, fitted.model_names, strict=True)
     each = tuple(_Residuals(fit).comparison(fitted.effects, rows, variant) for fit, rows, variant in triples)
     labels = fitted.joint.assembly.labels
     return each[0] if labels is None else JointComparison(fitted.joint, labels, each)
@@ -380,8 +380,8 @@ class _Residuals:
         repeats = int((count - 1).sum())
         declared, scatter = self.observations.session.sigma, None
         if repeats >= FEWEST_REPEATS:
-            apart = self.normal - (np.bincount(place, weights=self.normal) / count)[place]
-            scatter = declared * float(np.sqrt(np.sum(apart**2) / repeats))
+            within = self.normal - (np.bincount(place, weights=self.normal) / count)[place]
+            scatter = declared * float(np.sqrt(np.sum(within**2) / repeats))
         noise = Noise(declared, scatter, repeats, p, None)
         return Overall(self.n, size, squares / left if seen else 1.0, round(left), p, noise)
 

@@ -14,31 +14,22 @@ from scipy import special
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
+from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.search.priors import (
-    ACCEPTED,
-    CONTRADICTED,
-    GOOD_ENOUGH,
-    GROSS,
-    LEAST_GAIN,
-    LIKELY,
-    SMALL,
-    SURE,
-)
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.restated import changed, declared
-from machine_tool_calibration.model.result import EffectSet, ErrorMap, map_change, map_rms
+from machine_tool_calibration.model.refits import changed, declared
+from machine_tool_calibration.model.result import ErrorMap, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
-from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -47,17 +38,8 @@ __all__ = ["Diagnosis", "diagnose"]
 
 # Rounds of gross errors beside effects.
 _ROUNDS = 4
-# Growth of the map's uncertainty from which it is no longer determined for any purpose.
-_SPOILT = 30.0
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
-# Probability from which a set of effects counts in the map, and how many at most beside the accepted one.
-_COUNTS, _SETS = 0.02, 4
-# Share of the whole scatter from which that of repeats is as much.
-_AS_MUCH = 0.9
-# Share of the excess of the sum of squares that effects must take to be the cause although the readings still
-# contradict the model.
-_MOST_OF_IT = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -107,24 +89,15 @@ class Diagnosis:
         return first + tuple(f for f in self.search.findings if f.name not in self.accepted)
 
     @property
-    def sets(self) -> tuple[EffectSet, ...]:
-        """The most probable sets of known effects that can be added, that of the accepted ones among them."""
-        chosen = tuple(sorted(self.accepted))
-        out = {"unknown", *self.refused}
-        every = {names: p for names, p in self.search.sets if not out & set(names)}
-        likely = [names for names, p in every.items() if p >= _COUNTS and names != chosen and names][:_SETS]
-        return tuple(EffectSet(names, every.get(names, _COUNTS)) for names in (chosen, *likely))
-
-    @property
     def likely(self) -> tuple[str, ...]:
         """Effects that are not named as missing and yet are what one would look at next."""
-        return tuple(f.name for f in self.ranked if f.probability >= LIKELY and f.name not in self.accepted)
+        return tuple(f.name for f in self.ranked if f.probability >= priors.LIKELY and f.name not in self.accepted)
 
     @property
     def noisy(self) -> bool:
         """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
         scatter = float(np.sqrt(self.fits[-1].reduced_chi_square)) * self.noise.declared
-        return self.noise.from_repeats is not None and self.noise.from_repeats > _AS_MUCH * scatter
+        return self.noise.from_repeats is not None and self.noise.from_repeats > priors.AS_NOISY * scatter
 
     @property
     def contradicted(self) -> bool:
@@ -137,11 +110,12 @@ class Diagnosis:
         first, last = self.fits[0], self.fits[-1]
         if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
             return False
-        freedom = first.solution.degrees_of_freedom
-        if self.search.variance <= GROSS or special.chdtrc(freedom, freedom * self.search.variance) >= CONTRADICTED:
+        dof = first.solution.degrees_of_freedom
+        chance = special.chdtrc(dof, dof * self.search.variance)
+        if self.search.variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_CHANCE:
             return False
         excess = first.solution.chi_square - first.solution.degrees_of_freedom
-        return first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
+        return first.solution.chi_square - last.solution.chi_square < priors.MOST_OF_THE_EXCESS * excess
 
 
 def diagnose(
@@ -189,9 +163,8 @@ def _without_gross_errors(
 ) -> tuple[FitRequest, tuple[tuple[Outlier, ...], ...]]:
     """What is chosen without the gross errors beside these effects, and these errors, session by session."""
     build = _alone(chosen, added)
-    each = [find_outliers(session, build) for session in chosen.sessions]
-    kept = replace(chosen, sessions=tuple(session for _, session in each))
-    return kept, tuple(tuple(outliers) for outliers, _ in each)
+    aside = tuple(tuple(find_outliers(session, build)) for session in chosen.sessions)
+    return replace(chosen, sessions=tuple(map(without, chosen.sessions, aside))), aside
 
 
 def _without_suspects(chosen: FitRequest, progress: Callable[[str, float], None]) -> tuple[str, ...]:
@@ -248,22 +221,24 @@ def _search(
     def look_for(tried: Sequence[Candidate]) -> EffectSearch:
         return search_effects(first.joint, tried, structures, side_by_side=side_by_side)
 
-    look = look_for(candidates)
-    fine = _resolved(pool, candidates, look, fit_with)
+    search = look_for(candidates)
+    fine = _resolved(pool, candidates, search, fit_with)
     if fine is not None:
-        look = look_for(fine)
+        search = look_for(fine)
     progress("readings that are left out", 0.7)
-    predicted = predictions(searched.sessions, look, lambda left: fit_sessions(replace(searched, sessions=left)).joint)
-    noise = look.noise[0]
+    predicted = predictions(
+        searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
+    )
+    noise = search.noise[0]
     if repeated is not None:
         noise = replace(noise, from_repeats=repeated.from_repeats, repeats=repeated.repeats)
-    fitted, refused = _added(look, predicted, first, fit_with)
+    fitted, refused = _added(search, predicted, first, fit_with)
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
         verdict="",
-        accepted=tuple(name for name in look.accepted if name not in refused),
-        search=look,
+        accepted=tuple(name for name in search.accepted if name not in refused),
+        search=search,
         noise=noise,
         fitted=fitted,
         predicted=predicted,
@@ -291,35 +266,35 @@ def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise 
 def _resolved(
     pool: Pool,
     candidates: Sequence[Candidate],
-    look: EffectSearch,
+    search: EffectSearch,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> list[Candidate] | None:
     """The candidates with finer nonlinear coefficients of the accepted effects; None where the grid does."""
     used = {
-        c.name: look.of(c.name).shape
+        c.name: search.of(c.name).shape
         for c in candidates
-        if c.name in look.accepted and c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
+        if c.name in search.accepted and c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
     }
     if not used:
         return None
     try:
-        fit = fit_with(look.accepted).joint
+        fit = fit_with(search.accepted).joint
     except ModelError:
         return None
     return between_the_grid(pool, candidates, used, fit)
 
 
 def _added(
-    look: EffectSearch,
+    search: EffectSearch,
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
     """The first model and one after every effect that can be added, and why the other probable ones cannot."""
     fitted, accepted, refused = [first], list[str](), dict[str, str]()
-    for name in look.accepted:
+    for name in search.accepted:
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
-        if not look.of(name).plausible:
+        if not search.of(name).plausible:
             refused[name] = "no machine or instrument has such a size"
         elif against:
             refused[name] = f"it does not predict {against[0]} that are left out"
@@ -339,18 +314,18 @@ def _added(
 
 def _verdict(found: Diagnosis) -> str:
     """From the probabilities and the absolute misfit alone."""
-    look, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
+    search, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
     if found.contradicted:
         return "unexplained"
-    if look.unknown > ACCEPTED and not _good_enough(found):
+    if search.unknown > priors.ACCEPTED and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
-        left = max((s.share for s in look.left), default=0.0) * last.chi_square
+        left = max((s.share for s in search.left), default=0.0) * last.chi_square
         if not found.accepted or left > first.chi_square - last.chi_square:
             return "unexplained"
     if found.accepted:
         return "missing_effect"
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
-    if look.nothing < 1.0 - SURE and not _good_enough(found):
+    if search.nothing < 1.0 - priors.SURE and not _good_enough(found):
         return "unexplained"
     return "outliers" if found.outliers else "adequate"
 
@@ -364,11 +339,11 @@ def _good_enough(found: Diagnosis) -> bool:
     for name, signal in found.search.signals.items():
         left -= signal if name not in found.accepted else 0.0
     size = rms(left / pool.sigma)
-    if not SMALL < size <= 1.0:
-        return size <= SMALL
+    if not priors.SMALL < size <= 1.0:
+        return size <= priors.SMALL
     without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
     moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)
-    return moved is not None and uncertainty is not None and moved < GOOD_ENOUGH * 2.0 * uncertainty
+    return moved is not None and uncertainty is not None and moved < priors.GOOD_ENOUGH * 2.0 * uncertainty
 
 
 def _settled(fit: JointFit) -> None:
@@ -390,7 +365,7 @@ def _explains(before: JointFit, after: JointFit) -> None:
         ModelError: the model without it explains the readings as well, unknowns that are random functions aside.
     """
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
-    if gain < LEAST_GAIN * min(after.reduced_chi_square, 1.0):
+    if gain < priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0):
         raise ModelError("the model explains the readings as well without it")
 
 
@@ -414,5 +389,5 @@ def _hold(before: ErrorMap, after: ErrorMap) -> None:
             growth = max(growth, rms(new) / rms(old))
     if lost:
         raise ModelError(f"together with it {lost} values of the map would no longer be determined")
-    if growth > _SPOILT:
+    if growth > priors.SPOILT:
         raise ModelError(f"together with it the data would determine the machine's errors {growth:.0f} times worse")

@@ -14,10 +14,10 @@ from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.model.result import EffectSet
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
+__all__ = ["Coefficient", "Entry", "History", "Part"]
 
 
 class Coefficient(Record):
@@ -27,13 +27,6 @@ class Coefficient(Record):
     value: Finite
     standard_uncertainty: Finite
     unit: str
-
-
-class Alternative(Record):
-    """A set of effects over which the map is averaged, with its probability."""
-
-    effects: tuple[str, ...]
-    probability: Finite
 
 
 class Part(Record):
@@ -65,9 +58,8 @@ class Entry(Record):
         model: the method's variant; of several sessions `joint`, as each has its own.
         sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
-        own: definitions of those of them, and of the alternatives, that are the user's own by formula.
+        own: definitions of those of them that are the user's own by formula.
         change: what it has and its parent has not, in a few words.
-        alternatives: sets of effects that the readings do not distinguish, over which its map is the mean.
         data: fingerprint of the readings; another one means other readings.
         used: number of readings in the fit.
         set_aside: rows of readings that were taken for outliers, of one session.
@@ -91,7 +83,6 @@ class Entry(Record):
     effects: tuple[str, ...] = ()
     own: tuple[dict[str, Any], ...] = ()
     change: str = ""
-    alternatives: tuple[Alternative, ...] = ()
     data: str
     used: int
     set_aside: tuple[int, ...] = ()
@@ -105,33 +96,55 @@ class Entry(Record):
     map_change_rms: Finite | None = None
     parameters: tuple[Coefficient, ...] = ()
 
-    def sets(self) -> list[EffectSet]:
-        """The alternatives as an identification takes them."""
-        # here and below, because the file is read without the calculation that the results need
-        from machine_tool_calibration.model.result import EffectSet
+    def request(
+        self, sessions: Sequence[Session], labels: Sequence[str], prints: Sequence[str], own: Sequence[Effect] = ()
+    ) -> FitRequest:
+        """The model as it was fitted, of the readings that it was fitted to.
 
-        return [EffectSet(one.effects, one.probability) for one in self.alternatives]
-
-    def of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
-        """What it says of each session: itself of a single one, of several the part of the same readings or name.
+        What was set aside is left out of the sessions, and what was put back is known to be sound, where they have it.
 
         Args:
-            prints: fingerprints of the readings.
+            sessions: the measurements, with all their readings.
             labels: names of the sessions.
+            prints: fingerprints of their readings.
+            own: the user's own effects at present; they take the place of the model's of the same name.
+
+        Raises:
+            ModelError: a definition of an effect cannot be.
         """
+        # here and below, because the file is read without the calculation that the results need
+        import numpy as np
+
+        from machine_tool_calibration.methods.fitted import FitRequest
+
+        said = self._of_sessions(prints, labels)
+        kept = []
+        for session, one in zip(sessions, said, strict=True):
+            if one is not None:
+                rows = session.readings.row.tolist()
+                session = session.keeping(set(one.kept).intersection(rows))
+                aside = np.isin(rows, [row for row in one.set_aside if row not in session.sound])
+                session = session.without(aside) if aside.any() else session
+            kept.append(session)
+        return FitRequest(
+            tuple(kept),
+            tuple(labels),
+            self._variant(said, sessions),
+            self.effects,
+            tuple(self.own_effects(own)),
+            keep_all=True,
+        )
+
+    def _of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
+        """What it says of each session: itself of a single one, of several the part of the same readings or name."""
         if len(prints) == 1:
             return [self]
         by_data = {part.data: part for part in self.sessions}
         by_label = {part.label: part for part in self.sessions}
         return [by_data.get(data, by_label.get(label)) for data, label in zip(prints, labels, strict=True)]
 
-    def variant(self, said: Sequence[Entry | Part | None], sessions: Sequence[Session]) -> str | None:
-        """The variant to ask for, so that sessions are fitted as this model was; None for their defaults.
-
-        Args:
-            said: what it says of each session (`of_sessions`).
-            sessions: the measurements.
-        """
+    def _variant(self, said: Sequence[Entry | Part | None], sessions: Sequence[Session]) -> str | None:
+        """The variant to ask for, so that sessions are fitted as this model was; None for their defaults."""
         if len(sessions) == 1:
             return self.model
         # Of several, those that have the variant that was asked for took it, all others what they can share.
@@ -153,6 +166,7 @@ class Entry(Record):
         kept = [definition for definition in self.own if definition.get("id") not in there]
         if not kept:
             return list(known)
+        # here, because the file is read without the calculation that the effects need
         from machine_tool_calibration.effects.formula import formula_effect
 
         return [*known, *(formula_effect(one, f"model {self.number} of the history") for one in kept)]

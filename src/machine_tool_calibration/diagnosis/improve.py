@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
+from machine_tool_calibration.diagnosis.history import Coefficient, Entry, Part
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result, effect_estimates, map_change, map_rms
@@ -137,7 +137,7 @@ def improve(
     Raises:
         ModelError: the data does not allow the model.
     """
-    chosen = replace(FitRequest.of(subject), keep_all=True, sets=())
+    chosen = replace(FitRequest.of(subject), keep_all=True)
     found = diagnose(chosen, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
     first = step_after(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
@@ -157,13 +157,12 @@ def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) ->
         found: the diagnosis.
         progress: called with what is being done and the share that is finished.
     """
-    start = replace(found.chosen, sets=())
+    start = found.chosen
     if found.outliers:
         yield words_set_aside(len(found.outliers)), start
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
-        over = found.sets if k + 1 == len(found.accepted) else ()
-        yield name, start.adding(found.accepted[: k + 1], over)
+        yield name, start.adding(found.accepted[: k + 1])
 
 
 def words_set_aside(count: int) -> str:
@@ -193,7 +192,7 @@ def step_after(
         result=result,
         map_rms=map_rms(result.error_map.error),
         map_uncertainty=map_rms(result.error_map.uncertainty),
-        map_change=None if before is None else map_change(before.result.alone, result.alone),
+        map_change=None if before is None else map_change(before.result.error_map, result.error_map),
         set_aside=aside,
     )
 
@@ -209,8 +208,7 @@ def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, 
         by: the command.
         number: of the entry.
     """
-    joint = step.result.joint
-    used = {*step.result.effects, *(name for one in step.result.averaged for name in one.effects)}
+    joint, used = step.result.joint, step.result.effects
     p_value, single = joint.p_value, step.result if isinstance(step.result, Result) else None
     kept = [tuple(sorted(session.sound)) for session in step.chosen.sessions]
     parts: tuple[Part, ...] = ()
@@ -226,12 +224,9 @@ def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, 
         by=by,
         model=single.model_name if single else "joint",
         sessions=parts,
-        effects=step.result.effects,
+        effects=used,
         own=tuple(dict(e.definition) for e in step.chosen.own if e.id in used and e.definition is not None),
         change=step.change,
-        alternatives=tuple(
-            Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged
-        ),
         data=data,
         used=joint.assembly.problem.n_readings,
         set_aside=step.set_aside[0] if single else (),

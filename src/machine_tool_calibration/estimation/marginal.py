@@ -18,20 +18,14 @@ import numpy as np
 from scipy.linalg import lapack
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation import priors
 
-__all__ = ["DECLARED_DOF", "NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
+__all__ = ["NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
 
-
-DECLARED_DOF = 20.0
-"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
 
 NOTHING = 1e-12
 """Share of the data's squares that is at least left of them: less is rounding."""
 
-# Half of the prior of a size is at zero: that keeps the power to find effects. The other half is half-Cauchy with this
-# scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
-_NONE = 0.5
-_SCALE = 0.4
 # Sizes tried at first, in units of the noise, where there are one, two, or three families: the smallest, the factor
 # from each to the next, and how many.
 _LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4)}
@@ -41,8 +35,8 @@ _EDGE, _MOST_STEPS = 1e-3, 40
 
 def _log_prior(lattice: Array) -> Array:
     """(1 + sizes,) logarithm of the prior of size zero and of those of a lattice: a half-Cauchy density in ln(size)."""
-    density = lattice / (1.0 + (lattice / _SCALE) ** 2)
-    return np.asarray(np.log(np.append(_NONE, (1.0 - _NONE) * density / density.sum())))
+    density = lattice / (1.0 + (lattice / priors.IRREPRODUCIBILITY) ** 2)
+    return np.asarray(np.log(np.append(priors.ALL_REPRODUCES, (1.0 - priors.ALL_REPRODUCES) * density / density.sum())))
 
 
 @dataclass(frozen=True)
@@ -51,21 +45,21 @@ class Gram:
 
     Attributes:
         inner: (K, K) of all columns, the last u of which are those of what does not reproduce (the spread).
-        data: (K, B) of these with each of B data sets; the first is the measured one.
-        squares: (B,) squared norm of each data set.
+        data: (K,) of these with the data.
+        squares: squared norm of the data.
         family: (u,) family of each spread column.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
+        dof: degrees of freedom of the readings beside the model's unknowns.
         sizes: of the last families, where they are known in their own unit: with their prior probabilities.
         prior_dof: readings that what is known of the noise is worth; infinite where it is known.
     """
 
     inner: Array
     data: Array
-    squares: Array
+    squares: float
     family: IntArray
-    freedom: int
+    dof: int
     sizes: tuple[dict[float, float], ...] = ()
-    prior_dof: float = DECLARED_DOF
+    prior_dof: float = priors.DECLARED_DOF
 
     @property
     def spread(self) -> IntArray:
@@ -74,29 +68,29 @@ class Gram:
 
     @property
     def of_spread(self) -> Gram:
-        """Those of the spread's columns alone, with the first data set."""
+        """Those of the spread's columns alone."""
         own = self.spread
-        return replace(self, inner=self.inner[np.ix_(own, own)], data=self.data[own, :1], squares=self.squares[:1])
+        return replace(self, inner=self.inner[np.ix_(own, own)], data=self.data[own])
 
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
         return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, prior_dof=np.inf)
 
-    def log_likelihood(self, left: Array) -> Array:
+    def log_likelihood(self, left: Array | float) -> Array:
         """Logarithm of the evidence by the squares that are left, up to what all models share.
 
         That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
         half of chi-square.
         """
         if np.isinf(self.prior_dof):
-            return -0.5 * left
-        return np.asarray(-0.5 * (self.freedom + self.prior_dof) * np.log(self.prior_dof + left))
+            return np.asarray(-0.5 * left)
+        return np.asarray(-0.5 * (self.dof + self.prior_dof) * np.log(self.prior_dof + left))
 
     def noise(self, left: Array) -> Array:
         """Variance of the noise by the squares that are left, over that declared, or over the known one."""
         if np.isinf(self.prior_dof):
             return np.ones_like(left)
-        return np.asarray((self.prior_dof + left) / (self.prior_dof + self.freedom))
+        return np.asarray((self.prior_dof + left) / (self.prior_dof + self.dof))
 
 
 @dataclass(frozen=True)
@@ -107,7 +101,7 @@ class Marginal:
         gram: those where all reproduces.
         ratio: these sizes, in units of the noise; of the last families, whose sizes are given, in their own.
         log_prior: of these sizes, and the determinant that they cost.
-        half: (u', K) and half_data (u', B): X^T V^-1 Y = X^T Y - half_X^T half_Y.
+        half: (u', K) and half_data (u',): X^T V^-1 Y = X^T Y - half_X^T half_Y.
         half_data: see there.
     """
 
@@ -129,28 +123,28 @@ class Marginal:
 
     @cached_property
     def data(self) -> Array:
-        """(K, B) inner products of all columns with the data."""
+        """(K,) inner products of all columns with the data."""
         return np.asarray(self.gram.data - self.half.T @ self.half_data)
 
     @cached_property
-    def squares(self) -> Array:
-        """(B,) squared norms of the data."""
+    def squares(self) -> float:
+        """Squared norm of the data."""
         whole = self.gram.squares
-        return np.asarray(np.maximum(whole - np.sum(self.half_data**2, axis=0), NOTHING * whole))
+        return max(whole - float(self.half_data @ self.half_data), NOTHING * whole)
 
     @property
-    def log_null(self) -> Array:
-        """(B,) logarithm of the evidence without any candidate."""
-        return self.log_prior + self.gram.log_likelihood(self.squares)
+    def log_null(self) -> float:
+        """Logarithm of the evidence without any candidate."""
+        return self.log_prior + float(self.gram.log_likelihood(self.squares))
 
-    def log_beside(self, columns: IntArray, scale: Array) -> float:
-        """What `log_null` is of the first data set with columns of given scales folded in, without folding them in."""
+    def log_null_with(self, columns: IntArray, scale: Array) -> float:
+        """What `log_null` is with columns of given scales folded in, without folding them in."""
         lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
-        taken = float(np.sum(_below(lower, (scale * self.data[columns, 0])[:, None]) ** 2))
-        left = np.maximum(self.squares[:1] - taken, NOTHING * self.gram.squares[:1])
-        return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left)[0])
+        explained = float(np.sum(_below(lower, scale * self.data[columns]) ** 2))
+        left = max(self.squares - explained, NOTHING * self.gram.squares)
+        return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left))
 
-    def beside(self, columns: IntArray, scale: Array) -> Marginal:
+    def with_columns(self, columns: IntArray, scale: Array) -> Marginal:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
         inner, data = self.inner(columns, slice(None)), self.data[columns]
         lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
@@ -160,7 +154,7 @@ class Marginal:
             self,
             log_prior=self.log_prior - float(np.log(np.diag(lower)).sum()),
             half=np.concatenate([self.half, half[:, :k]]),
-            half_data=np.concatenate([self.half_data, half[:, k:]]),
+            half_data=np.append(self.half_data, half[:, k]),
         )
 
 
@@ -197,18 +191,18 @@ def _at_sizes(
 ) -> tuple[tuple[float, ...], float, float]:
     whole = (*ratio, *(size for size, _ in further))
     prior += float(sum(np.log(p) for _, p in further))
-    return whole, prior, float(marginal_at(spread, whole, prior).log_null[0])
+    return whole, prior, marginal_at(spread, whole, prior).log_null
 
 
 def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Marginal:
     """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros((0, len(gram.squares))))
+    plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros(0))
     used = np.flatnonzero(plain.tau)
-    return plain.beside(gram.spread[used], plain.tau[used])
+    return plain.with_columns(gram.spread[used], plain.tau[used])
 
 
 def _below(lower: Array, right: Array) -> Array:
-    """(n, k) the inverse of a lower factor (n, n) with a regular diagonal times (n, k): by substitution alone."""
+    """The inverse of a lower factor (n, n) with a regular diagonal times (n,) or (n, k): by substitution alone."""
     if not right.size:
         return right
     return np.asarray(lapack.dtrtrs(lower.T, right, lower=0, trans=1)[0], dtype=np.float64)

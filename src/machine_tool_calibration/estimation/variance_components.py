@@ -28,13 +28,13 @@ class Components:
         ratios: combinations of sizes, in units of the noise.
         log_weights: (t,) logarithm of the posterior probability of each, summing to 1.
         squares: (t,) weighted sum of squared residuals that is left with each.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
+        dof: degrees of freedom of the readings beside the model's unknowns.
     """
 
     ratios: tuple[tuple[float, ...], ...]
     log_weights: Array
     squares: Array
-    freedom: int
+    dof: int
 
     @property
     def weights(self) -> Array:
@@ -71,8 +71,8 @@ def components(gram: Gram, repeats: Gram | None = None) -> Components:
         repeats: the same among readings of the same thing, which then tell the sizes.
     """
     ratios, _, logs = zip(*size_grid(gram if repeats is None else repeats), strict=True)
-    squares = np.array([marginal_at(gram, ratio).squares[0] for ratio in ratios])
-    return Components(tuple(ratios), np.array(logs) - logsumexp(logs), squares, gram.freedom)
+    squares = np.array([marginal_at(gram, ratio).squares for ratio in ratios])
+    return Components(tuple(ratios), np.array(logs) - logsumexp(logs), squares, gram.dof)
 
 
 Functions = tuple[IntArray, Array]

@@ -20,7 +20,7 @@ from machine_tool_calibration.session.table import LABEL_COLUMNS, NUMERIC_COLUMN
 __all__ = ["read_own_table"]
 
 _OF_A_TOPIC = ("log_time", "publish_time", "stamp")
-_SETUP_OF_A_TOPIC = "frame_id"
+_OF_ANY_TOPIC = "frame_id"
 
 
 def read_own_table(file: Path, description: Description, described: str, form: FileForm) -> Session:
@@ -39,13 +39,13 @@ def read_own_table(file: Path, description: Description, described: str, form: F
         numbers, labels, place = _parquet(file, described)
     else:
         numbers, labels, place = _text(file, described, form)
-    if _SETUP_OF_A_TOPIC not in labels or "setup" in labels:
+    if _OF_ANY_TOPIC not in labels or "setup" in labels:
         require_columns(description, [*numbers, *labels], str(file))
         return Session(description, assemble(description, numbers, labels, place), source=str(file))
     collector = Collector(description, place)
     names = [name for name in numbers if name not in _OF_A_TOPIC]
-    for setup, values in zip(labels[_SETUP_OF_A_TOPIC], np.column_stack([numbers[n] for n in names]), strict=True):
-        collector.add(str(setup), names, values)
+    for values in np.column_stack([numbers[name] for name in names]):
+        collector.add(names, values)
     return collector.session(str(file), check=False)
 
 
@@ -57,7 +57,7 @@ def _text(file: Path, described: str, form: FileForm) -> _Columns:
     numbers: dict[str, Array] = {}
     labels: dict[str, np.ndarray] = {}
     for name in table.names:
-        if name not in (*LABEL_COLUMNS, _SETUP_OF_A_TOPIC):
+        if name not in (*LABEL_COLUMNS, _OF_ANY_TOPIC):
             try:
                 numbers[name] = table.numbers(name, "a column of readings")
                 continue

@@ -7,9 +7,7 @@ Cells become numbers in SI units or, where they are time stamps of other program
 from __future__ import annotations
 
 import csv
-import io
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -255,7 +253,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
     numbered = numbered[:begin] + numbered[begin + form.skip_after_header :]
     if len(numbered) < begin + 1:
         raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
-    cells, width = _split(source, [text for _, text in numbered], form)
+    cells, width = _split(source, numbered, form)
     places = [number for number, _ in numbered]
     names = (
         tuple(str(name) for name in cells[0, : width[0]])
@@ -279,8 +277,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
 
 def _is_row(text: str, count: int, form: FileForm) -> bool:
     """Whether a line has as many cells as the table, and numbers in two of them or more."""
-    separator = _SEPARATORS.get(form.separator, form.separator)
-    cells = text.split() if separator == _SEPARATORS["space"] else text.split(separator)
+    cells = _cells(text.replace('"', ""), _SEPARATORS.get(form.separator, form.separator))
     numbers = sum(_NUMBER.fullmatch(cell.strip().replace(form.decimal, ".")) is not None for cell in cells)
     return len(cells) == count and numbers >= 2
 
@@ -307,11 +304,10 @@ def _lines(path: Path, form: FileForm) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _split(source: str, lines: list[str], form: FileForm) -> tuple[np.ndarray, IntArray]:
-    """Cells (lines, most cells) of text, empty where a line has no more, and the number of cells of each line."""
+def _split(source: str, lines: list[tuple[int, str]], form: FileForm) -> tuple[np.ndarray, IntArray]:
+    """Cells (lines, most cells) of numbered lines, empty where one has no more, and how many each line has."""
     separator = _SEPARATORS.get(form.separator, form.separator)
-    spaces = separator == _SEPARATORS["space"]
-    if len(separator) != 1 and not spaces:
+    if len(separator) != 1 and separator != _SEPARATORS["space"]:
         known = ", ".join(_SEPARATORS)
         raise SessionError(f"{source}: the separator {form.separator!r} is neither one character nor one of {known}")
     if separator == form.decimal:
@@ -319,39 +315,24 @@ def _split(source: str, lines: list[str], form: FileForm) -> tuple[np.ndarray, I
             f"{source}: separator and decimal mark are both {separator!r}; with a decimal comma, the columns are "
             "separated by semicolons or tabs"
         )
-    if spaces:
-        lines = [text.strip() for text in lines]
-    try:
-        width = np.array([_width(text, separator, spaces) for text in lines], dtype=np.int64)
-        most = int(width.max())
-        if most > _MOST_COLUMNS:
-            raise SessionError(f"{source}: {most} columns, more than the {_MOST_COLUMNS} that are accepted")
-        if most * len(lines) > _MOST_CELLS:
-            raise SessionError(f"{source}: {most * len(lines)} cells, more than the {_MOST_CELLS} that are accepted")
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells that would be dropped
-            frame = pd.read_csv(
-                io.StringIO("\n".join(lines)),
-                sep=separator,
-                header=None,
-                names=list(range(most)),
-                index_col=False,
-                dtype=object,
-                keep_default_na=False,
-                na_values=[],
-                skip_blank_lines=False,
-            )
-    except (pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.EmptyDataError, csv.Error) as error:
-        raise SessionError(f"{source}: cannot be read as a table: {str(error).splitlines()[0]}") from None
-    if len(frame) != len(lines):
-        raise SessionError(f"{source}: {len(frame)} rows can be read of {len(lines)} lines; check the quotes")
-    cells = [[cell.strip() if isinstance(cell, str) else "" for cell in row] for row in frame.to_numpy().tolist()]
+    rows = []
+    for number, text in lines:
+        try:
+            rows.append([cell.strip() for cell in _cells(text, separator)])
+        except csv.Error as error:
+            raise SessionError(f"{source} line {number}: cannot be read: {error}; check the quotes") from None
+    width = np.array([len(row) for row in rows], dtype=np.int64)
+    most = int(width.max())
+    if most > _MOST_COLUMNS:
+        raise SessionError(f"{source}: {most} columns, more than the {_MOST_COLUMNS} that are accepted")
+    if most * len(lines) > _MOST_CELLS:
+        raise SessionError(f"{source}: {most * len(lines)} cells, more than the {_MOST_CELLS} that are accepted")
+    cells = [row + [""] * (most - len(row)) for row in rows]
     return np.array(cells, dtype=object).reshape(len(lines), most), width
 
 
-def _width(text: str, separator: str, spaces: bool) -> int:
-    if spaces:
-        return len(text.split()) if '"' not in text else len(next(csv.reader([" ".join(text.split())], delimiter=" ")))
-    if '"' not in text:
-        return text.count(separator) + 1
-    return len(next(csv.reader([text], delimiter=separator)))
+def _cells(text: str, separator: str) -> list[str]:
+    """The cells of a line."""
+    if separator == _SEPARATORS["space"]:
+        text, separator = " ".join(text.split()), " "
+    return next(csv.reader([text], delimiter=separator, strict=True)) if '"' in text else text.split(separator)

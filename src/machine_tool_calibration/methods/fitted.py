@@ -18,8 +18,8 @@ from machine_tool_calibration.methods.joint.model import CommonModels, common_mo
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import EffectSet, ErrorMap
-from machine_tool_calibration.residuals.gross_errors import Outlier, set_aside
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
@@ -40,7 +40,6 @@ class FitRequest:
         effects: ids of physical effects in the model, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
-        sets: of effects that the readings do not distinguish, over which the map is the mean; `effects` is one of them.
     """
 
     sessions: tuple[Session, ...]
@@ -49,12 +48,11 @@ class FitRequest:
     effects: tuple[str, ...] = ()
     own: tuple[Effect, ...] = ()
     keep_all: bool = False
-    sets: tuple[EffectSet, ...] = ()
 
     def __post_init__(self) -> None:
         several = self.labels is not None and len(self.sessions) > 1
         object.__setattr__(self, "labels", tuple(self.labels or ()) if several else None)
-        for name in ("sessions", "effects", "own", "sets"):
+        for name in ("sessions", "effects", "own"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @classmethod
@@ -62,10 +60,9 @@ class FitRequest:
         """A session with its method's default model, or what was chosen already."""
         return cls((subject,)) if isinstance(subject, Session) else subject
 
-    def adding(self, effects: Sequence[str], sets: Sequence[EffectSet] = ()) -> FitRequest:
-        """With further effects in the model, and with sets of such as are to be added to its own."""
-        whole = tuple(EffectSet((*self.effects, *one.effects), one.probability) for one in sets)
-        return replace(self, effects=(*self.effects, *effects), sets=whole)
+    def adding(self, effects: Sequence[str]) -> FitRequest:
+        """With further effects in the model."""
+        return replace(self, effects=(*self.effects, *effects))
 
     def instead(self, at: int, session: Session) -> FitRequest:
         """With another session in the place of one."""
@@ -143,7 +140,7 @@ class FittedSessions:
         return self.map_of(self.joint)
 
     def map_of(self, joint: JointFit) -> ErrorMap:
-        """The machine's errors by another fit of the same models, such as a restated one (`model.restated`)."""
+        """The machine's errors by another fit of the same models, such as a restated one (`model.refits`)."""
         if self.common is None:
             fit = joint.fits[0]
             return fit.model.error_map(fit)
@@ -218,6 +215,8 @@ def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
         made.append(chosen.finished(chosen.base(part)))
         return made[-1][0]
 
-    outliers, kept = set_aside(session, build)
+    outliers = find_outliers(session, build)
     # Where nothing was set aside the model is that in which it was looked for.
-    return WithoutGrossErrors(outliers, kept, made[0] if made and not outliers else None)
+    return WithoutGrossErrors(
+        outliers, without(session, outliers, as_lost=True), made[0] if made and not outliers else None
+    )

@@ -14,7 +14,6 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import rejected_readings
 from machine_tool_calibration.methods.fitted import (
     FitRequest,
@@ -30,7 +29,6 @@ from machine_tool_calibration.methods.joint.small_angles import StatedAngles, st
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.result import (
-    EffectSet,
     Estimate,
     Identified,
     Rejected,
@@ -169,22 +167,19 @@ def identify_sessions(chosen: FitRequest) -> Result | JointResult:
     agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
-    error_map, averaged = averaged_map(fitted, chosen)
     refuse_impossible(fitted)
     return JointResult(
         labels=names,
         fit=joint,
         angles=angles,
         common=common,
-        error_map=error_map,
+        error_map=fitted.error_map,
         agreement=agreed,
         effects=chosen.effects,
         model_name=fitted.model_name,
         model_names=fitted.model_names,
         rejected=rejected,
         observations=observations,
-        alone=fitted.error_map,
-        averaged=averaged,
     )
 
 
@@ -221,7 +216,6 @@ def identify(
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
-    sets: Sequence[EffectSet] = (),
 ) -> Result:
     """Identify the machine's errors from one session.
 
@@ -231,28 +225,24 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
-        sets: see `FitRequest`.
 
     Raises:
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
             identified cannot be.
     """
-    return _identified(FitRequest((session,), None, model, tuple(effects), tuple(own), keep_all, tuple(sets)))
+    return _identified(FitRequest((session,), None, model, tuple(effects), tuple(own), keep_all))
 
 
 @single_blas()
 def _identified(chosen: FitRequest) -> Result:
     (session,) = chosen.sessions
     (rejected,), chosen, fitted = _fitted(chosen)
-    error_map, averaged = averaged_map(fitted, chosen)
     refuse_impossible(fitted)
     return Result(
         fit=fitted.joint.fits[0],
-        error_map=error_map,
+        error_map=fitted.error_map,
         effects=chosen.effects,
         model_name=fitted.model_name,
         rejected=rejected,
         observations=len(session.readings),
-        alone=fitted.error_map,
-        averaged=averaged,
     )

@@ -18,7 +18,7 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.restated import drawn
+from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.model.result import ErrorMap
 
 __all__ = ["BY_CHANCE", "DRAWS", "LEVEL", "MapComparison", "Motion", "compare_fits", "compare_maps", "map_draws"]

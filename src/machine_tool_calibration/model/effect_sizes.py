@@ -17,19 +17,13 @@ import numpy as np
 from scipy.special import chndtrinc, logsumexp
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.model import Kind, Parameter
 
-__all__ = ["SCALE_STEP", "SMALLEST_SIGNAL", "EffectSize", "effect_sizes", "smallest_signal", "with_sizes"]
+__all__ = ["EffectSize", "effect_sizes", "smallest_signal", "with_sizes"]
 
-SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
-"""The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
-steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
-spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
-
-# Chance with which the smallest signal is found, and most steps to it.
-_POWER, _STEPS = 0.8, 60
-# That an effect is beyond what is plausible, and the scale that it then has: what the readings say clearly holds.
-_RARE, _BEYOND = 0.01, SCALE_STEP**2
+# Most of Newton's steps.
+_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -89,9 +83,9 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
         inner = covariance[np.ix_(place, place)] / np.outer(unit, unit)
         value = mean[place] / unit
         signal = np.sqrt(1.0 / max(float(np.linalg.eigvalsh(inner)[0]), 1e-300))
-        steps = int(np.log(max(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
-        scales = np.append(SCALE_STEP ** -np.arange(steps + 1.0), _BEYOND)
-        share = np.append(np.full(steps + 1, (1.0 - _RARE) / (steps + 1)), _RARE)
+        steps = int(np.log(max(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))
+        scales = np.append(priors.SCALE_STEP ** -np.arange(steps + 1.0), priors.RARE_SIZE)
+        share = np.append(np.full(steps + 1, (1.0 - priors.RARE) / (steps + 1)), priors.RARE)
         logs, gains = [], []
         for scale, probability in zip(scales, share, strict=True):
             total = inner + np.diag(np.where(scaled, scale, 1.0) ** 2)
@@ -109,7 +103,7 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
     return mean, covariance
 
 
-def smallest_signal(values: Array, along: float, needed: float, power: float = _POWER) -> float:
+def smallest_signal(values: Array, along: float, needed: float, power: float = priors.DETECTED) -> float:
     """Norm of a signal, in standard uncertainties, whose Bayes factor reaches a limit with a given power.
 
     Args:
@@ -119,8 +113,8 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = _
         power: chance to reach it.
     """
     largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
-    steps = max(int(np.floor(np.log(max(largest / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))) + 1, 1)
-    s2 = SCALE_STEP ** (-2.0 * np.arange(steps))
+    steps = max(int(np.floor(np.log(max(largest / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))) + 1, 1)
+    s2 = priors.SCALE_STEP ** (-2.0 * np.arange(steps))
     cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(steps)
     share = s2 * along / (1.0 + s2 * along)
 

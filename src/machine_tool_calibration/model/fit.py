@@ -17,8 +17,8 @@ from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import Projected, gram, project
 from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
+from machine_tool_calibration.model.marginal_fit import MarginalFit, RandomUnknowns, state
 from machine_tool_calibration.model.model import POINTS, Assembly, MethodModel, Parameter, Term, assemble
-from machine_tool_calibration.model.stated import MarginalFit, RandomUnknowns, state
 
 __all__ = ["Fit", "JointFit", "absorbed_by", "fit_models", "screen", "screen_joint"]
 
@@ -34,7 +34,7 @@ class JointFit:
         assembly: the models and their problem.
         solution: where the sum of squares is least, every reading for itself.
         random: unknowns that are small random functions; None without any.
-        given: what is published in place of what follows from the readings (`model.restated`); None usually.
+        given: what is published in place of what follows from the readings (`model.refits`); None usually.
     """
 
     assembly: Assembly

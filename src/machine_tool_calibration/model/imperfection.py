@@ -14,14 +14,10 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["IMPERFECT", "IMPERFECTION_SIZES", "imperfection", "scaled_values"]
+__all__ = ["IMPERFECT", "imperfection", "scaled_values"]
 
 IMPERFECT = "imperfection"
 """Name of the family of smooth functions that no model has."""
-
-IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.2, 0.5: 0.2, 1.0: 0.1}
-"""Sizes of what every model lacks, in units of the noise, with their prior probabilities: no larger than the readings
-scatter, since what is larger is an effect, or a structure to be named."""
 
 # Highest degree of a coordinate, and of a product of two; highest order of a wave in an angle.
 _DEGREE, _TOGETHER, _ORDER = 4, 3, 4

@@ -18,8 +18,8 @@ from machine_tool_calibration.model.observations import Observations
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import Fit
+    from machine_tool_calibration.model.marginal_fit import RandomUnknowns
     from machine_tool_calibration.model.result import ErrorMap
-    from machine_tool_calibration.model.stated import RandomUnknowns
 
 __all__ = [
     "POINTS",

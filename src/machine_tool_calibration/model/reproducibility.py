@@ -13,22 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import needed_columns
 
 __all__ = ["Family", "PureError", "of_repeats", "reproducibility"]
 
-# Legendre polynomials of degree 0 to 2 over the group's time, and their weights: what is slow is larger. A cubic costs
-# every spread more than it explains, so that an effect of few coefficients was more probable than it.
-_WEIGHTS = np.array([1.0, 1.0, 0.7])
 # Readings of a group for each degree, so that a short run is not all spread.
 _FOR_A_DEGREE = 3
-# Fewer groups than this say nothing of a spread between them where the readings are deviations of the machine itself:
-# their slopes and bows are the part's or the machine's own.
-_SEVERAL = 4
-# Degrees of freedom of repeats from which they tell what does not reproduce, and readings of which so many are enough.
-_FEWEST, _ENOUGH = 8, 20_000
+# Readings of repeats that are enough.
+_ENOUGH = 20_000
 _ROUNDING = 1e-9
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
@@ -77,11 +72,11 @@ class PureError:
     Attributes:
         gram: (u + 1, u + 1) inner products of [functions that do not reproduce, residual] there, over the declared
             uncertainty.
-        freedom: degrees of freedom.
+        dof: degrees of freedom.
     """
 
     gram: Array
-    freedom: int
+    dof: int
 
     def outside(self, own: BoolArray, family: IntArray) -> Gram:
         """Without functions that the model has as unknowns of its own, such as the constants of runs.
@@ -97,8 +92,8 @@ class PureError:
         along = root.T @ self.gram[np.append(own, False)]
         left = self.gram - along.T @ along
         left[np.append(own, False)], left[:, np.append(own, False)] = 0.0, 0.0
-        freedom = max(self.freedom - int(kept.sum()), 1)
-        return Gram(left[:-1, :-1], left[:-1, -1:], np.maximum(left[-1:, -1], 0.0), family, freedom)
+        dof = max(self.dof - int(kept.sum()), 1)
+        return Gram(left[:-1, :-1], left[:-1, -1], max(float(left[-1, -1]), 0.0), family, dof)
 
 
 def reproducibility(observations: Observations) -> tuple[Family, ...]:
@@ -134,21 +129,21 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         residuals: (n,) of each, over the declared uncertainty.
         names: of the families that count.
     """
-    columns, left, freedom = [], [], 0
+    columns, left, dof = [], [], 0
     for observations, residual in zip(observed, residuals, strict=True):
         place = observations.place
         stride = -(-len(place) // _ENOUGH)
         some = np.flatnonzero(place % stride == 0)
         mine = groups(place[some])
         count = np.bincount(mine)
-        freedom += int(np.sum(count - 1))
+        dof += int(np.sum(count - 1))
         families = [family.columns()[:, some] for family in reproducibility(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
         mean = np.array([np.bincount(mine, values) / count for values in both])
         both -= mean[:, mine]
         columns.append(both[:-1])
         left.append(both[-1])
-    if freedom < _FEWEST:
+    if dof < priors.ENOUGH_REPEATS:
         return None
     own = [len(c) for c in columns]
     whole = np.zeros((sum(own) + 1, sum(own) + 1))
@@ -158,12 +153,12 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         both = np.concatenate([c, r[None]])
         whole[np.ix_(place, place)] += both @ both.T
         first += len(c)
-    return PureError(whole, freedom)
+    return PureError(whole, dof)
 
 
 def _smooth(observations: Observations, group: IntArray) -> Array:
     """(3, n) weighted Legendre polynomials over each group's time; an offset alone where no time was recorded."""
-    time, weights = observations.clock, _WEIGHTS if observations.timed else _WEIGHTS[:1]
+    time, weights = observations.clock, np.array(priors.SERIES if observations.timed else priors.SERIES[:1])
     out = np.zeros((len(weights), len(time)))
     count = int(group.max(initial=-1)) + 1
     size = np.bincount(group[group >= 0], minlength=count)
@@ -175,8 +170,8 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
     scaled = np.where(flat[group], 0.0, (time - low[group]) / np.where(flat, 1.0, half)[group] - 1.0)
     series = np.polynomial.legendre.legvander(scaled, len(weights) - 1).T * weights[:, None]
     for degree in range(len(weights)):
-        told = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
-        out[degree] = np.where(told[group], series[degree], 0.0)
+        determined = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
+        out[degree] = np.where(determined[group], series[degree], 0.0)
     return out
 
 
@@ -192,7 +187,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
         return
     for name, group in (("run", observations.run), *((("pass", _passes(observations, moved[0])),) if moved else ())):
         group = in_order_of_appearance(group)
-        if int(group.max(initial=-1)) + 1 >= _SEVERAL:
+        if int(group.max(initial=-1)) + 1 >= priors.SEVERAL_RUNS:
             yield Family(name, group, _smooth(observations, group))
             return
 
@@ -202,7 +197,7 @@ def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
     for j in moved:
         row = np.unique(np.round(observations.position[:, j] / _STILL), return_inverse=True)[1].reshape(-1)
         count = np.bincount(row)
-        if _SEVERAL <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
+        if priors.SEVERAL_RUNS <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
             yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy())
 
 

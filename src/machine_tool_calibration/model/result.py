@@ -17,7 +17,6 @@ from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
 
 __all__ = [
-    "EffectSet",
     "ErrorMap",
     "Estimate",
     "Identified",
@@ -124,14 +123,6 @@ class Rejected:
 
 
 @dataclass(frozen=True)
-class EffectSet:
-    """A set of effects and the probability that it is these that are in the readings."""
-
-    effects: tuple[str, ...]
-    probability: float
-
-
-@dataclass(frozen=True)
 class ErrorMap:
     """The machine's errors with their standard uncertainties; NaN is a value that the data does not determine.
 
@@ -189,15 +180,11 @@ class Identified(ABC):
         error_map: the machine's errors.
         model_name: variant of the model, such as free or rigid_body; of several sessions each once.
         effects: ids of the effects that were added.
-        alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
-        averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
     error_map: ErrorMap
     model_name: str
     effects: tuple[str, ...]
-    alone: ErrorMap
-    averaged: tuple[EffectSet, ...] = ()
 
     @property
     @abstractmethod
@@ -239,7 +226,6 @@ class Identified(ABC):
             "degrees_of_freedom": self.joint.solution.degrees_of_freedom,
             "p_value": self.joint.p_value,
             "effects": list(self.effects),
-            "averaged_over": [{"effects": list(s.effects), "probability": s.probability} for s in self.averaged],
             "spread": [size.document() for size in stated.sizes],
             "scatter_factor": stated.scatter,
             "parameters": [estimate.document() for estimate in self.parameters],

@@ -121,7 +121,7 @@ class Estimator(ManagedNode):
         self._text = message.data
 
     def _read(self, message: JointState) -> None:
-        reading = Reading(message.header.frame_id, list(message.name), list(message.position))
+        reading = Reading(list(message.name), list(message.position))
         forgotten = self._received.add(from_message(message.header.stamp), reading)
         if forgotten:
             self.get_logger().info(f"another session has begun; {forgotten} readings forgotten")

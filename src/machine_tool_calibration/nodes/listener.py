@@ -132,7 +132,7 @@ class Listener:
         if names == self._names:
             names = self._names  # one object for all readings
         self._names = names
-        self._heard.read(from_message(message.header.stamp), Reading(message.header.frame_id, names, message.position))
+        self._heard.read(from_message(message.header.stamp), Reading(names, message.position))
 
     def _diagnosed(self, message: DiagnosticArray) -> None:
         prefix = f"{self._space}/" if self._space else ""

@@ -353,7 +353,7 @@ def _save(operator: Operator, output: Path) -> Session | None:
     """Write the readings received so far as a session folder; None if there are none."""
     if not operator.readings or not operator.session:
         return None
-    readings = (Reading(message.header.frame_id, message.name, message.position) for message in operator.readings)
+    readings = (Reading(message.name, message.position) for message in operator.readings)
     session = live_session(operator.session, readings, check=False)
     write_session(session, output / "session")
     return session

@@ -131,6 +131,8 @@ class Recorder(ManagedNode):
             time = (message.simulated or now(self)) if simulated else message.received
             self._guarded(self._write, message, time)
         self._guarded(self.bag.tick)
+        if not self.bag.waits:  # whatever a full disk had refused is written
+            self.trouble = ""
 
     def _write(self, message: Taken, time: int) -> None:
         if not self.bag.has(message.topic):

@@ -10,8 +10,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, effect_candidates
-from machine_tool_calibration.diagnosis.search.priors import EFFECT
 from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
@@ -77,7 +77,7 @@ def detectable(
         progress: told what is being done, and the share that is finished.
     """
     screened, excluded = _screened(Pool(joint), effects, progress)
-    needed = float(np.log(max(len(screened), 1.0 / EFFECT)))
+    needed = float(np.log(max(len(screened), 1.0 / priors.EFFECT)))
     visible, absorbed = [], []
     for candidate in screened:
         best = candidate.smallest(needed)

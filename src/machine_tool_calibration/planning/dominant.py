@@ -28,7 +28,7 @@ from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalMod
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
-from machine_tool_calibration.model.restated import declared
+from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Session

@@ -14,7 +14,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.restated import declared
+from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.detectable import Detectable, detectable
 from machine_tool_calibration.planning.dominant import expected_model

@@ -10,15 +10,15 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.search.priors import EFFECT
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
@@ -108,7 +108,7 @@ def visibilities(
         possible = max(abs(coefficient.low), abs(coefficient.high))
         limit = possible / 2.0
         strength = np.array([information * limit**2 / variance])
-        needed = smallest_signal(strength, float(strength[0]), -np.log(EFFECT)) ** 2 * variance
+        needed = smallest_signal(strength, float(strength[0]), -np.log(priors.EFFECT)) ** 2 * variance
         smallest = r.detectable.get(coefficient.name)
         if smallest is not None and before[k] > 0:
             needed = smallest**2 * float(before[k])
@@ -203,7 +203,7 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
     cosine, _, k = min(good, key=lambda t: (t[1], t[2]))
     option, sensed = seen[k]
     found = replace(found, cosine_after=cosine, apart_after=_apart(group, sensed))
-    if cosine >= ALIKE or cosine > before - _EQUAL:
+    if cosine >= priors.ALIKE or cosine > before - _EQUAL:
         return found
     return replace(found, kind=option.kind, measure=option.words, seconds=option.seconds, aside=option.aside)
 

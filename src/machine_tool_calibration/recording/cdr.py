@@ -35,7 +35,6 @@ __all__ = [
     "definition_of",
     "encode",
     "encode_joint_state",
-    "numbers",
     "part",
     "text",
     "typestore",
@@ -220,36 +219,13 @@ def _joint_state_by_library(data: bytes) -> JointState:
     )
 
 
-def numbers(data: bytes) -> Array:
-    """The data of a Float64MultiArray, without its layout.
-
-    Raises:
-        RecordingError: damaged.
-    """
-    if data[:2] != _LITTLE:
-        return np.asarray(decode(NUMBERS, data).data, dtype=np.float64)
-    try:
-        cursor = _Cursor(data)
-        for _ in range(cursor.uint32()):
-            cursor.string()
-            cursor.uint32()
-            cursor.uint32()
-        cursor.uint32()
-        return cursor.doubles()
-    except (struct.error, ValueError) as error:
-        raise RecordingError(f"a {NUMBERS} is damaged: {error}") from None
-
-
 def text(data: bytes) -> str:
     """The content of a std_msgs/String.
 
     Raises:
         RecordingError: damaged.
     """
-    try:
-        return str(decode(TEXT, data).data) if data[:2] != _LITTLE else _Cursor(data).string().decode()
-    except (struct.error, ValueError) as error:
-        raise RecordingError(f"a {TEXT} is damaged: {error}") from None
+    return str(decode(TEXT, data).data)
 
 
 def decode(message_type: str, data: bytes) -> Any:

@@ -1,31 +1,221 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One MCAP file of ROS 2 messages."""
+"""One MCAP file of ROS 2 messages, read with bounded memory, whatever the file claims.
+
+Records are parsed by the `mcap` library. Its readers would unpack a chunk to any size, and stop at the first damage; so
+records are found here, chunks unpacked here, and messages, which come by the million, cut out of them.
+"""
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO, NamedTuple, TypeVar
 
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Header, Schema, Statistics
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from machine_tool_calibration.errors import RecordingError
-from machine_tool_calibration.recording.records import (
-    Budget,
-    RawMessage,
-    RawRecord,
-    footer_of,
-    message_of,
-    messages_in,
-    parse,
-    records,
-    unpack_chunk,
-)
+from machine_tool_calibration.errors import RecordingError, UnfinishedError
 
-__all__ = ["Channels", "McapReader", "Summary"]
+__all__ = ["MAGIC", "Budget", "Channels", "McapReader", "RawMessage", "RawRecord", "messages_in", "records", "unpack"]
 
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_IS_MESSAGE = int(Opcode.MESSAGE)  # what is compared for every message
+_REGISTRATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+_LARGEST = 256 << 20  # bytes of a record, or of a chunk that is unpacked
+_FOOTER = _HEAD.size + 20 + len(MAGIC)  # bytes
 _DEFINITIONS = 16 << 20  # bytes of message definitions that are kept
+_FREE = 1 << 30  # bytes that a file may unpack to, whatever its size
+_RATIO = 200  # and per byte beyond that
+
+Parsed = TypeVar("Parsed")
+
+
+class RawRecord(NamedTuple):
+    """One record: its kind, where it (or the chunk that it is in) begins, and its content; empty where skipped."""
+
+    opcode: int
+    offset: int
+    length: int
+    content: bytes
+
+
+class RawMessage(NamedTuple):
+    """One message as it stands in the file; times in ns."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+def records(
+    path: Path, stream: BinaryIO, *, start: int = len(MAGIC), skip: Collection[int] = ()
+) -> Iterator[RawRecord]:
+    """All records from a place in the file to its footer.
+
+    Args:
+        path: for messages.
+        stream: the file.
+        start: byte where a record begins.
+        skip: offsets of chunks whose content is not wanted.
+
+    Raises:
+        RecordingError: damaged; the message names the byte.
+        UnfinishedError: the file ends before the footer.
+    """
+    size = os.fstat(stream.fileno()).st_size
+    stream.seek(start)
+    offset, opcode = start, 0
+    while opcode != Opcode.FOOTER:
+        head = stream.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            raise UnfinishedError(f"{path}: ends at byte {size} without a footer; `mtcal recover` makes it whole")
+        opcode, length = _HEAD.unpack(head)
+        end = offset + _HEAD.size + length
+        if end > size:
+            raise UnfinishedError(
+                f"{path}: the record at byte {offset} is cut short; `mtcal recover` saves what stands before it"
+            )
+        if opcode == 0 or length > _LARGEST:
+            raise RecordingError(
+                f"{path}: damaged at byte {offset}: no record begins there; `mtcal recover` saves what stands before"
+            )
+        skipped = offset in skip or opcode in (Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX)
+        content = b"" if skipped else stream.read(length)
+        stream.seek(end)
+        yield RawRecord(opcode, offset, length, content)
+        offset = end
+
+
+def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parsed]) -> Parsed:
+    """A record's fields by the `mcap` library.
+
+    Raises:
+        RecordingError: the record is damaged.
+    """
+    try:
+        return read(ReadDataStream(BytesIO(record.content)))
+    except (struct.error, McapError, ValueError, TypeError, OverflowError):
+        what = "chunk" if record.opcode == Opcode.CHUNK else "record"
+        raise RecordingError(
+            f"{path}: the {what} at byte {record.offset} is damaged; `mtcal recover` saves what is whole"
+        ) from None
+
+
+class Budget:
+    """How much a file may unpack to in all, so that a small file cannot cost hours."""
+
+    def __init__(self, path: Path) -> None:
+        """Start with what the file's size allows."""
+        self._path = path
+        self._left = _FREE + _RATIO * path.stat().st_size
+
+    def take(self, size: int) -> None:
+        """Use up some bytes.
+
+        Raises:
+            RecordingError: nothing is left.
+        """
+        self._left -= size
+        if self._left < 0:
+            raise RecordingError(f"{self._path}: unpacks to more than {_RATIO} times its size; this is not a recording")
+
+
+def unpack(path: Path, record: RawRecord, budget: Budget, *, cut: bool = False) -> bytes:
+    """What is in a record, one after the other: a chunk's content, or a message or registration itself.
+
+    Args:
+        path: for messages.
+        record: any; what holds neither messages nor registrations is empty.
+        budget: of the file.
+        cut: whether the chunk's end is missing: then as much as can be unpacked.
+
+    Raises:
+        RecordingError: damaged, too large, of another size than declared, or of an unknown compression.
+    """
+    if record.opcode in (Opcode.MESSAGE, *_REGISTRATIONS):
+        return _HEAD.pack(record.opcode, record.length) + record.content
+    if record.opcode != Opcode.CHUNK:
+        return b""
+    where = f"{path}: the chunk at byte {record.offset}"
+    chunk = _parse(path, record, Chunk.read)
+    size = chunk.uncompressed_size
+    if size > _LARGEST:
+        raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST >> 20} MiB are accepted")
+    budget.take(size)
+    data = bytearray()
+    try:
+        for piece in _pieces(where, chunk):
+            data += piece
+            if len(data) > size:
+                break
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
+        if not cut:
+            raise RecordingError(f"{where} cannot be unpacked; `mtcal recover` saves the others") from None
+    if cut:
+        return bytes(data[:size])
+    if len(data) != size:
+        raise RecordingError(f"{where} does not unpack to the {size} bytes that it declares")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise RecordingError(f"{where} is damaged: its checksum is wrong; `mtcal recover` saves the others")
+    return bytes(data)
+
+
+def _pieces(where: str, chunk: Chunk) -> Iterator[bytes]:
+    """What a chunk unpacks to, in pieces of which none is much larger than what it declares."""
+    if chunk.compression == "zstd":
+        with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(chunk.data) as stream:
+            while piece := stream.read(1 << 18):
+                yield piece
+    elif chunk.compression == "lz4":
+        yield lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    elif not chunk.compression:
+        yield chunk.data
+    else:
+        raise RecordingError(f"{where} is packed by {chunk.compression!r}, which is unknown")
+
+
+def messages_in(
+    path: Path, offset: int, content: bytes, wanted: Collection[int] | None = None
+) -> Iterator[RawMessage | RawRecord]:
+    """Messages and registrations that stand one after the other.
+
+    Args:
+        path: for messages.
+        offset: where the record that holds them begins.
+        content: of it, unpacked.
+        wanted: channels whose messages are given; all if None.
+
+    Raises:
+        RecordingError: damaged.
+    """
+    at, end = 0, len(content)
+    heads, messages = _HEAD.unpack_from, _MESSAGE.unpack_from
+    while at < end:
+        opcode, length = heads(content, at) if end - at >= _HEAD.size else (0, end)
+        start = at + _HEAD.size
+        at = start + length
+        is_message = opcode == _IS_MESSAGE
+        if at > end or (is_message and length < _MESSAGE.size) or not (is_message or opcode in _REGISTRATIONS):
+            raise RecordingError(f"{path}: the chunk at byte {offset} is damaged; `mtcal recover` saves the others")
+        if not is_message:
+            yield RawRecord(opcode, offset, length, content[start:at])
+            continue
+        channel, sequence, log_time, publish_time = messages(content, start)
+        if wanted is None or channel in wanted:
+            yield RawMessage(channel, sequence, log_time, publish_time, content[start + _MESSAGE.size : at])
 
 
 @dataclass
@@ -44,14 +234,12 @@ class Channels:
             RecordingError: damaged, or definitions without measure.
         """
         if record.opcode == Opcode.SCHEMA:
-            schema = parse(self.path, record, Schema.read)
-            if schema.id not in self.schemas:
-                self.kept += record.length
+            schema = _parse(self.path, record, Schema.read)
+            self.kept += 0 if schema.id in self.schemas else record.length
             self.schemas[schema.id] = schema
         elif record.opcode == Opcode.CHANNEL:
-            channel = parse(self.path, record, Channel.read)
-            if channel.id not in self.channels:
-                self.kept += record.length
+            channel = _parse(self.path, record, Channel.read)
+            self.kept += 0 if channel.id in self.channels else record.length
             self.channels[channel.id] = channel
         if self.kept > _DEFINITIONS:
             raise RecordingError(f"{self.path}: more than {_DEFINITIONS >> 20} MiB of message definitions")
@@ -59,13 +247,13 @@ class Channels:
 
 @dataclass
 class Summary:
-    """What a file holds, by its own summary or by counting."""
+    """What a file holds, by its own summary or by counting; times in ns."""
 
     channels: Channels
-    counts: dict[int, int]
-    first: int
-    last: int
-    chunk_channels: dict[int, frozenset[int]]
+    counts: dict[int, int] = field(default_factory=dict)
+    first: int = 0
+    last: int = 0
+    chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)
 
     @property
     def messages(self) -> int:
@@ -84,7 +272,14 @@ class McapReader:
             UnfinishedError: its end is missing.
         """
         self.path = path
-        self.summary = self._summary(footer_of(path))
+        if not path.is_file():  # to open a pipe would wait for its writer
+            raise RecordingError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
+        try:
+            with path.open("rb") as stream:
+                self._check_ends(stream)
+                self.summary = self._summary(stream) or self._count()
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
     def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[tuple[Channel, RawMessage]]:
         """The messages of the channels that are wanted (all if None), with their channel.
@@ -98,12 +293,12 @@ class McapReader:
         if ids is not None:
             skip = frozenset(at for at, held in self.summary.chunk_channels.items() if held and not held & ids)
         for entry in self._walk(skip, ids):
-            if isinstance(entry, RawRecord):
-                continue
-            channel = known.get(entry.channel)
-            if channel is None:
-                raise RecordingError(f"{self.path}: a message of a channel {entry.channel} that was never registered")
-            if ids is None or entry.channel in ids:
+            if isinstance(entry, RawMessage):
+                channel = known.get(entry.channel)
+                if channel is None:
+                    raise RecordingError(
+                        f"{self.path}: a message of a channel {entry.channel} that was never registered"
+                    )
                 yield channel, entry
 
     def _walk(self, skip: Collection[int], wanted: Collection[int] | None) -> Iterator[RawMessage | RawRecord]:
@@ -112,65 +307,63 @@ class McapReader:
             with self.path.open("rb") as stream:
                 budget = Budget(self.path)
                 for record in records(self.path, stream, skip=skip):
-                    if record.opcode == Opcode.CHUNK and record.offset not in skip:
-                        content = unpack_chunk(self.path, record, budget)
-                        yield from messages_in(self.path, record, content, wanted)
-                    elif record.opcode == Opcode.MESSAGE:
-                        yield message_of(self.path, record)
-                    elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                        yield record
-                    elif record.opcode == Opcode.DATA_END:
+                    if record.opcode == Opcode.DATA_END:
                         return
+                    if record.offset not in skip:
+                        yield from messages_in(self.path, record.offset, unpack(self.path, record, budget), wanted)
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def _summary(self, end: RawRecord) -> Summary:
-        with self.path.open("rb") as stream:
-            for record in records(self.path, stream):
-                if record.opcode == Opcode.HEADER:
-                    header = parse(self.path, record, Header.read)
-                    if header.profile not in ("ros2", ""):
-                        raise RecordingError(f"{self.path}: holds messages of {header.profile!r}, not of ros2")
-                break
-        footer = parse(self.path, end, Footer.read)
-        summary = self._read_summary(footer.summary_start) if footer.summary_start else None
-        return summary if summary is not None else self._count()
+    def _check_ends(self, stream: BinaryIO) -> None:
+        head = stream.read(len(MAGIC))
+        if not head:
+            raise UnfinishedError(
+                f"{self.path}: the file is empty; the recorder was killed before its first second was over"
+            )
+        if head != MAGIC:
+            raise RecordingError(f"{self.path}: is not an MCAP file")
+        stream.seek(max(0, os.fstat(stream.fileno()).st_size - _FOOTER))
+        tail = stream.read(_FOOTER)
+        if len(tail) < _FOOTER or not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
+            raise UnfinishedError(
+                f"{self.path}: was not finished (the recorder was killed?); `mtcal recover` makes it whole"
+            )
+        first = next(records(self.path, stream))
+        profile = _parse(self.path, first, Header.read).profile if first.opcode == Opcode.HEADER else ""
+        if profile not in ("ros2", ""):
+            raise RecordingError(f"{self.path}: holds messages of {profile!r}, not of ros2")
 
-    def _read_summary(self, start: int) -> Summary | None:
+    def _summary(self, stream: BinaryIO) -> Summary | None:
         """The file's own summary; None where it is not complete."""
-        channels, statistics = Channels(self.path), None
-        chunks: dict[int, frozenset[int]] = {}
-        for record in self._records_from(start):
-            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                channels.take(record)
-            elif record.opcode == Opcode.STATISTICS:
-                statistics = parse(self.path, record, Statistics.read)
-            elif record.opcode == Opcode.CHUNK_INDEX:
-                index = parse(self.path, record, ChunkIndex.read)
-                chunks[index.chunk_start_offset] = frozenset(index.message_index_offsets)
-        if statistics is None or any(channel not in channels.channels for channel in statistics.channel_message_counts):
+        size = os.fstat(stream.fileno()).st_size
+        (footer,) = records(self.path, stream, start=size - _FOOTER)
+        start = _parse(self.path, footer, Footer.read).summary_start
+        if not start:
             return None
-        if sum(statistics.channel_message_counts.values()) != statistics.message_count:
-            return None
-        counts = dict(statistics.channel_message_counts)
-        return Summary(channels, counts, statistics.message_start_time, statistics.message_end_time, chunks)
-
-    def _records_from(self, start: int) -> Iterator[RawRecord]:
-        """The records of the summary section."""
-        size = self.path.stat().st_size
         if not 8 <= start < size:
             raise RecordingError(f"{self.path}: the footer points outside the file; `mtcal recover` makes it whole")
-        with self.path.open("rb") as stream:
-            yield from records(self.path, stream, start=start)
+        found, statistics = Summary(Channels(self.path)), None
+        for record in records(self.path, stream, start=start):
+            found.channels.take(record)
+            if record.opcode == Opcode.STATISTICS:
+                statistics = _parse(self.path, record, Statistics.read)
+            elif record.opcode == Opcode.CHUNK_INDEX:
+                index = _parse(self.path, record, ChunkIndex.read)
+                found.chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
+        if statistics is None or not statistics.channel_message_counts.keys() <= found.channels.channels.keys():
+            return None
+        found.counts = dict(statistics.channel_message_counts)
+        found.first, found.last = statistics.message_start_time, statistics.message_end_time
+        return found if found.messages == statistics.message_count else None
 
     def _count(self) -> Summary:
         """The summary of a file that has none of its own."""
-        channels, counts = Channels(self.path), dict[int, int]()
-        first, last = 2**64 - 1, 0
+        found = Summary(Channels(self.path))
         for entry in self._walk((), None):
             if isinstance(entry, RawRecord):
-                channels.take(entry)
-            else:
-                counts[entry.channel] = counts.get(entry.channel, 0) + 1
-                first, last = min(first, entry.log_time), max(last, entry.log_time)
-        return Summary(channels, counts, first if counts else 0, last, {})
+                found.channels.take(entry)
+                continue
+            found.first = min(found.first, entry.log_time) if found.counts else entry.log_time
+            found.last = max(found.last, entry.log_time)
+            found.counts[entry.channel] = found.counts.get(entry.channel, 0) + 1
+        return found

@@ -22,13 +22,12 @@ __all__ = [
     "bag_information",
     "bag_information_text",
     "metadata_text",
-    "parse_qos",
     "qos_text",
 ]
 
 
 _MOST_QOS = 1 << 20  # characters: thousands of publishers
-FOREVER = 9_223_372_036_854_775_807  # ns
+FOREVER = 9_223_372_036_854_775_807  # ns; also the start of a recording without messages, as rosbag2 has it
 
 
 @dataclass(frozen=True)
@@ -98,17 +97,6 @@ _CODES = {
 }
 
 
-def parse_qos(value: Any) -> tuple[Qos, ...]:
-    """Profiles from what a bag says; what cannot be understood is left at its default.
-
-    Args:
-        value: the list of mappings (numbers before version 9 of rosbag2, names since).
-    """
-    if not isinstance(value, Sequence) or isinstance(value, str):
-        return ()
-    return tuple(_profile(entry) for entry in value[:1000] if isinstance(entry, Mapping))
-
-
 class OfferedQos:
     """Reads what the channels of a bag say of their quality of service; up to a measure for them together.
 
@@ -128,29 +116,30 @@ class OfferedQos:
                 return ()
             self._left -= len(text)
             try:
-                self._known[text] = parse_qos(load_yaml(text, "offered_qos_profiles").value)
+                entries = load_yaml(text, "offered_qos_profiles").value
             except SessionError:
-                self._known[text] = ()
+                entries = None
+            entries = entries[:1000] if isinstance(entries, list) else []
+            self._known[text] = tuple(_profile(entry) for entry in entries if isinstance(entry, dict))
         return self._known[text]
 
 
 def _profile(entry: Mapping[str, Any]) -> Qos:
-    depth = entry.get("depth")
-    told: dict[str, Any] = {name: _policy(entry.get(name), names) for name, names in _CODES.items()}
-    told["depth"] = depth if isinstance(depth, int) and depth >= 0 else None
-    return Qos(**{name: value for name, value in told.items() if value is not None})
-
-
-def _policy(value: Any, names: Sequence[str]) -> str | None:
-    """The name of a policy that is given by name or by number; None where it is neither."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return names[value] if 0 <= value < len(names) else None
-    return value if isinstance(value, str) and value in names else None
+    """One profile; what cannot be understood is left at its default."""
+    told: dict[str, Any] = {}
+    for name, names in _CODES.items():
+        value = entry.get(name)  # a number before version 9 of rosbag2, a name since
+        if isinstance(value, int) and 0 <= value < len(names):
+            value = names[value]
+        if isinstance(value, str) and value in names:
+            told[name] = value
+    if isinstance(depth := entry.get("depth"), int) and depth >= 0:
+        told["depth"] = depth
+    return Qos(**told)
 
 
 VERSION = 9
 _DISTRO = "jazzy"
-NEVER = 9_223_372_036_854_775_807  # ns: start of a recording without messages, as rosbag2 has it
 
 
 @dataclass(frozen=True)
@@ -167,10 +156,10 @@ class TopicSummary:
 
 @dataclass
 class FileSummary:
-    """What one file of a bag holds; times in ns, `first` is `NEVER` without messages."""
+    """What one file of a bag holds; times in ns, `first` is `FOREVER` without messages."""
 
     path: str
-    first: int = NEVER
+    first: int = FOREVER
     last: int = 0
     messages: int = 0
     by_topic: dict[str, int] = field(default_factory=dict)
@@ -183,7 +172,7 @@ class FileSummary:
 
 def bag_information(files: Sequence[FileSummary], topics: Sequence[TopicSummary]) -> dict[str, Any]:
     """Content of `rosbag2_bagfile_information`."""
-    first = min((entry.first for entry in files), default=NEVER)
+    first = min((entry.first for entry in files), default=FOREVER)
     last = max((entry.last for entry in files if entry.messages), default=first)
     return {
         "version": VERSION,

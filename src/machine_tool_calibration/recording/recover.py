@@ -14,19 +14,17 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
-from machine_tool_calibration.recording.mcap_file import MAGIC
-from machine_tool_calibration.recording.mcap_reader import Channels
-from machine_tool_calibration.recording.metadata import OfferedQos
-from machine_tool_calibration.recording.records import (
+from machine_tool_calibration.recording.mcap_reader import (
+    MAGIC,
     Budget,
+    Channels,
     RawMessage,
     RawRecord,
-    message_of,
     messages_in,
     records,
-    unpack_chunk,
-    unpack_cut_chunk,
+    unpack,
 )
+from machine_tool_calibration.recording.metadata import OfferedQos
 from machine_tool_calibration.recording.writer import BagWriter
 
 __all__ = ["Recovered", "recover"]
@@ -184,7 +182,10 @@ class _Salvage:
             with self.path.open("rb") as stream:
                 budget = Budget(self.path)
                 for record in records(self.path, stream):
-                    yield from self._whole(record, budget)
+                    try:
+                        yield from list(messages_in(self.path, record.offset, unpack(self.path, record, budget)))
+                    except RecordingError as error:
+                        self._problem(_reason(error, self.path), record.length)
                     end = record.offset + 9 + record.length
                     self._read(end)
                     if record.opcode == Opcode.DATA_END:
@@ -192,7 +193,7 @@ class _Salvage:
         except UnfinishedError:
             end = max(end, len(MAGIC))
             saved = 0
-            for saved, entry in enumerate(self._cut(end), 1):  # noqa: B007 (the last one counts)
+            for saved, entry in enumerate(self._cut(end, budget), 1):  # noqa: B007 (the last one counts)
                 yield entry
             self._problem("the end is missing", 0 if saved else self.path.stat().st_size - end)
         except RecordingError as error:
@@ -200,27 +201,16 @@ class _Salvage:
         except OSError as error:
             self._problem(f"cannot be read: {error.strerror}", 0)
 
-    def _cut(self, start: int) -> Iterator[RawMessage | RawRecord]:
+    def _cut(self, start: int, budget: Budget) -> Iterator[RawMessage | RawRecord]:
         """The whole messages in a chunk whose end is missing."""
         with self.path.open("rb") as stream:
             stream.seek(start)
             head = stream.read(9)
-            content = stream.read(_LARGEST_CUT) if head[:1] == bytes([Opcode.CHUNK]) else b""
-        record = RawRecord(Opcode.CHUNK, start, len(content), content)
-        with contextlib.suppress(RecordingError):  # where the whole ones end
-            yield from messages_in(self.path, record, unpack_cut_chunk(content, _LARGEST_CUT), None)
-
-    def _whole(self, record: RawRecord, budget: Budget) -> list[RawMessage | RawRecord]:
-        """A record's messages and registrations; none where it is damaged."""
-        try:
-            if record.opcode == Opcode.CHUNK:
-                return list(messages_in(self.path, record, unpack_chunk(self.path, record, budget), None))
-            if record.opcode == Opcode.MESSAGE:
-                return [message_of(self.path, record)]
-        except RecordingError as error:
-            self._problem(_reason(error, self.path), record.length)
-            return []
-        return [record] if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL) else []
+            if head[:1] == bytes([Opcode.CHUNK]):
+                content = stream.read(_LARGEST_CUT)
+                with contextlib.suppress(RecordingError):  # where the whole ones end
+                    whole = unpack(self.path, RawRecord(Opcode.CHUNK, start, len(content), content), budget, cut=True)
+                    yield from messages_in(self.path, start, whole)
 
     def _problem(self, what: str, lost: int) -> None:
         self.lost += lost

@@ -85,7 +85,7 @@ def _runs(
             if again and reading.value("time") < collector.last_time:
                 yield collector, kept
                 collector, kept = Collector(collector.description, place), {}
-            collector.add(reading.frame, reading.names, reading.positions)
+            collector.add(reading.names, reading.positions)
             again = False
     if len(collector):
         yield collector, kept

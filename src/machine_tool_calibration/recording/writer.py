@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag as rosbag2 writes it: a folder with `metadata.yaml` and MCAP files."""
+"""A bag as rosbag2 writes it: a folder with `metadata.yaml` and MCAP files, by the `mcap` library's writer."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from mcap.writer import IndexType, Writer
+
 from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.cdr import definition_of
-from machine_tool_calibration.recording.mcap_file import McapFile
 from machine_tool_calibration.recording.metadata import (
     FileSummary,
     Qos,
@@ -25,6 +26,55 @@ from machine_tool_calibration.recording.metadata import (
 )
 
 __all__ = ["BagWriter"]
+
+_LIBRARY = "libmcap 1.3.1; machine_tool_calibration"  # rosbag2's library in Jazzy, whose layout this is
+_CHUNK = 768 << 10  # bytes at which a chunk ends
+_MOST_WAITING = 64 << 20  # bytes that are kept for a disk that is full
+
+
+class _File:
+    """The file of an MCAP writer. What was flushed survives the process; what a full disk refuses waits for room.
+
+    Each flush is one write, so that a kill hardly ever falls into it; one that fails leaves the file at its last whole
+    chunk.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
+        self._size = 0
+        self._waiting = bytearray()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that are not yet in the operating system's hands."""
+        return len(self._waiting)
+
+    def tell(self) -> int:
+        return self._size + len(self._waiting)
+
+    def write(self, data: bytes) -> None:
+        self._waiting += data
+
+    def flush(self) -> None:
+        try:
+            view = memoryview(bytes(self._waiting))
+            while view:
+                view = view[os.write(self._handle, view) :]
+        except OSError:
+            os.ftruncate(self._handle, self._size)
+            os.lseek(self._handle, self._size, os.SEEK_SET)
+            raise
+        self._size += len(self._waiting)
+        self._waiting.clear()
+
+    def close(self) -> None:
+        self.flush()
+        os.fsync(self._handle)
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close it as it is."""
+        os.close(self._handle)
 
 
 @dataclass
@@ -39,7 +89,8 @@ class BagWriter:
 
     A chunk ends when it is full, and at the first `write` or `tick` after `flush_seconds`: whoever records calls
     `tick` at least twice a second, so that the last messages before a pause are safe too. `metadata.yaml` is
-    written by `close`: a folder without it was not finished, and `mtcal recover` makes it whole.
+    written by `close`: a folder without it was not finished, and `mtcal recover` makes it whole. Where the disk is
+    full, messages wait for room, up to 64 MiB of them.
     """
 
     def __init__(
@@ -47,7 +98,7 @@ class BagWriter:
         folder: Path,
         *,
         flush_seconds: float = 0.4,
-        chunk_bytes: int = 768 << 10,
+        chunk_bytes: int = _CHUNK,
         split_bytes: int = 0,
         split_seconds: float = 0.0,
     ) -> None:
@@ -64,29 +115,30 @@ class BagWriter:
             RecordingError: the folder is there already or cannot be made.
         """
         self.folder = Path(folder)
-        self._flush = flush_seconds
-        self._chunk_bytes = chunk_bytes
+        self._flush_seconds = flush_seconds
+        # A file is as large as asked to a tenth: it ends with a chunk.
+        self._chunk_bytes = min(chunk_bytes, split_bytes // 10) if split_bytes else chunk_bytes
         self._split_bytes, self._split_time = split_bytes, int(split_seconds * 1e9)
-        self._splits = bool(self._split_bytes or self._split_time)
         self._topics: dict[str, _Topic] = {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._files: list[FileSummary] = []
-        self._file: McapFile | None = None
-        self._flushed = time.monotonic()
+        self._file: _File | None = None
+        self._mcap: Writer | None = None  # None as well while a file that was ended waits for room
+        self._kept: tuple[int, dict[str, int]] = (0, {})  # messages of the file that are flushed, by topic
         self._closed = False
-        self.lost = 0  # messages in chunks that could not be written
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if any(self.folder.iterdir()):
                 raise RecordingError(f"{self.folder}: is not empty; a recording needs a new folder")
         except OSError as error:
             raise RecordingError(f"{self.folder}: cannot be made: {error.strerror}") from None
-        self._begin()
+        self._writer()
+        self.flush()
 
     @property
     def messages(self) -> int:
-        """Messages so far."""
+        """Messages so far, those that wait to be written with them."""
         return sum(file.messages for file in self._files)
 
     @property
@@ -108,8 +160,13 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of the present file, with what is not yet compressed."""
-        return self._file.size + self._file.pending if self._file else 0
+        """Bytes of the present file, with those that wait to be written."""
+        return self._file.tell() if self._file else 0
+
+    @property
+    def waits(self) -> bool:
+        """Whether anything waits to be written, as it does where the disk is full."""
+        return self._file is not None and self._file.waiting > 0
 
     def add_topic(
         self,
@@ -143,7 +200,7 @@ class BagWriter:
             schema_encoding = "ros2msg" if definition else ""
         summary = TopicSummary(name, message_type, type_hash, tuple(qos), 0, encoding)
         self._topics[name] = _Topic(summary, definition.encode(), schema_encoding)
-        self._register(name)
+        self._register(self._writer(), name)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None, sequence: int = 0) -> None:
         """Add one serialized message.
@@ -160,36 +217,45 @@ class BagWriter:
         """
         if topic not in self._topics:
             raise RecordingError(f"{self.folder}: the topic {topic!r} was not registered")
-        file, summary = self._open_file(), self._files[-1]
-        if log_time < 0:
-            log_time = 0
-        if self._splits and self._is_full(file, summary, log_time):
-            self._next()
-            file, summary = self._open_file(), self._files[-1]
-        file.add_message(self._channels[topic], data, log_time, max(0, publish_time or log_time), sequence)
+        writer, log_time = self._writer(), max(0, log_time)
+        assert self._file is not None
+        if self._is_full(self._file, log_time):
+            self._end()
+            writer = self._writer()
+        elif self._file.waiting > _MOST_WAITING:
+            self.flush()
+        sent = max(0, publish_time or log_time)
+        writer.add_message(self._channels[topic], log_time, data, sent, sequence & 0xFFFFFFFF)
+        summary = self._files[-1]
         summary.messages += 1
         summary.by_topic[topic] = summary.by_topic.get(topic, 0) + 1
         if log_time < summary.first:
             summary.first = log_time
         if log_time > summary.last:
             summary.last = log_time
-        if file.pending >= self._chunk_bytes:
-            self.flush()
-        else:
-            self.tick()
+        self.tick()
 
     def tick(self) -> None:
-        """Write what is pending if it is older than `flush_seconds`."""
-        if time.monotonic() - self._flushed >= self._flush:
+        """Write what is pending if it is older than `flush_seconds`.
+
+        Raises:
+            RecordingError: the disk is full; what is pending waits.
+        """
+        if time.monotonic() - self._flushed >= self._flush_seconds:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what is pending to the operating system."""
+        """Hand what is pending to the operating system.
+
+        Raises:
+            RecordingError: the disk is full; what is pending waits.
+        """
         self._flushed = time.monotonic()
         try:
-            self._end_chunk(self._open_file())
+            self._writer().flush()  # type: ignore[no-untyped-call]
         except OSError as error:
             raise self._failed(error) from None
+        self._kept = (self._files[-1].messages, dict(self._files[-1].by_topic))
 
     def close(self) -> None:
         """End the last file and write `metadata.yaml`.
@@ -200,8 +266,7 @@ class BagWriter:
         if self._closed:
             return
         try:
-            if self._file is not None:
-                self._end()
+            self._end()
             part = self.folder / "metadata.yaml.part"
             with part.open("w", encoding="utf-8") as stream:
                 stream.write(metadata_text(self._information()))
@@ -210,8 +275,14 @@ class BagWriter:
             os.replace(part, self.folder / "metadata.yaml")
         except OSError as error:
             raise self._failed(error) from None
+        except RecordingError:
+            # Nothing waits any longer.
+            self._files[-1].messages, self._files[-1].by_topic = self._kept
+            raise
         finally:
             self._closed = True
+            if self._file is not None:
+                self._file.abandon()
 
     def __enter__(self) -> Self:
         return self
@@ -221,80 +292,73 @@ class BagWriter:
     ) -> None:
         self.close()
 
-    def _begin(self) -> None:
-        """Start the next file."""
-        name = f"{Path(os.path.realpath(self.folder)).name}_{len(self._files)}.mcap"
-        file: McapFile | None = None
-        try:
-            file = McapFile(self.folder / name)
-            self._files.append(FileSummary(name))
-            # for readers of a file whose end is missing
-            file.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
-        except OSError as error:
-            if file is not None:
-                self._files.pop()
-                file.abandon()
-                file.path.unlink(missing_ok=True)
-            raise self._failed(error) from None
-        self._file = file
-        self._channels, self._schemas = {}, {}
-        for topic in self._topics:
-            self._register(topic)
+    def _writer(self) -> Writer:
+        """The present file's writer; of the next one where it was ended.
 
-    def _register(self, name: str) -> None:
-        file, topic = self._open_file(), self._topics[name]
+        Raises:
+            RecordingError: closed, or the disk is full: there may be room again later.
+        """
+        if self._mcap is not None:
+            return self._mcap
+        if self._closed:
+            raise RecordingError(f"{self.folder}: the recording is closed")
+        self._end()  # one that waited for room
+        name = f"{Path(os.path.realpath(self.folder)).name}_{len(self._files)}.mcap"
+        try:
+            self._file = _File(self.folder / name)
+        except OSError as error:
+            raise self._failed(error) from None
+        self._files.append(FileSummary(name))
+        self._kept, self._flushed = (0, {}), time.monotonic()
+        kinds = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
+        self._mcap = Writer(self._file, chunk_size=self._chunk_bytes, index_types=kinds)  # type: ignore[arg-type]
+        self._mcap.start("ros2", _LIBRARY)
+        self._add_information(self._mcap)  # for readers of a file whose end is missing
+        self._schemas = {}
+        for topic in self._topics:
+            self._register(self._mcap, topic)
+        return self._mcap
+
+    def _register(self, writer: Writer, name: str) -> None:
+        topic = self._topics[name]
         kind = topic.summary.type
         if kind not in self._schemas:
-            self._schemas[kind] = file.add_schema(kind, topic.schema_encoding, topic.definition)
+            self._schemas[kind] = writer.register_schema(kind, topic.schema_encoding, topic.definition)
         metadata = {
             "offered_qos_profiles": qos_text(topic.summary.qos),
             "topic_type_hash": topic.summary.type_hash,
         }
-        self._channels[name] = file.add_channel(name, self._schemas[kind], topic.summary.encoding, metadata)
+        encoding = topic.summary.encoding
+        self._channels[name] = writer.register_channel(name, encoding, self._schemas[kind], metadata)
 
-    def _end_chunk(self, file: McapFile) -> None:
-        """End the chunk; what could not be written is counted as lost."""
-        try:
-            file.end_chunk()
-        except OSError:
-            summary = self._files[-1]
-            self.lost += summary.messages - file.messages
-            summary.messages, summary.by_topic = file.messages, dict(file.counts)
-            raise
-
-    def _is_full(self, file: McapFile, summary: FileSummary, log_time: int) -> bool:
+    def _is_full(self, file: _File, log_time: int) -> bool:
+        summary = self._files[-1]
         if not summary.messages:
             return False
-        if self._split_bytes and file.size + file.pending >= self._split_bytes:
-            # the pending part shrinks when it is compressed: look again when it has been
-            if file.pending:
-                self.flush()
-            return file.size >= self._split_bytes
+        if self._split_bytes and file.tell() >= self._split_bytes:
+            return True
         return bool(self._split_time) and log_time - summary.first >= self._split_time
 
-    def _next(self) -> None:
+    def _end(self) -> None:
+        """End the present file; where the disk is full its end waits for room.
+
+        Raises:
+            RecordingError: it waits.
+        """
+        if self._mcap is not None:
+            self._add_information(self._mcap)
+            self._mcap.finish()  # type: ignore[no-untyped-call]
+            self._mcap = None
+        if self._file is None:
+            return
         try:
-            self._end()
+            self._file.close()
         except OSError as error:
             raise self._failed(error) from None
-        self._begin()
+        self._file = None
 
-    def _end(self) -> None:
-        file, self._file = self._open_file(), None
-        try:
-            self._end_chunk(file)
-            file.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
-            file.finish()
-        finally:
-            file.abandon()
-
-    def _open_file(self) -> McapFile:
-        if self._closed:
-            raise RecordingError(f"{self.folder}: the recording is closed")
-        if self._file is None:  # a file could not be ended or begun; there may be room again
-            self._begin()
-        assert self._file is not None
-        return self._file
+    def _add_information(self, writer: Writer) -> None:
+        writer.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
 
     def _information(self) -> dict[str, object]:
         return bag_information(self._files, self.topics)

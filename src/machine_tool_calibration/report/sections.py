@@ -203,11 +203,6 @@ def _environment(session: Session, words: Words) -> TextTable:
 def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture | Turnable]:
     document = found.document
     yield words("model_is", model=", ".join([words.phrase(found.result.model_name), *document["effects"]]))
-    if document["averaged_over"]:
-        sets = ", ".join(
-            f"{' + '.join(s['effects'])} ({probability(s['probability'])})" for s in document["averaged_over"]
-        )
-        yield words("averaged", sets=sets)
     if document["effects"]:
         yield _effects(found, words)
         yield from map(words.phrase, negative_words(found.result.joint, document["effects"]))

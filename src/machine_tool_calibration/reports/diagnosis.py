@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.search.effect_search import Absorbed
 from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.diagnosis.search.look import Absorbed
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
 from machine_tool_calibration.planning.advice import Advice, alias_groups_of

@@ -15,7 +15,6 @@ __all__ = ["direct_tables", "scatter_words"]
 _SIGNIFICANT = 0.01
 # p-value of the fit below which the readings do not lie within their declared uncertainty.
 _MISFIT = 1e-3
-_MOST_ROWS = 12
 # Runs in each direction that ISO 230-2:2014 asks for.
 _RUNS = 5
 # Figures of ISO 230-2:2014 in the order of a test report; up and down, then both.
@@ -96,13 +95,6 @@ def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
         fell = steps[2]["scatter"] - steps[3]["scatter"]
         words.append(f"Curves beyond that are {more}" + (f" (they take {quantity(fell, 'm')})." if fell > 0 else "."))
     yield " ".join(words)
-    if plate["set_aside"]:
-        rows = plate["set_aside"]
-        shown = ", ".join(str(row) for row in rows[:_MOST_ROWS]) + (" …" if len(rows) > _MOST_ROWS else "")
-        yield (
-            f"Left out of these steps, but not of the fit: {'rows' if len(rows) > 1 else 'row'} {shown} (the first row "
-            "is 0), far out of all others. `mtcal improve` sets them aside."
-        )
 
 
 def _run_table(run: Mapping[str, Any]) -> TextTable:

@@ -21,7 +21,6 @@ from machine_tool_calibration.reports.quantities import (
     micrometres,
     not_ruled_out,
     p_value,
-    probability,
     quantity,
     reproducibility_words,
     rounded,
@@ -163,10 +162,6 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
         screen.print(session_headline(session))
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
-    if document["averaged_over"]:
-        sets = [(" + ".join(one["effects"]), probability(one["probability"])) for one in document["averaged_over"]]
-        over = (f"{effects} ({chance})" for effects, chance in sets)
-        screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
     show_suspicions(screen, document["suspicious"])
     for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
@@ -316,7 +311,6 @@ def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]
 
 def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit) -> None:
     unknowns = fit.assembly.unknowns
-    alone = [f"of the model with {', '.join(document['effects'])} alone"] if document["averaged_over"] else []
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.
     order = {Kind.EFFECT: 0, Kind.SQUARENESS: 1}
@@ -333,8 +327,8 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         left = len(single) - len(rows)
         notes = [f"{left} more; --json gives all of them"] if left else []
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
-        show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join([*notes, *alone])))
-    _show_tables(screen, document, unknowns, alone, _namesakes(fit))
+        show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join(notes)))
+    _show_tables(screen, document, unknowns, _namesakes(fit))
 
 
 def motion_row(name: str, value: Array, u: Array, count: int, unit: str) -> tuple[str, ...]:
@@ -361,7 +355,6 @@ def _show_tables(
     screen: Console,
     document: Mapping[str, Any],
     unknowns: Mapping[str, Parameter],
-    alone: Sequence[str],
     namesakes: Set[str],
 ) -> None:
     """Each table of an error motion in one row; none of what is not determined."""
@@ -379,5 +372,5 @@ def _show_tables(
     if rows:
         heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
         empty = ["–: no value but the datum's"] if any(row[2] == NOT_DETERMINED for row in rows) else []
-        note = "; ".join(["--json gives every value", *empty, *alone])
+        note = "; ".join(["--json gives every value", *empty])
         show_table(screen, TextTable("Error motions", heads, tuple(rows), note))

@@ -10,8 +10,8 @@ import numpy as np
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.search.look import Structure
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, SURE
+from machine_tool_calibration.diagnosis.search.effect_search import Structure
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.quantities import (
     p_value,
@@ -61,7 +61,7 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
 def good_enough(diagnosis: Diagnosis) -> bool:
     """Whether the model lacks something for sure that is too small to matter."""
     look, sound = diagnosis.search, diagnosis.verdict in ("adequate", "outliers")
-    return sound and (look.unknown > ACCEPTED or look.nothing < 1.0 - SURE)
+    return sound and (look.unknown > priors.ACCEPTED or look.nothing < 1.0 - priors.SURE)
 
 
 def left_words(diagnosis: Diagnosis) -> Iterator[str]:

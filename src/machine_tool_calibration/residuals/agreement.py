@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evidence for gross errors: the noise, sets of readings that explain the residuals, and neighbours in time.
 
-All numbers that decide stand here. Of a few readings with the deviations d from what all others predict, with
+Of a few readings with the deviations d from what all others predict, with
 covariance C in units of the noise, the explanation "those of the set S have gross errors" has the evidence
 
     log p(d | S) - log p(d | none) = b_S' (A_SS)^-1 b_S / 2 - |S| c,    A = C^-1,  b = A d,
@@ -20,45 +20,22 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.session.session import Readings
 
 __all__ = [
-    "BESIDE", "COMPARED", "HELD_OUT", "LOOKED_AT", "MISFIT", "MOST", "PATTERN", "PRIOR", "ROUNDS", "SEEN", "SUSPECTED",
-    "TOGETHER", "WIDTH", "Neighbours", "Noise", "best_set", "compared_sets", "groups_of_points", "groups_of_unknowns",
-    "noise_of", "predicted_by_others", "same_place",
+    "COMPARED", "HELD_OUT", "LOOKED_AT", "ROUNDS", "TOGETHER", "Neighbours", "Noise", "best_set", "compared_sets",
+    "groups_of_points", "groups_of_unknowns", "noise_of", "predicted_by_others", "same_place",
 ]  # fmt: skip
 
-PRIOR = (1.0, 100.0)
-"""Prior of an error being gross: 1 in 100, known as well as from a hundred readings, of which one had such."""
-WIDTH = 10.0
-"""Least width of gross errors, standard deviations of the noise: less is hardly distinguished from noise."""
-# Degrees of freedom of the noise and their prior: the last is normal, 3 or 4 are rare.
-_DOFS, _TAILS = (3.0, 4.0, 6.0, 10.0, 20.0, 1000.0), (0.02, 0.03, 0.1, 0.15, 0.2, 0.5)
-# Share of the readings whose distribution is looked at, so that gross errors have no say, and how many at most.
-_BULK, LOOKED_AT = 0.95, 2000
-# Scatter over the declared uncertainty below which it is rounding.
-_ROUNDING = 0.01
-# Difference in log evidence within which another set may be true (1 in 100).
-_ALIKE = 4.5
+_DOFS, _TAILS = tuple(priors.TAILS), tuple(priors.TAILS.values())
+# Readings whose distribution is looked at, at most.
+LOOKED_AT = 2000
+# Scatter over the declared uncertainty below which it is rounding; share of itself in a residual that is rounding.
+_ROUNDING, _UNSEEN = 0.01, 1e-6
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
 _FEW, _SETS = 24, 1000
-SUSPECTED, BESIDE = 3.0, 4.0
-"""Predicted residuals from which a reading is judged with others (few sound ones), at first and beside a set."""
-SEEN, _UNSEEN = 0.02, 1e-6
-"""A reading with less than this share of itself in its residual cannot be judged (curvature; and rounding)."""
-MOST = 0.2
-"""Not more than this share of the readings: beyond, they are no longer single."""
-MISFIT = 1.1
-"""Scatter over the declared uncertainty from which several wrong readings may hide each other (masking)."""
-PATTERN = 0.7
-"""Scatter about the courses of the runs over the whole one, below which they are a pattern and no noise."""
-# Neighbours on each side in a run, and how many of them must deviate: one wrong one makes no course.
-_NEIGHBOURS, _AGREEING = 4, 3
-# Neighbours within so many times the noise do not deviate.
-_LEVEL = 2.0
-# Share of a course within which it predicts a reading: curvature of a transient that decays within three readings.
-_TOLERANCE = 0.1
 ROUNDS = 8
 """Rounds in one model, and models made anew without what was set aside: the set stays after two or three."""
 TOGETHER, COMPARED = 800, 4e7
@@ -84,29 +61,29 @@ class Noise:
     odds: float
 
 
-def noise_of(size: Array, freedom: float, explained: BoolArray | None = None) -> Noise:
+def noise_of(size: Array, redundancy: float, explained: BoolArray | None = None) -> Noise:
     """The noise of predicted residuals, of which those beyond the limit have no say.
 
     Args:
         size: their sizes over the declared uncertainty.
-        freedom: degrees of freedom of their scatter.
+        redundancy: degrees of freedom of their scatter.
         explained: which are no gross errors, however large.
     """
     if not len(size):
-        return Noise(np.inf, WIDTH, np.inf, np.inf)
+        return Noise(np.inf, priors.WIDTH, np.inf, np.inf)
     single = size if explained is None else size[~explained]
     inside = np.ones(len(size), dtype=bool)
     for _ in range(ROUNDS):
-        scale, tails = _bulk(size[inside], freedom)
-        beyond = single[single > SUSPECTED * scale] / scale
-        width = max(WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else WIDTH
+        scale, tails = _bulk(size[inside], redundancy)
+        beyond = single[single > priors.SUSPECTED * scale] / scale
+        width = max(priors.WIDTH, float(np.median(beyond)) / 0.6745) if len(beyond) else priors.WIDTH
         count = 0
-        while (more := int(np.sum(beyond > (limit := _limit(tails, freedom, width, count, len(size)))))) > count:
+        while (more := int(np.sum(beyond > (limit := _limit(tails, redundancy, width, count, len(size)))))) > count:
             count = more
         last, inside = inside, size <= limit * scale
         if np.array_equal(inside, last):
             break
-    odds = float(np.log(width * (PRIOR[1] + len(size)) / (PRIOR[0] + count)))
+    odds = float(np.log(width * (priors.GROSS_ERRORS_DOF + len(size)) / (priors.GROSS_ERRORS + count)))
     return Noise(scale, width, limit, min(odds, 0.5 * limit**2))
 
 
@@ -121,17 +98,17 @@ def _unit(dof: float) -> float:
     return float(special.stdtrit(dof, 0.75) / special.ndtri(0.75))
 
 
-def _limit(tails: Array, freedom: float, width: float, count: int, n: int) -> float:
+def _limit(tails: Array, redundancy: float, width: float, count: int, n: int) -> float:
     """Where the evidence for a gross error passes that for noise; `tails` are the probabilities of `_DOFS`."""
-    share = (PRIOR[0] + count) / (PRIOR[1] + n)
+    share = (priors.GROSS_ERRORS + count) / (priors.GROSS_ERRORS_DOF + n)
     z = np.geomspace(1.0, 300.0, 400)
     gross = np.log(share / (1.0 - share)) - np.log(width) - 0.5 * np.minimum(z / width, 1.0) ** 2
-    noise = np.stack([_density(z, min(dof, max(freedom, _DOFS[0]))) for dof in _DOFS])
+    noise = np.stack([_density(z, min(dof, max(redundancy, _DOFS[0]))) for dof in _DOFS])
     beyond = gross > np.logaddexp.reduce(noise + np.log(np.maximum(tails, 1e-300))[:, None])
     return float(z[int(np.argmax(beyond))]) if beyond.any() else float(z[-1])
 
 
-def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
+def _bulk(size: Array, redundancy: float) -> tuple[float, Array]:
     """Scale of the noise by maximum likelihood, and probabilities of its degrees of freedom.
 
     Those far out only count as being beyond the others. As many readings say something as there are degrees of freedom.
@@ -139,7 +116,7 @@ def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
     ordered = np.sort(size)
     if len(ordered) > LOOKED_AT:
         ordered = ordered[np.linspace(0, len(ordered) - 1, LOOKED_AT).astype(int)]
-    inside = max(int(_BULK * len(ordered)), 1)
+    inside = max(int(priors.BULK * len(ordered)), 1)
     middle = max(float(np.median(ordered)) / 0.6745, _ROUNDING)
     scales = np.exp(np.linspace(-0.5, 0.5, 41))
     within = ordered[None, :inside] / middle / scales[:, None]
@@ -148,7 +125,7 @@ def _bulk(size: Array, freedom: float) -> tuple[float, Array]:
         beyond = np.log(np.maximum(2.0 * special.stdtr(dof, -within[:, -1] * _unit(dof)), 1e-300))
         every = _density(within, dof).sum(axis=1) - inside * np.log(scales) + (len(ordered) - inside) * beyond
         best.append(float(scales[int(np.argmax(every))]))
-        evidence.append(min(freedom / len(size), 1.0) * float(every.max()))
+        evidence.append(min(redundancy / len(size), 1.0) * float(every.max()))
     tails = special.softmax(np.array(evidence) + np.log(_TAILS))
     return max(middle * best[int(np.argmax(tails))], _ROUNDING), tails
 
@@ -227,7 +204,7 @@ def compared_sets(inverse: Array, pulled: Array, noise: Noise) -> tuple[IntArray
     left, pull, last = inverse[None], pulled[None], np.array([-1])
     for count in range(1, k):
         # All that so many may explain is less than what counts.
-        if most - count * cost < max(float(one.max()) for one in evidence) - _ALIKE:
+        if most - count * cost < max(float(one.max()) for one in evidence) - priors.SAME_EVIDENCE:
             break
         seen = np.einsum("sjj->sj", left)
         able = ~sets[-1] & (seen > _UNSEEN)
@@ -254,7 +231,7 @@ def _compared(sets: BoolArray, evidence: Array, more: float) -> tuple[IntArray, 
     best = sets[int(np.argmax(evidence - more * sets.sum(axis=1)))]
     # One that calls more or fewer of the same readings gross contradicts nothing.
     nested = (sets <= best).all(axis=1) | (sets >= best).all(axis=1)
-    others = sets[(evidence > evidence.max() - _ALIKE) & ~nested]
+    others = sets[(evidence > evidence.max() - priors.SAME_EVIDENCE) & ~nested]
     return np.flatnonzero(best), np.flatnonzero((others != best).any(axis=0))
 
 
@@ -327,9 +304,9 @@ class Neighbours:
             residual: (n,) of all.
         """
         along, values = self.run.near(which, residual)
-        line, level = _line(along, values), _median(values, _AGREEING)
+        line, level = _line(along, values), _median(values, priors.AGREEING)
         # At the ends of a run a wrong neighbour turns the line: what is nearer.
-        few = np.isfinite(values).sum(axis=1) < _NEIGHBOURS + 2
+        few = np.isfinite(values).sum(axis=1) < priors.NEIGHBOURS + 2
         other = few & ~(np.abs(residual[which] - line) < np.abs(residual[which] - level))
         return np.nan_to_num(np.where(other, level, line))
 
@@ -347,9 +324,9 @@ class Neighbours:
         before, after = (values[:, along < 0], along[along < 0]), (values[:, along > 0], along[along > 0])
         for near, steps in (before, after, (repeats, None)):
             # Most of the neighbours deviate themselves: a course, or what reproduces, is not made by a single one.
-            most = np.sum(np.abs(near) > _LEVEL * noise, axis=1) >= _AGREEING
-            for level in [_median(near, _AGREEING)] + ([_line(steps, near)] if steps is not None else []):
-                within = limit * np.sqrt(noise**2 + (_TOLERANCE * level) ** 2)
+            most = np.sum(np.abs(near) > priors.QUIET * noise, axis=1) >= priors.AGREEING
+            for level in [_median(near, priors.AGREEING)] + ([_line(steps, near)] if steps is not None else []):
+                within = limit * np.sqrt(noise**2 + (priors.CURVED * level) ** 2)
                 out |= most & (np.abs(residual[which] - level) < within)
         return out
 
@@ -365,7 +342,7 @@ class _Ordered:
 
     def near(self, which: IntArray, residual: Array) -> tuple[Array, Array]:
         """(8,) steps to the next readings of the group before and after, and (k, 8) their residuals, NaN where none."""
-        along = np.setdiff1d(np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0)
+        along = np.setdiff1d(np.arange(-priors.NEIGHBOURS, priors.NEIGHBOURS + 1), 0)
         near = self.position[which][:, None] + along
         inside = (near >= 0) & (near < len(self.order))
         near = self.order[np.clip(near, 0, len(self.order) - 1)]

@@ -17,14 +17,15 @@ named so. All numbers that decide stand in `residuals/agreement.py`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Part, PartAround
 from machine_tool_calibration.estimation.reduction import single_blas
@@ -32,16 +33,10 @@ from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_s
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.agreement import (
-    BESIDE,
     COMPARED,
     HELD_OUT,
     LOOKED_AT,
-    MISFIT,
-    MOST,
-    PATTERN,
     ROUNDS,
-    SEEN,
-    SUSPECTED,
     TOGETHER,
     Neighbours,
     Noise,
@@ -56,7 +51,7 @@ from machine_tool_calibration.residuals.agreement import (
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
+__all__ = ["Outlier", "find_outliers", "suspected_rows", "without"]
 
 
 @dataclass(frozen=True)
@@ -78,30 +73,40 @@ class Outlier:
     ambiguous: bool = False
 
 
-def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
-    """Set aside the readings with gross errors.
+@single_blas()
+def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
+    """The readings with gross errors, the largest first.
+
+    A model that draws more from the readings than unknowns is made anew without what was set aside.
 
     Args:
         session: the measurement; what it says to be sound is never among them.
         build: makes the model of a session.
 
     Returns:
-        Outliers, the largest first, and the session without these readings. None where the data does not allow the
-        model, which its own fit will say.
+        None where the data does not allow the model, which its own fit will say.
     """
-    found = _found(session, build)
-    return found, session.without(_rows(session, found)) if found else session
+    found: list[Outlier] = []
+    for _ in range(ROUNDS):
+        try:
+            more = _Search(build(without(session, found, as_lost=True))).outliers()
+        except (ModelError, np.linalg.LinAlgError):
+            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
+            return []
+        more = [o for o in more if o.row not in session.sound]
+        found += more
+        if not more:
+            break
+    if len(found) > priors.SINGLE * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+        return []
+    return sorted(found, key=lambda o: -abs(o.studentized))
 
 
-def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
-    """The same, with these readings as lost ones: what they alone measured is then named.
-
-    Args:
-        session: the measurement.
-        build: makes the model of a session.
-    """
-    found = _found(session, build)
-    return found, session.without(_rows(session, found), as_lost=True) if found else session
+def without(session: Session, outliers: Sequence[Outlier], *, as_lost: bool = False) -> Session:
+    """A session without readings that were set aside; as lost ones, if what they alone measured is to be named."""
+    if not outliers:
+        return session
+    return session.without(np.isin(session.readings.row, [o.row for o in outliers]), as_lost=as_lost)
 
 
 @single_blas()
@@ -118,29 +123,6 @@ def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) ->
     except (ModelError, np.linalg.LinAlgError):
         rows = np.zeros(0, dtype=np.int64)
     return rows[~np.isin(rows, list(session.sound))]
-
-
-def _rows(session: Session, found: list[Outlier]) -> BoolArray:
-    return np.isin(session.readings.row, [o.row for o in found])
-
-
-@single_blas()
-def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
-    """All models; one that draws more from the readings than unknowns is made anew without what was set aside."""
-    found: list[Outlier] = []
-    for _ in range(ROUNDS):
-        try:
-            more = _Search(build(session.without(_rows(session, found), as_lost=True) if found else session)).outliers()
-        except (ModelError, np.linalg.LinAlgError):
-            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
-            return []
-        more = [o for o in more if o.row not in session.sound]
-        found += more
-        if not more:
-            break
-    if len(found) > MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
-        return []
-    return sorted(found, key=lambda o: -abs(o.studentized))
 
 
 @dataclass(frozen=True)
@@ -223,7 +205,8 @@ class _Search:
             held, alike = self._agreed(asked, held, fit)
             fit = self._fit(held)
             # What was asked once is asked again, so that the set comes to rest.
-            more = np.union1d(asked, np.flatnonzero(np.abs(fit.predicted) > min(fit.noise.limit, BESIDE)))
+            beyond = np.abs(fit.predicted) > min(fit.noise.limit, priors.SUSPECTED_BESIDE)
+            more = np.union1d(asked, np.flatnonzero(beyond))
             if len(more) == len(asked):
                 break
             asked = more
@@ -240,7 +223,7 @@ class _Search:
     def _only_noise(self) -> bool:
         """Whether no reading stands out of all, nor do they scatter more than declared, as wrong ones that hide do."""
         fit = self._fit(np.zeros(0, dtype=np.int64))
-        return fit.noise.scale < MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
+        return fit.noise.scale < priors.MISFIT and bool((np.abs(fit.predicted) < fit.noise.limit).all())
 
     def _suspects(self) -> IntArray:
         """Readings that stand out of a robust solution, which is where all others are linearised from now on.
@@ -255,15 +238,15 @@ class _Search:
         noise = noise_of(np.abs(off), spare * self.n)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
         beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
-        self.pattern = beside.scale < PATTERN * noise.scale
+        self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
         self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
         if self.pattern:
             course = neighbours.course(every, off)
             self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course
         size = np.abs(off)
-        suspected = np.flatnonzero(size > SUSPECTED * max(noise.scale, 0.5))
-        most = int(MOST * self.n)
+        suspected = np.flatnonzero(size > priors.SUSPECTED * max(noise.scale, 0.5))
+        most = int(priors.SINGLE * self.n)
         return suspected if len(suspected) <= most else np.sort(np.argsort(-size)[:most])
 
     def _fit(self, held: IntArray) -> _Fit:
@@ -279,7 +262,7 @@ class _Search:
         plain = part.weighted(np.ones(self.n))
         residual, hat = scaled_residuals(plain, theta, local), hat_values(plain, solution, 0, weight)
         kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
-        spread = np.sqrt(np.where(kept > SEEN, kept, np.inf))
+        spread = np.sqrt(np.where(kept > priors.JUDGED, kept, np.inf))
         freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
         noise = noise_of(np.abs(residual / spread)[seen], freedom, self.explained[seen])
@@ -325,7 +308,9 @@ class _Search:
             found[mine] = False
             found[mine[gross]] = True
             if len(gross) and len(other):
-                alike |= {int(k): mine[other] for k in mine[np.union1d(other, gross)]}
+                either, doubtful = mine[np.union1d(other, gross)], mine[other]
+                doubtful = doubtful[~self.explained[doubtful]]
+                alike |= {int(k): doubtful for k in either[~self.explained[either]]}
         return np.flatnonzero(found & ~self.explained), alike
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:

@@ -11,9 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, screen_joint
-from machine_tool_calibration.model.imperfection import IMPERFECT, IMPERFECTION_SIZES, imperfection
+from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
@@ -129,7 +130,7 @@ class Pool:
     @property
     def sizes(self) -> tuple[dict[float, float], ...]:
         """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
-        imperfect = ({} if self._imperfect is None else IMPERFECTION_SIZES,)
+        imperfect = ({} if self._imperfect is None else priors.IMPERFECTION_SIZES,)
         random = () if self.fit.random is None else (self.fit.random.sizes,)
         return (*(own for own in imperfect if own), *random)
 

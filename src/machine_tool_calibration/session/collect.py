@@ -48,13 +48,13 @@ class Collector:
         """
         self.description = description
         self._place = place
-        self._frames: list[str] = []
+        self._count = 0
         self._names: tuple[str, ...] = ()
         self._values: list[Array] = []
         self._blocks: list[tuple[tuple[str, ...], Array]] = []
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return self._count
 
     @property
     def last_time(self) -> float:
@@ -64,11 +64,10 @@ class Collector:
         last = self._values[-1] if self._values else self._blocks[-1][1][-1]
         return float(last[self._names.index("time")])
 
-    def add(self, frame: str, names: Sequence[str], values: Sequence[float] | Array) -> None:
+    def add(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
         """One more reading, as a JointState carries it.
 
         Args:
-            frame: `header.frame_id`: the setup's id where no column `setup_index` says it, as in earlier recordings.
             names: `name`.
             values: `position`.
 
@@ -83,7 +82,7 @@ class Collector:
                 raise SessionError(f"{where}: a name stands twice in {', '.join(names[:40])}")
             self._end_block()
             self._names = tuple(names)
-        self._frames.append(frame)
+        self._count += 1
         self._values.append(np.asarray(values, dtype=np.float64))
 
     def session(self, source: str, *, check: bool = True) -> Session:
@@ -97,13 +96,13 @@ class Collector:
             SessionError: as for a session folder.
         """
         numbers = self._columns()
-        frames = np.array(self._frames, dtype=np.str_)
-        labels: dict[str, np.ndarray] = {"setup": frames}
+        labels: dict[str, np.ndarray] = {}
         for column, (label, key) in INDEX_COLUMNS.items():
             entries = getattr(self.description, key, None)
             if column in numbers and entries is not None:
                 labels[label] = self._labels(column, numbers.pop(column), [entry.id for entry in entries])
-        labels["setup"] = np.where(labels["setup"] == "", frames, labels["setup"])
+        if "setup" not in labels:
+            raise SessionError(f"{self._place.readings}: the column 'setup_index' is missing")
         require_columns(self.description, [*numbers, *labels], self._place.readings)
         readings = assemble(self.description, numbers, labels, self._place)
         session = Session(self.description, readings, source)
@@ -119,7 +118,7 @@ class Collector:
 
     def _columns(self) -> dict[str, Array]:
         """Every name's values, NaN where a reading does not have it."""
-        if not self._frames:
+        if not self._count:
             raise SessionError(f"{self._place.readings}: no readings")
         self._end_block()
         order = dict.fromkeys(name for names in dict.fromkeys(names for names, _ in self._blocks) for name in names)
@@ -146,12 +145,10 @@ class Reading:
     """One `reading` message.
 
     Attributes:
-        frame: `header.frame_id`.
         names: `name`.
         values: `position`.
     """
 
-    frame: str
     names: Sequence[str]
     values: Sequence[float]
 
@@ -248,5 +245,5 @@ def live_session(description: str, readings: Iterable[Reading], *, check: bool =
     """
     collector = Collector(parse_description(description, "session"), Place("session", "reading"))
     for reading in readings:
-        collector.add(reading.frame, reading.names, reading.values)
+        collector.add(reading.names, reading.values)
     return collector.session("live readings", check=check)

@@ -149,19 +149,13 @@ class Subject:
         """
         models: list[Model] = []
         for entry in entries:
-            said = entry.of_sessions(prints, self.measurement.labels)
-            aside, kept = (
-                frozenset(
-                    int(number)
-                    for k, one in enumerate(said)
-                    if one is not None
-                    for number in self.numbers(k, np.array(getattr(one, what), dtype=np.int64))
-                )
-                for what in ("set_aside", "kept")
-            )
+            chosen = entry.request(self.measurement.sessions, self.measurement.labels, prints, self.own)
+            aside, kept = set[int](), set[int]()
+            for k, (whole, fitted) in enumerate(zip(self.measurement.sessions, chosen.sessions, strict=True)):
+                aside.update(self.numbers(k, np.setdiff1d(whole.readings.row, fitted.readings.row)).tolist())
+                kept.update(self.numbers(k, np.array(sorted(fitted.sound), dtype=np.int64)).tolist())
             before = models[-1] if models else None
-            chosen = self.measurement.chosen(entry.variant(said, self.measurement.sessions), entry.effects, self.own)
-            made = self.tried(before, entry.change, replace(chosen, sets=tuple(entry.sets())), aside, kept)
+            made = self.tried(before, entry.change, chosen, frozenset(aside), frozenset(kept))
             models.append(replace(made, number=entry.number))
         return models
 
@@ -173,7 +167,7 @@ class Subject:
             prints: fingerprints of the sessions.
             made: date and time, ISO 8601.
         """
-        data = prints[0] if len(prints) == 1 else fingerprint(*self.measurement.sessions)
+        data = fingerprint(*self.measurement.sessions)
         return [
             entry_of(one.step, data, prints, made, "workbench", number=one.number or k)
             for k, one in enumerate(models, 1)
@@ -232,7 +226,7 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     for one in history.models:
         known = one.own_effects(known)
     subject = Subject(measurement, tuple(known))
-    if entry is not None and entry.data != (prints[0] if len(prints) == 1 else fingerprint(*sessions)):
+    if entry is not None and entry.data != fingerprint(*sessions):
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
     found = {}

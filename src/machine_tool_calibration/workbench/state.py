@@ -160,7 +160,7 @@ class State:
             if k
         ]
         kept = (now.kept | back.intersection(self.found)) - rows
-        asked = (" + ".join(words), replace(now.fit.chosen, effects=effects, sets=()), rows, kept)
+        asked = (" + ".join(words), replace(now.fit.chosen, effects=effects), rows, kept)
         return Job(partial(_quiet, self.subject.tried, now, *asked), self.use)
 
     def diagnosed(self) -> Job:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
@@ -65,7 +65,7 @@ def test_an_effect_is_found_beside_setups_that_do_not_reproduce(plan: str, effec
     found = diagnose(simulated(plan, 22, [spec], spread=0.4))
     assert found.verdict == "missing_effect"
     assert found.accepted == (effect,)
-    assert found.search.of(effect).probability > ACCEPTED
+    assert found.search.of(effect).probability > priors.ACCEPTED
     assert not found.refused
     true = simulate(SimulationSpec(plan=PRESETS[plan], seed=22, effects=(spec,))).truth.effects[0].size
     if effect == "backlash_y":

@@ -9,7 +9,7 @@ import pytest
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 
 N = 60
@@ -22,15 +22,15 @@ def searched(
     count = columns.shape[1]
     gram = Gram(
         inner=columns.T @ columns,
-        data=(columns.T @ readings)[:, None],
-        squares=np.array([readings @ readings]),
+        data=columns.T @ readings,
+        squares=float(readings @ readings),
         family=np.zeros(0, dtype=np.int64),
-        freedom=N,
+        dof=N,
     )
     shaped, unit, limits = Shaped((), np.zeros((1, 0))), np.array([5.0]), (np.array([low]), np.array([np.inf]))
     either = np.zeros(1, dtype=bool)
     blocks = [Block(k, slice(k, k + 1), shaped, unit, *limits, either, 0.0) for k in range(count)]
-    odds = np.full(count, np.log(EFFECT / (1.0 - EFFECT)))
+    odds = np.full(count, np.log(priors.EFFECT / (1.0 - priors.EFFECT)))
     return search(gram, blocks, odds, side_by_side=side_by_side, pairs_among=range(count))
 
 
@@ -60,7 +60,7 @@ def test_nothing_is_the_likeliest_where_nothing_is() -> None:
         columns, noise = made(seed, 8)
         found = searched(columns, noise)
         assert found.best == {}
-        assert found.probability[0] > ACCEPTED
+        assert found.probability[0] > priors.ACCEPTED
 
 
 def test_columns_nearly_alike_share_the_probability() -> None:
@@ -94,7 +94,7 @@ def test_a_pair_that_hides_each_other_is_found() -> None:
     u, v = columns[:, 0].copy(), columns[:, 1].copy()
     columns[:, 0], columns[:, 1] = 0.96 * u + 0.28 * v, -0.96 * u + 0.28 * v
     found = searched(columns, noise - noise @ u / (u @ u) * u + 2.0 * (columns[:, 0] + columns[:, 1]))
-    single = found.single.log_factors[:2, 0]
+    single = found.single.log_factors[:2]
     both = found.log_weights[frozenset({0, 1})] - found.log_weights[frozenset()]
     assert both > 5.0 + max(single.max(), 0.0)
     assert set(found.best) == {0, 1}
@@ -105,7 +105,7 @@ def test_three_effects_are_found_in_one_search() -> None:
     columns, noise = made(4, 10)
     found = searched(columns, noise + columns[:, [1, 4, 7]].sum(axis=1))
     assert set(found.best) == {1, 4, 7}
-    assert found.probability[0] > ACCEPTED
+    assert found.probability[0] > priors.ACCEPTED
 
 
 def test_many_effects_side_by_side() -> None:
@@ -121,7 +121,7 @@ def test_a_later_effect_may_unseat_an_earlier_one() -> None:
     alike = columns[:, 1] + columns[:, 2] + 0.3 * columns[:, 5]
     columns = np.column_stack([8.0 * alike / np.linalg.norm(alike), columns[:, 1:5]])
     found = searched(columns, noise + 3.0 * (columns[:, 1] + columns[:, 2]))
-    assert int(np.argmax(found.single.log_factors[:, 0])) == 0
+    assert int(np.argmax(found.single.log_factors)) == 0
     assert set(found.best) == {1, 2}
 
 
@@ -129,7 +129,7 @@ def test_the_wrong_sign_is_no_effect() -> None:
     columns, noise = made(7, 4)
     for size in (0.7, 1.5, 4.0):
         assert searched(columns, noise - size * columns[:, 1]).of(1) > 0.99
-        assert searched(columns, noise - size * columns[:, 1], low=0.0).of(1) < EFFECT
+        assert searched(columns, noise - size * columns[:, 1], low=0.0).of(1) < priors.EFFECT
 
 
 def test_a_factor_of_a_member_is_beside_the_rest() -> None:
@@ -139,7 +139,7 @@ def test_a_factor_of_a_member_is_beside_the_rest() -> None:
     beside = found.log_weights[frozenset({0, 3})] - found.log_weights[frozenset({3})] - found.log_odds[0]
     assert found.log_factor(0) == pytest.approx(beside)
     # The other is no longer noise: the evidence is stronger than alone.
-    assert found.log_factor(0) > found.single.log_factors[0, 0]
+    assert found.log_factor(0) > found.single.log_factors[0]
 
 
 def test_one_of_a_pair_nearly_alike_gains_where_the_signal_is_clear_and_not_where_it_may_be_noise() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
-from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
+from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model

@@ -3,11 +3,11 @@
 
 import numpy as np
 import pytest
+from papers.study_probing import forecast, planned_session
 
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.simulation.probing_run import cross
-from machine_tool_calibration.validation.study_probing import forecast, planned_session
 
 GROUPS = {
     "workpiece": ("workpiece_error",),

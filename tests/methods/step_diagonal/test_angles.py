@@ -3,12 +3,12 @@
 
 import numpy as np
 import pytest
+from papers.study_step_diagonal import paper_angular_uncertainty
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
-from machine_tool_calibration.methods.step_diagonal.orders import paper_angular_uncertainty
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.rigid_body import MachineTable

@@ -2,7 +2,7 @@
 """How probable the readings are with an effect in the model, from inner products alone.
 
 The model's own unknowns were projected off; spread between runs and mountings, and effects that are taken for granted,
-are folded into the metric. What is left of an effect is a small matrix for each set of its nonlinear coefficients, so
+are folded into the marginal. What is left of an effect is a small matrix for each set of its nonlinear coefficients, so
 that the number of readings does not matter. The coefficients b of an effect are normal about zero with a standard
 deviation s on a grid of scales; sizes that do not occur are cut off, and a sign that is expected has its odds. The
 variance of the noise is integrated out, with what was declared as knowledge worth a number of readings.
@@ -18,10 +18,9 @@ from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.priors import POSITIVE, SELDOM
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
-from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Block", "Point", "Table", "columns_of", "gram_of", "table"]
@@ -37,8 +36,6 @@ _AT_ONCE = 4e5
 _ABSORBED = 1e-9
 # Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
 _ROUNDED = 1e-7
-# Half the size that a structure without a cause may have, in standard uncertainties of a reading.
-_ANY_SIZE = 50.0
 
 
 @dataclass(frozen=True)
@@ -88,8 +85,8 @@ class Block:
             log_share: logarithm of the probability of its nonlinear coefficients.
         """
         if shaped.coefficients:
-            low, high = np.array([(c.least, c.high) for c in shaped.coefficients]).T
-            unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+            low, high = priors.BEYOND * np.array([(c.least, c.high) for c in shaped.coefficients]).T
+            unit = np.maximum(np.abs(low), np.abs(high)) / (2.0 * priors.BEYOND)
             positive = np.array([c.low == 0.0 for c in shaped.coefficients])
             if shaped.law is not None:
                 free = np.full(len(shaped.law), np.inf)
@@ -97,7 +94,7 @@ class Block:
                 low, high = np.append(low, -free), np.append(high, free)
                 positive = np.append(positive, np.zeros(len(free), dtype=bool))
         else:
-            unit = _ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
+            unit = priors.ANY_SIZE / np.sqrt(squares / max(shaped.columns.shape[1], 1))
             low, high = np.full(len(unit), -np.inf), np.full(len(unit), np.inf)
             positive = np.zeros(len(unit), dtype=bool)
         floor = _ROUNDED * float((squares * unit**2).max(initial=0.0))
@@ -121,8 +118,9 @@ def gram_of(pool: Pool, projected: Projected) -> Gram:
         projected: what the model leaves of the columns and, below them, those of the pool's spread.
     """
     fitted, gram = pool.fit.without_random.solution, projected.gram
-    squares, family = np.array([fitted.chi_square]), pool.spread[1]
-    return Gram(gram[:-1, :-1], gram[:-1, -1:].copy(), squares, family, fitted.degrees_of_freedom, pool.sizes)
+    return Gram(
+        gram[:-1, :-1], gram[:-1, -1].copy(), fitted.chi_square, pool.spread[1], fitted.degrees_of_freedom, pool.sizes
+    )
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ class Point:
         block: index of the block.
         scale: of its coefficients, over their units.
         log_rest: logarithm of the candidate's evidence over that at this point, if signs and sizes that do not occur
-            were not cut off there: as columns that are folded into the metric are not.
+            were not cut off there: as columns that are folded into the marginal are not.
     """
 
     block: int
@@ -143,22 +141,22 @@ class Point:
 
 @dataclass(frozen=True)
 class Table:
-    """Evidence of every candidate, beside what is folded into the metric.
+    """Evidence of every candidate, beside what is folded into the marginal.
 
     Attributes:
-        log_evidence: (candidates, B) logarithm of each candidate's evidence, over all its nonlinear coefficients and
+        log_evidence: (candidates,) logarithm of each candidate's evidence, over all its nonlinear coefficients and
             scales; -inf for one that the model absorbs.
-        log_null: (B,) without any.
-        best: the point of each candidate that has most of it in the first data set; without absorbed ones.
+        log_null: without any.
+        best: the point of each candidate that has most of it; without absorbed ones.
     """
 
     log_evidence: Array
-    log_null: Array
+    log_null: float
     best: dict[int, Point]
 
     @property
     def log_factors(self) -> Array:
-        """(candidates, B) logarithm of the Bayes factors against none."""
+        """(candidates,) logarithm of the Bayes factors against none."""
         return self.log_evidence - self.log_null
 
 
@@ -167,42 +165,40 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
 
     Args:
         blocks: of all candidates.
-        tried: metrics, over which the evidence is summed.
+        tried: marginals, over which the evidence is summed.
         candidates: how many there are.
         only: the one that is asked for; the others count as absorbed.
     """
     gram = tried[0].gram
-    sets = len(gram.squares)
     alike: dict[tuple[int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
         if len(block.unit) and (only is None or block.candidate == only):
             alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
-    # Of each block: its evidence, and that at its best scale, in the first data set with and without the cut.
-    total = np.full((len(blocks), sets), -np.inf)
-    most, uncut, scale = np.full((3, len(blocks)), -np.inf)
+    # Of each block: its evidence, and that at its best scale, with and without the cut.
+    total, most, uncut, scale = np.full((4, len(blocks)), -np.inf)
     for (size, _), every in alike.items():
         scales, count = _scales(gram, [blocks[k] for k in every])
         showing = np.flatnonzero(count)
-        step = max(int(_AT_ONCE / (len(tried) * size * sets)), 1)
+        step = max(int(_AT_ONCE / (len(tried) * size)), 1)
         for rows in (showing[first : first + step] for first in range(0, len(showing), step)):
             mine = [every[row] for row in rows]
             own = scales[rows, : count[rows].max()]
             logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
             share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
             usual = np.array([blocks[k].usual for k in mine])[:, None]
-            share = share[:, None] - np.where(own > usual * SCALE_STEP**0.5, np.log(SELDOM), 0.0)
-            logs = np.where(np.isnan(own)[..., None], -np.inf, logs + share[..., None])
-            total[mine] = _log_sum(logs.swapaxes(0, 1))
-            at = np.arange(len(mine)), np.argmax(logs[:, :, 0], axis=1)
-            most[mine], uncut[mine], scale[mine] = logs[..., 0][at], whole[at], own[at]
-    log_evidence, best = np.full((candidates, sets), -np.inf), dict[int, Point]()
+            share = share[:, None] - np.where(own > usual * priors.SCALE_STEP**0.5, np.log(priors.SELDOM), 0.0)
+            logs = np.where(np.isnan(own), -np.inf, logs + share)
+            total[mine] = _log_sum(logs.T)
+            at = np.arange(len(mine)), np.argmax(logs, axis=1)
+            most[mine], uncut[mine], scale[mine] = logs[at], whole[at], own[at]
+    log_evidence, best = np.full(candidates, -np.inf), dict[int, Point]()
     owner = np.array([block.candidate for block in blocks])
     for candidate in np.unique(owner[most > -np.inf]).tolist():
         places = np.flatnonzero(owner == candidate)
         log_evidence[candidate] = _log_sum(total[places])
         k = int(places[np.argmax(most[places])])
-        best[candidate] = Point(k, float(scale[k]), float(log_evidence[candidate, 0] - uncut[k]))
-    return Table(log_evidence, _log_sum(np.array([metric.log_null for metric in tried])), best)
+        best[candidate] = Point(k, float(scale[k]), float(log_evidence[candidate] - uncut[k]))
+    return Table(log_evidence, float(np.logaddexp.reduce([marginal.log_null for marginal in tried])), best)
 
 
 def _log_sum(logs: Array) -> Array:
@@ -227,31 +223,32 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
     columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
     signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
-    steps = np.floor(np.log(np.maximum(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
+    steps = np.floor(np.log(np.maximum(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))
     every = np.arange(float(_MOST_SCALES))
     shows = (every <= steps[:, None]) & (signal[:, None] > 0)
-    allowed = SCALE_STEP**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
-    return np.where(shows & allowed, SCALE_STEP**-every, np.nan), shows.sum(axis=1)
+    allowed = priors.SCALE_STEP**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
+    return np.where(shows & allowed, priors.SCALE_STEP**-every, np.nan), shows.sum(axis=1)
 
 
 def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal]) -> tuple[Array, Array]:
-    """Logarithm of the evidence of blocks of as many columns each, summed over the metrics.
+    """Logarithm of the evidence of blocks of as many columns each, summed over the marginals.
 
     Args:
         blocks: with k columns each.
         scales: (blocks, scales).
-        tried: metrics.
+        tried: marginals.
 
     Returns:
-        (blocks, scales, B), and (blocks, scales) of the first data set with signs and sizes that do not occur.
+        (blocks, scales), and the same with signs and sizes that do not occur.
     """
     gram = tried[0].gram
     unit = np.array([block.unit for block in blocks])
     columns = columns_of(blocks).reshape(unit.shape)
-    inner = np.array([_own(metric, columns) for metric in tried]) * unit[:, :, None] * unit[:, None, :]
+    inner = np.array([_own(marginal, columns) for marginal in tried]) * unit[:, :, None] * unit[:, None, :]
     values, vectors = np.linalg.eigh((inner + inner.swapaxes(2, 3)) / 2.0)
     values = np.maximum(values, 0.0)
-    along = vectors.swapaxes(2, 3) @ np.array([metric.data[columns] * unit[:, :, None] for metric in tried])
+    turned = vectors.swapaxes(2, 3)
+    along = (turned @ np.array([marginal.data[columns] * unit for marginal in tried])[..., None])[..., 0]
     # What lies in the model's span has rounding only.
     floor = np.array([block.floor for block in blocks])[None, :, None]
     absorbed = values <= np.maximum(floor, _ABSORBED * values[..., -1:])
@@ -259,39 +256,38 @@ def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal])
     s2 = scales[None, :, :, None] ** 2
     grown = 1.0 + s2 * values[:, :, None, :]
     gain = s2 / grown
-    squares = np.array([metric.squares for metric in tried])[:, None, None]
-    left = np.maximum(squares - gain @ along**2, NOTHING * squares)
-    prior = np.array([metric.log_prior for metric in tried])[:, None, None]
-    value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] + gram.log_likelihood(left)
-    uncut = _log_sum(value[..., 0])
+    squares = np.array([marginal.squares for marginal in tried])[:, None, None]
+    left = np.maximum(squares - (gain @ along[..., None] ** 2)[..., 0], NOTHING * squares)
+    prior = np.array([marginal.log_prior for marginal in tried])[:, None, None]
+    value = prior - 0.5 * np.log(grown).sum(axis=-1) + gram.log_likelihood(left)
+    uncut = _log_sum(value)
     if not any(map(_is_bounded, blocks)):
-        return _log_sum(value), uncut
-    mean = vectors[:, :, None] @ (gain[..., None] * along[:, :, None])
-    variance = (vectors[:, :, None] ** 2 @ gain[..., None])[..., 0]
-    deviation = np.sqrt(np.maximum(variance[..., None] * gram.noise(left)[..., None, :], 1e-300))
-    low = (np.array([block.low for block in blocks]) / unit)[None, :, None, :, None]
-    high = (np.array([block.high for block in blocks]) / unit)[None, :, None, :, None]
+        return uncut, uncut
+    mean = (gain * along[:, :, None]) @ turned
+    deviation = np.sqrt(np.maximum(gain @ turned**2 * gram.noise(left)[..., None], 1e-300))
+    low = (np.array([block.low for block in blocks]) / unit)[None, :, None]
+    high = (np.array([block.high for block in blocks]) / unit)[None, :, None]
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
-    freedom = gram.freedom + gram.prior_dof
-    least, zero, most = (_normal((limit - mean) / deviation, freedom) for limit in (low, 0.0, high))
-    scale = scales[None, :, :, None, None]
+    dof = gram.dof + gram.prior_dof
+    least, zero, most = (_normal((limit - mean) / deviation, dof) for limit in (low, 0.0, high))
+    scale = scales[None, :, :, None]
     after, before = _log_between(least, most), _log_between(low / scale, high / scale)
     # One that is expected to be positive: of either sign, at these odds.
-    positive = np.array([block.positive for block in blocks])[None, :, None, :, None]
+    positive = np.array([block.positive for block in blocks])[None, :, None]
     if positive.any():
-        odds = np.log([POSITIVE / (1.0 + POSITIVE), 1.0 / (1.0 + POSITIVE)]) + np.log(2.0)
+        odds = np.log([priors.POSITIVE / (1.0 + priors.POSITIVE), 1.0 / (1.0 + priors.POSITIVE)]) + np.log(2.0)
         signs = np.logaddexp(odds[0] + _log_between(zero, most), odds[1] + _log_between(least, zero))
         after = np.where(positive, signs, after)
-    value += (after - before).sum(axis=3)
+    value += (after - before).sum(axis=-1)
     return _log_sum(value), uncut
 
 
-def _normal(t: Array, freedom: float) -> Array:
+def _normal(t: Array, dof: float) -> Array:
     """Normal deviate that is as improbable as a Student one (Wallace 1959): itself where the noise is known exactly."""
-    if np.isinf(freedom):
+    if np.isinf(dof):
         return t
-    return np.asarray(np.sign(t) * np.sqrt(freedom * np.log1p(t**2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3))
+    return np.asarray(np.sign(t) * np.sqrt(dof * np.log1p(t**2 / dof)) * (8 * dof + 1) / (8 * dof + 3))
 
 
 def _log_between(low: Array, high: Array) -> Array:
@@ -306,7 +302,7 @@ def _log_between(low: Array, high: Array) -> Array:
     return np.asarray(out)
 
 
-def _own(metric: Marginal, columns: IntArray) -> Array:
+def _own(marginal: Marginal, columns: IntArray) -> Array:
     """(blocks, k, k) inner products of each block's own columns."""
-    half = metric.half[:, columns.reshape(-1)].reshape(len(metric.half), *columns.shape).transpose(1, 2, 0)
-    return np.asarray(metric.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))
+    half = marginal.half[:, columns.reshape(-1)].reshape(len(marginal.half), *columns.shape).transpose(1, 2, 0)
+    return np.asarray(marginal.gram.inner[columns[:, :, None], columns[:, None, :]] - half @ half.swapaxes(1, 2))

@@ -12,8 +12,8 @@ from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
@@ -22,8 +22,6 @@ __all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "fitted_
 
 # Directions of a candidate with less than this share of its squares are the model's.
 _RANK = 1e-6
-# Standard uncertainties by which a size may lie outside what is plausible.
-_MARGIN = 2.0
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,9 @@ class Size:
     @property
     def plausible(self) -> bool:
         """Whether it is of a size that occurs, given its uncertainty."""
-        margin = _MARGIN * self.standard_uncertainty
-        return self.coefficient.least <= self.value + margin and self.value - margin <= self.coefficient.high
+        margin = priors.SIZE_MARGIN * self.standard_uncertainty
+        least, largest = priors.BEYOND * self.coefficient.least, priors.BEYOND * self.coefficient.high
+        return least <= self.value + margin and self.value - margin <= largest
 
 
 @dataclass(frozen=True)
@@ -97,24 +96,24 @@ def basis_of(inner: Array) -> Array:
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
 
 
-def fitted_in(metric: Marginal, place: slice) -> tuple[Array, Array]:
+def fitted_in(marginal: Marginal, place: slice) -> tuple[Array, Array]:
     """Columns fitted to what the model leaves: their basis, and the readings along it.
 
     Their squares are what the columns take up of the readings' squares.
     """
-    basis = basis_of(metric.inner(place, place))
-    return basis, basis.T @ metric.data[place, 0]
+    basis = basis_of(marginal.inner(place, place))
+    return basis, basis.T @ marginal.data[place]
 
 
-def posterior_of(metric: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
+def posterior_of(marginal: Marginal, block: Block, point: Point) -> tuple[Array, Array]:
     """Mean of a block's coefficients, normal about zero with the scale of its point, and their covariance over sigma^2.
 
     The covariance is that of the noise's variance 1.
     """
     deviation = block.unit * point.scale
-    inner = metric.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
+    inner = marginal.inner(block.place, block.place) * np.outer(deviation, deviation) + np.eye(len(deviation))
     covariance = np.linalg.inv(inner) * np.outer(deviation, deviation)
-    return covariance @ metric.data[block.place, 0], covariance
+    return covariance @ marginal.data[block.place], covariance
 
 
 def _outside(inner: Array) -> BoolArray:
@@ -128,30 +127,30 @@ def _largest(squares: Array) -> float:
 
 
 def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, found: Posterior) -> Finding:
-    """Fit a candidate to what the model leaves, in the metric of what does not reproduce.
+    """Fit a candidate to what the model leaves, in the marginal of what does not reproduce.
 
     Args:
         number: of the candidate in the posterior.
         candidate: what it is.
         pool: the readings.
-        plain: the metric in which all runs and mountings reproduce.
+        plain: the marginal in which all runs and mountings reproduce.
         found: the posterior.
     """
     point, readings = found.best.get(number) or found.single.best.get(number), len(pool)
 
-    def rms_with(taken: float) -> float:
-        return float(np.sqrt(max(float(plain.squares[0]) - taken, 0.0) / readings)) * rms(pool.sigma)
+    def rms_with(explained: float) -> float:
+        return float(np.sqrt(max(plain.squares - explained, 0.0) / readings)) * rms(pool.sigma)
 
     if point is None:
         return Finding(candidate, candidate.shapes[0].shape, rms_with(0.0))
     block = found.blocks[point.block]
     place, shaped = block.own, block.shaped
-    metric, log_factor = found.metrics[0], found.log_factor(number)
-    basis, along = fitted_in(metric, place)
-    inner, squares, gain = metric.inner(place, place), float(metric.squares[0]), float(along @ along)
+    marginal, log_factor = found.marginals[0], found.log_factor(number)
+    basis, along = fitted_in(marginal, place)
+    inner, squares, gain = marginal.inner(place, place), marginal.squares, float(along @ along)
     rank, count = basis.shape[1], len(shaped.columns)
-    variance = max(squares - gain, NOTHING * squares) / max(metric.gram.freedom - rank, 1)
-    mean, covariance = posterior_of(metric, block, point)
+    variance = max(squares - gain, NOTHING * squares) / max(marginal.gram.dof - rank, 1)
+    mean, covariance = posterior_of(marginal, block, point)
     signal, deviation = mean[:count], np.sqrt(np.diag(covariance)[:count] * variance)
     fitted = zip(shaped.coefficients, signal.tolist(), deviation.tolist(), _outside(inner), strict=True)
     # Readings without any noise leave nothing.
@@ -162,7 +161,7 @@ def finding_of(number: int, candidate: Candidate, pool: Pool, plain: Marginal, f
         shape=shaped.shape,
         rms_after=rms_with(float(np.sum(fitted_in(plain, place)[1] ** 2))),
         place=place,
-        sizes=tuple(Size(c, value, uncertainty) for c, value, uncertainty, told in fitted if told),
+        sizes=tuple(Size(c, value, uncertainty) for c, value, uncertainty, seen in fitted if seen),
         signal=signal,
         rank=rank,
         probability=found.of(number),
@@ -179,7 +178,7 @@ def _detectable(
     limits = np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in shaped.coefficients])
     strength = inner * np.outer(limits, limits)
     values = np.maximum(np.linalg.eigvalsh(strength), 0.0)
-    needed = float(np.log(ACCEPTED / (1.0 - ACCEPTED))) - log_odds + float(np.log(candidate.count))
+    needed = float(np.log(priors.ACCEPTED / (1.0 - priors.ACCEPTED))) - log_odds + float(np.log(candidate.count))
     norm = np.sqrt(np.where(_outside(inner), np.diag(inner), 0.0))
     return {
         coefficient.name: float(smallest_signal(values, (own * limit) ** 2, needed) * np.sqrt(variance) / own)
@@ -202,7 +201,7 @@ def alias_groups(
         found: the posterior.
         index: number of each candidate in the posterior, by name.
     """
-    inner = found.metrics[0].gram.inner
+    inner = found.marginals[0].gram.inner
     places = {f.name: f.place for f in findings if f.place is not None}
     bases = {name: basis_of(inner[place, place]) for name, place in places.items()}
 
@@ -213,14 +212,23 @@ def alias_groups(
         seen = bases[other].T @ products[places[other]]
         return float(np.sqrt(min(float(seen @ seen) / own, 1.0))) if own > 0 else 0.0
 
+    def is_alike(head: Finding, other: Finding) -> bool:
+        if head.probability > priors.LIKELY and found.exchanges(index[head.name], index[other.name]):
+            return True
+        contained = head.name in other.candidate.contains
+        return not contained and max(cosine(head, other.name), cosine(other, head.name)) >= priors.ALIKE
+
     left, groups = [f for f in findings if f.name in places], []
     while left:
         head, *left = left
         alike = [
             f
             for f in left
-            if (head.name not in f.candidate.contains and max(cosine(head, f.name), cosine(f, head.name)) >= ALIKE)
-            or (head.probability > LIKELY and found.exchanges(index[head.name], index[f.name]))
+            if (
+                head.name not in f.candidate.contains
+                and max(cosine(head, f.name), cosine(f, head.name)) >= priors.ALIKE
+            )
+            or (head.probability > priors.LIKELY and found.exchanges(index[head.name], index[f.name]))
         ]
         names = [f.name for f in alike]
         if names:

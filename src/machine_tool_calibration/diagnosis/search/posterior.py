@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
-from machine_tool_calibration.diagnosis.search.priors import LIKELY
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
 __all__ = ["Posterior", "search"]
@@ -47,7 +47,7 @@ class Posterior:
         sets: with the members at their best points, the most probable first.
         log_weights: logarithm of the evidence of each set times its prior odds, in the same order.
         single: every candidate by itself.
-        metrics: those that matter, the most probable beside the best set first.
+        marginals: those that matter, the most probable beside the best set first.
         variance: of the noise beside the best set, over that declared.
     """
 
@@ -56,7 +56,7 @@ class Posterior:
     sets: tuple[Members, ...]
     log_weights: dict[frozenset[int], float]
     single: Table
-    metrics: tuple[Marginal, ...]
+    marginals: tuple[Marginal, ...]
     variance: float
 
     @cached_property
@@ -70,10 +70,10 @@ class Posterior:
         """The most probable set."""
         return self.sets[0]
 
-    def beside(self, accepted: Collection[int]) -> list[Marginal]:
-        """The metrics with candidates folded in, each at its point in the best set, or where it is best alone."""
+    def marginals_with(self, accepted: Collection[int]) -> list[Marginal]:
+        """The marginals with candidates folded in, each at its point in the best set, or where it is best alone."""
         members = {k: self.best.get(k) or self.single.best[k] for k in accepted}
-        return _beside(self.blocks, self.metrics, members)
+        return _with_members(self.blocks, self.marginals, members)
 
     def of(self, *candidates: int) -> float:
         """Probability that some of these candidates are in."""
@@ -85,7 +85,7 @@ class Posterior:
         """Logarithm of a candidate's Bayes factor: beside the rest of the best set if it is in there, else alone."""
         rest = frozenset(self.best) - {candidate}
         if candidate not in self.best or rest not in self.log_weights:
-            return float(self.single.log_factors[candidate, 0])
+            return float(self.single.log_factors[candidate])
         gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
         return gained - float(self.log_odds[candidate])
 
@@ -104,7 +104,7 @@ class Posterior:
     def exchanges(self, candidate: int, other: int) -> bool:
         """Whether another candidate is in where this one is not, and more probably than where this one is."""
         instead = self.without(other, candidate)
-        return instead > max(LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
+        return instead > max(priors.LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
 
     def without(self, member: int, other: int) -> float:
         """Probability of the sets that hold one candidate and not the other."""
@@ -118,31 +118,31 @@ class _Search:
     blocks: Sequence[Block]
     log_odds: Array
     tried: Sequence[Marginal]
-    apart: Sequence[frozenset[int]]
+    exclusive: Sequence[frozenset[int]]
     found: dict[frozenset[int], tuple[float, Members]] = field(default_factory=dict)
     grown: dict[frozenset[tuple[int, Point]], Table] = field(default_factory=dict)
 
     def may_stand(self, members: Collection[int]) -> bool:
         """Whether no member of a set is a special case of another."""
-        return not any(pair <= set(members) for pair in self.apart)
+        return not any(pair <= set(members) for pair in self.exclusive)
 
     def prior(self, members: Members) -> float:
         """Logarithm of the members' prior odds, with what their other points than these add."""
         return sum(float(self.log_odds[k]) + point.log_rest for k, point in members.items())
 
-    def beside(self, members: Members) -> list[Marginal]:
-        """The metrics with members folded in."""
-        return _beside(self.blocks, self.tried, members)
+    def marginals_with(self, members: Members) -> list[Marginal]:
+        """The marginals with members folded in."""
+        return _with_members(self.blocks, self.tried, members)
 
     def grow(self, members: Members) -> Table:
         """Every other candidate beside the members; each makes a set."""
         key = frozenset(members.items())
         if key not in self.grown:
-            self.grown[key] = beside = table(self.blocks, self.beside(members), len(self.log_odds))
-            self._keep(members, self.prior(members) + float(beside.log_null[0]))
-            for k in beside.best:
+            self.grown[key] = found = table(self.blocks, self.marginals_with(members), len(self.log_odds))
+            self._keep(members, self.prior(members) + found.log_null)
+            for k in found.best:
                 if k not in members:
-                    self._keep_beside(members, k, beside)
+                    self._keep_with(members, k, found)
         return self.grown[key]
 
     def polished(self, key: frozenset[int]) -> Members:
@@ -150,16 +150,16 @@ class _Search:
         for k in self.found[key][1] if len(key) > 1 else ():
             others = {j: point for j, point in self.found[key][1].items() if j != k}
             # Of the set alone: what rules out signs of the others was judged beside this member.
-            beside = table(self.blocks, self.beside(others), len(self.log_odds), only=k)
-            if k in beside.best:
-                self._keep_beside(others, k, beside)
+            found = table(self.blocks, self.marginals_with(others), len(self.log_odds), only=k)
+            if k in found.best:
+                self._keep_with(others, k, found)
         return self.found[key][1]
 
-    def _keep_beside(self, members: Members, k: int, beside: Table) -> None:
+    def _keep_with(self, members: Members, k: int, found: Table) -> None:
         """The set of some members and another candidate, from the table beside these members."""
         if self.may_stand({*members, k}):
-            weight = self.prior(members) + self.log_odds[k] + float(beside.log_evidence[k, 0])
-            self._keep({**members, k: beside.best[k]}, weight)
+            weight = self.prior(members) + self.log_odds[k] + float(found.log_evidence[k])
+            self._keep({**members, k: found.best[k]}, weight)
 
     def _keep(self, members: Members, log_weight: float) -> None:
         key = frozenset(members)
@@ -174,19 +174,19 @@ def search(
     *,
     side_by_side: bool,
     pairs_among: Sequence[int],
-    apart: Sequence[frozenset[int]] = (),
+    exclusive: Sequence[frozenset[int]] = (),
 ) -> Posterior:
     """The posterior over sets.
 
     Args:
-        gram: inner products, with one data set.
+        gram: inner products.
         blocks: of all candidates; none of one that the model absorbs.
         log_odds: (candidates,) logarithm of the prior odds of each.
         side_by_side: whether many effects are expected at once: the machine itself is read.
         pairs_among: candidates of which all pairs are tried.
-        apart: pairs of candidates of which one is a special case of the other: no set holds both.
+        exclusive: pairs of candidates of which one is a special case of the other: no set holds both.
     """
-    work = _Search(blocks, log_odds, _sizes_that_matter(gram, blocks, log_odds), apart)
+    work = _Search(blocks, log_odds, _sizes_that_matter(gram, blocks, log_odds), exclusive)
     single = work.grow({})
     for pair in _best_pairs(work, single, pairs_among):
         # Each at the point that is best beside the other.
@@ -202,8 +202,8 @@ def search(
             break
         done.add(ready[0])
         work.grow(work.polished(ready[0]))
-    beside = work.beside(work.found[ranked[0]][1])
-    logs = np.array([metric.log_null[0] for metric in beside])
+    found = work.marginals_with(work.found[ranked[0]][1])
+    logs = np.array([marginal.log_null for marginal in found])
     shares = np.exp(logs - logsumexp(logs))
     order = np.argsort(-shares, kind="stable")
     return Posterior(
@@ -212,8 +212,8 @@ def search(
         sets=tuple(work.found[key][1] for key in ranked),
         log_weights={key: work.found[key][0] for key in ranked},
         single=single,
-        metrics=tuple(work.tried[k] for k in order),
-        variance=float(shares @ [metric.squares[0] for metric in beside]) / max(gram.freedom, 1),
+        marginals=tuple(work.tried[k] for k in order),
+        variance=float(shares @ [marginal.squares for marginal in found]) / max(gram.dof, 1),
     )
 
 
@@ -228,18 +228,18 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
     alone: set[Point] = set()
     for ratio, prior, _ in (grid[k] for k in {likeliest, least}):
         found = table(blocks, [marginal_at(gram, ratio, prior)], len(log_odds))
-        ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k, 0] + log_odds[k]))[:_GROWN]
+        ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.
     used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
-    few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used, :1], squares=gram.squares[:1])
+    few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used])
     tried = [marginal_at(few, ratio, prior) for ratio, prior, _ in grid]
     keep, first = np.array([log for _, _, log in grid]) > max(log for _, _, log in grid) + np.log(_COUNTS), 0
     for point in alone:
         scale = blocks[point.block].unit * point.scale
         own = np.arange(first, first + len(scale))
         first += len(scale)
-        values = np.array([metric.log_beside(own, scale) for metric in tried])
+        values = np.array([marginal.log_null_with(own, scale) for marginal in tried])
         keep |= values > logsumexp(values) + np.log(_COUNTS)
     return [marginal_at(gram, ratio, prior) for (ratio, prior, _), good in zip(grid, keep, strict=True) if good]
 
@@ -253,9 +253,11 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
     columns, scale = _columns(work.blocks, points)
     ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
     place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
-    inner = np.eye(len(columns)) + [metric.inner(columns, columns) * np.outer(scale, scale) for metric in work.tried]
-    data = np.array([metric.data[columns, 0] * scale for metric in work.tried])
-    squares = np.array([metric.squares[0] for metric in work.tried])
+    inner = np.eye(len(columns)) + [
+        marginal.inner(columns, columns) * np.outer(scale, scale) for marginal in work.tried
+    ]
+    data = np.array([marginal.data[columns] * scale for marginal in work.tried])
+    squares = np.array([marginal.squares for marginal in work.tried])
     left, determinant = np.empty((2, len(pairs), len(work.tried)))
     for n, (i, j) in enumerate(pairs):
         own = np.append(place[i], place[j])
@@ -263,7 +265,7 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
         left[n] = squares - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=1)
         determinant[n] = np.linalg.slogdet(core)[1]
     logs = work.tried[0].gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant
-    logs += [metric.log_prior for metric in work.tried]
+    logs += [marginal.log_prior for marginal in work.tried]
     weight = logsumexp(logs, axis=1) + [work.prior({k: points[k] for k in pair}) for pair in pairs]
     least = max(value for value, _ in work.found.values()) + _HOPELESS
     return [pairs[n] for n in np.argsort(-weight)[:_PAIRS] if weight[n] > least]
@@ -275,7 +277,7 @@ def _columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array
     return columns_of(blocks[point.block] for point in members.values()), np.concatenate([np.zeros(0), *scales])
 
 
-def _beside(blocks: Sequence[Block], tried: Sequence[Marginal], members: Members) -> list[Marginal]:
-    """The metrics with members folded in at their points."""
+def _with_members(blocks: Sequence[Block], tried: Sequence[Marginal], members: Members) -> list[Marginal]:
+    """The marginals with members folded in at their points."""
     columns, scale = _columns(blocks, members)
-    return [metric.beside(columns, scale) if members else metric for metric in tried]
+    return [marginal.with_columns(columns, scale) if members else marginal for marginal in tried]

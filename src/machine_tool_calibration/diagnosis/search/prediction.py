@@ -17,10 +17,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray, groups
 from machine_tool_calibration.diagnosis.search.candidates import shaped_at
+from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch
 from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, gram_of, table
-from machine_tool_calibration.diagnosis.search.look import EffectSearch
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
@@ -30,8 +31,6 @@ __all__ = ["Prediction", "predictions"]
 
 # Parts into which setups and places are divided at most.
 _PARTS = 4
-# Logarithm of the likelihood ratio of one part beyond which it contradicts: one in twenty.
-_CLEARLY = 3.0
 # Effects that are held against readings left out: more are not distinguished that way.
 _MOST = 6
 # Variance of the noise over that declared below which the residuals are rounding.
@@ -71,38 +70,38 @@ class Prediction:
         places alone; what half the setups or cycles do not show is none of the machine.
         """
         gains = np.array(self.log_gains)
-        if gains.min() >= -_CLEARLY:
-            return bool(gains.sum() < -_CLEARLY)
+        if gains.min() >= -priors.CONTRADICTING:
+            return bool(gains.sum() < -priors.CONTRADICTING)
         if self.what == _PLACES:
-            return bool(gains.sum() < _CLEARLY)
-        return bool(gains.sum() < -_CLEARLY or 2 * int((gains < 0).sum()) >= len(gains))
+            return bool(gains.sum() < priors.CONTRADICTING)
+        return bool(gains.sum() < -priors.CONTRADICTING or 2 * int((gains < 0).sum()) >= len(gains))
 
 
 def predictions(
     sessions: Sequence[Session],
-    look: EffectSearch,
+    search: EffectSearch,
     fit_of: Callable[[tuple[Session, ...]], JointFit],
 ) -> dict[str, tuple[Prediction, ...]]:
     """Every accepted effect on setups, blocks of places and cycles that were left out.
 
     Args:
         sessions: the measurements.
-        look: at all of them.
+        search: at all of them.
         fit_of: fits the model, without further effects, to parts of the sessions.
     """
-    names = look.accepted[:_MOST]
+    names = search.accepted[:_MOST]
     if not names:
         return {}
-    found = [look.of(name) for name in names]
+    found = [search.of(name) for name in names]
     effects = [(f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
-    whole = _log_factors(look.fit, effects, look)
+    whole = _log_factors(search.fit, effects, search)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
         gains, readings = [], 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
-                gains.append(whole - _log_factors(fit_of(left), effects, look))
+                gains.append(whole - _log_factors(fit_of(left), effects, search))
             except (CalibrationError, np.linalg.LinAlgError):
                 continue
             readings += sum(int((part == k).sum()) for part in parts)
@@ -113,7 +112,9 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: EffectSearch) -> np.ndarray:
+def _log_factors(
+    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], search: EffectSearch
+) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
     The noise and what does not reproduce have the same size for all readings and for a part of them: only so do the two
@@ -123,29 +124,29 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     Args:
         fit: of all readings, or of a part.
         effects: at their nonlinear coefficients.
-        look: at all readings, with the size of the noise and of what does not reproduce.
+        search: at all readings, with the size of the noise and of what does not reproduce.
     """
-    rows = _rows(Pool(fit), Pool(look.fit))
+    rows = _rows(Pool(fit), Pool(search.fit))
     pool = Pool(fit)
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
     # Structures without a cause stand beside every effect: what they leave out would count against it.
-    further = look.without_cause[:, rows]
+    further = search.without_cause[:, rows]
     projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, pool.spread[0]]))
-    gram = gram_of(pool, projected).with_noise(max(look.variance, _LEAST_NOISE))
+    gram = gram_of(pool, projected).with_noise(max(search.variance, _LEAST_NOISE))
     ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()
     places = [slice(first, end) for first, end in itertools.pairwise(ends)]
     blocks = [Block.of(0, place, s, np.zeros(len(s.columns))) for s, place in zip(shaped, places, strict=True)]
-    names, sizes = pool.spread[2], dict(look.spread)
+    names, sizes = pool.spread[2], dict(search.spread)
     # Where a part has one run in each mounting, they are one family.
     if "mounting" in sizes and "mounting" not in names and "run" in names:
         sizes["run"] = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
     known = ends[-1] + np.arange(len(further))
-    base = marginal_at(gram, tuple(sizes.get(name, 0.0) for name in names)).beside(known, look.expected)
+    base = marginal_at(gram, tuple(sizes.get(name, 0.0) for name in names)).with_columns(known, search.expected)
     out = np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for o in blocks if o is not block]
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        factor = float(table([block], [base.beside(columns_of(others), unit)], 1).log_factors[0, 0])
+        factor = float(table([block], [base.with_columns(columns_of(others), unit)], 1).log_factors[0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out

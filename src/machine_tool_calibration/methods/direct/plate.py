@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.machine.error_motions import squareness_field
 from machine_tool_calibration.methods.direct.datum import SetupDatum, setup_columns
 from machine_tool_calibration.model.observations import Observations
@@ -24,8 +24,6 @@ from machine_tool_calibration.model.observations import Observations
 __all__ = ["plate_steps"]
 
 _STILL = 1e-6  # m
-# Readings that are left out of the steps: so many times the scatter of the bulk, and not more than this share.
-_GROSS, _MOST = 8.0, 0.05
 _ROUNDING = 1e-9
 _PAIRS = {"C0Y": (0, 1), "B0Z": (0, 2), "A0Z": (1, 2)}
 _DATUM = {"none": "as measured", "offset": "an offset of each setup", "rigid": "where the part lay"}
@@ -43,8 +41,7 @@ class _Step:
 def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any] | None:
     """The steps of a session whose places differ along at least two axes, each of them sensed.
 
-    Readings of one place, direction and setup are averaged: what they share is the part's. Single readings far out of
-    all others are left out and named.
+    Readings of one place, direction and setup are averaged: what they share is the part's.
 
     Args:
         observations: the readings.
@@ -53,7 +50,7 @@ def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any
     Returns:
         `steps`: for each the model in words, unknowns, RMS residual, scatter (RMS over the degrees of freedom), F and
         p of what it adds to the one before, and its parameters with standard uncertainties from the scatter;
-        `set_aside`: rows; `places`: number of averaged readings. None for other sessions.
+        `places`: number of averaged readings. None for other sessions.
     """
     moved = np.ptp(observations.position, axis=0) > _STILL
     sensed = np.abs(observations.direction).max(axis=0) > 0.5
@@ -70,14 +67,12 @@ def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any
     steps = _columns(position, direction, plane, _Step(_DATUM[setups.kind], own))
     if len(reading) < 2 * sum(len(step.columns) for step in steps[:-1]) + 4:
         return None
-    good = _without_gross(np.concatenate([step.columns for step in steps]), reading)
     out = []
     before: tuple[float, int] | None = None
     for k in range(len(steps)):
-        step, before = _fitted(steps[: k + 1], reading, good, before)
+        step, before = _fitted(steps[: k + 1], reading, before)
         out.append(step)
-    rows = observations.readings.row[~good[place]]
-    return {"steps": out, "set_aside": [int(row) for row in rows], "places": int(good.sum())}
+    return {"steps": out, "places": len(reading)}
 
 
 def _places(observations: Observations) -> tuple[IntArray, IntArray]:
@@ -116,42 +111,25 @@ def _columns(position: Array, direction: Array, plane: Sequence[int], first: _St
     ]
 
 
-def _without_gross(columns: Array, reading: Array) -> BoolArray:
-    """Which readings belong to the rest, with everything in the model."""
-    good = np.ones(len(reading), dtype=bool)
-    for _ in range(10):
-        weights = np.linalg.lstsq(columns[:, good].T, reading[good], rcond=_ROUNDING)[0]
-        size = np.abs(reading - weights @ columns)
-        bulk = float(np.median(size[good])) / special.ndtri(0.75)
-        # The worst first: it may have pulled the others.
-        order = np.argsort(-size)
-        limit = max(_GROSS * bulk, 0.3 * float(size[order[0]]))
-        bad = size > limit
-        if bad.sum() > _MOST * len(size) or np.array_equal(bad, ~good):
-            break
-        good = ~bad
-    return good
-
-
 def _fitted(
-    steps: Sequence[_Step], reading: Array, good: BoolArray, before: tuple[float, int] | None
+    steps: Sequence[_Step], reading: Array, before: tuple[float, int] | None
 ) -> tuple[dict[str, Any], tuple[float, int]]:
     """One step, and its sum of squares and rank for the next one."""
     # A step that names its own unknowns for what the one before said in fewer replaces it.
     used = [s for k, s in enumerate(steps) if not (k == 1 and len(steps) > 2)]
-    columns = np.concatenate([step.columns for step in used])[:, good]
+    columns = np.concatenate([step.columns for step in used])
     size = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
     left, values, vectors = np.linalg.svd((columns / size[:, None]).T, full_matrices=False)
     keep = values > _ROUNDING * values.max(initial=0.0)
     rank = int(keep.sum())
-    theta = vectors[keep].T @ ((left[:, keep].T @ reading[good]) / values[keep])
-    residual = reading[good] - (columns / size[:, None]).T @ theta
-    squares, freedom = float(residual @ residual), int(good.sum()) - rank
+    theta = vectors[keep].T @ ((left[:, keep].T @ reading) / values[keep])
+    residual = reading - (columns / size[:, None]).T @ theta
+    squares, freedom = float(residual @ residual), len(reading) - rank
     variance = squares / max(freedom, 1)
     out: dict[str, Any] = {
         "model": steps[-1].title,
         "unknowns": rank,
-        "rms": float(np.sqrt(squares / good.sum())),
+        "rms": float(np.sqrt(squares / len(reading))),
         "scatter": float(np.sqrt(variance)),
     }
     if before is not None:

@@ -15,7 +15,7 @@ same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.model import Constraint, NotDetermined, Term, assemble
 from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
 
-__all__ = ["AngularUncertainty", "angles_shown_by_orders", "free_angles", "paper_angular_uncertainty"]
+__all__ = ["angles_shown_by_orders", "free_angles"]
 
 # Share of a column's norm beside such functions below which it says nothing of its own.
 _OWN_SHARE = 1e-3
@@ -135,34 +135,3 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
         "with the readings are taken (angular_one_mirror: the mirror was not touched)",
     )
     return replace(full, constraints=full.constraints + constraints, left_out=(*full.left_out, lost))
-
-
-@dataclass(frozen=True)
-class AngularUncertainty:
-    """Uncertainty of an angular error's change over one block, rad.
-
-    Attributes:
-        worst: if all readings err by their uncertainty in the worst way.
-        standard: if they err independently.
-        accumulated: worst case, summed over the blocks.
-    """
-
-    worst: float
-    standard: float
-    accumulated: float
-
-
-def paper_angular_uncertainty(step: float, block_uncertainty: float, blocks: int) -> AngularUncertainty:
-    """Eq. (29): four displacements of a block give the change of EAX over it, with equal steps along the axes.
-
-    Args:
-        step: of each axis, m.
-        block_uncertainty: of the diagonal displacement of one single-axis move, m.
-        blocks: number of blocks.
-
-    Returns:
-        The paper's numbers: 3.5e-5 rad for 0.1 um and 10 mm, 4.2e-4 rad over 12 blocks.
-    """
-    factor = np.sqrt(3.0) / (2.0 * step)
-    worst = 4.0 * factor * block_uncertainty
-    return AngularUncertainty(worst, 2.0 * factor * block_uncertainty, blocks * worst)

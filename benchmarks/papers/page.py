@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.validation.record import Printed, Study
+from papers.record import Printed, Study
 
 __all__ = ["study_page", "study_table", "verdict_of"]
 
@@ -38,7 +38,8 @@ def study_page(studies: Sequence[Study], pictures: Sequence[str] = ()) -> str:
     """
     parts = [
         "# The papers, done anew\n",
-        "Made by `mtcal validate --page FILE`. Figures count as equal within what rounding and our own chance leave.\n",
+        "Made by `python benchmarks/validate.py --page FILE`. Figures count as equal within what rounding and our own "
+        "chance leave.\n",
     ]
     for study in studies:
         parts += [f"## {_words(study.id)}\n", f"{study.paper}\n", "| " + " | ".join(_HEADS) + " |"]

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from machine_tool_calibration.plots.validation import draw
-from machine_tool_calibration.validation import study_probing, study_step_diagonal, study_tracking
-from machine_tool_calibration.validation.record import Printed, Study
+from papers import study_probing, study_step_diagonal, study_tracking
+from papers.pictures import draw
+from papers.record import Printed, Study
 
 
 def entry(study: Study, what: str) -> Printed:

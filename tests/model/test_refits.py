@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.fitted import fit_sessions
-from machine_tool_calibration.model.restated import changed, declared, drawn
+from machine_tool_calibration.model.refits import changed, declared, drawn
 from machine_tool_calibration.simulation import RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
 

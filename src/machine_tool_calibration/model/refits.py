@@ -20,7 +20,7 @@ from machine_tool_calibration.estimation.reduction import gram, single_blas
 from machine_tool_calibration.estimation.robust import Reweighted
 from machine_tool_calibration.estimation.solve import Linearised, local_steps, solve
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.stated import MarginalFit
+from machine_tool_calibration.model.marginal_fit import MarginalFit
 
 __all__ = ["changed", "covariance_of", "declared", "drawn"]
 

@@ -13,9 +13,9 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, effect_candidates
-from machine_tool_calibration.diagnosis.search.look import EffectSearch, search_effects
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
+from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.residuals.pool import Pool
@@ -91,7 +91,7 @@ def test_look_alikes_make_a_group_and_the_likeliest_is_accepted() -> None:
     (group,) = (g for g in look.groups if "pointer_radial_error" in g)
     assert set(group) == {"pointer_radial_error", "retroreflector_form"}
     assert look.accepted == (group[0],)
-    assert sum(look.of(name).probability for name in group) > ACCEPTED
+    assert sum(look.of(name).probability for name in group) > priors.ACCEPTED
     assert look.of(group[0]).probability >= look.of(group[1]).probability
 
 

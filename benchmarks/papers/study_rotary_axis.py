@@ -13,7 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, rigid_motions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import MachineSpec, RotaryPlan, SimulationSpec, simulate
-from machine_tool_calibration.validation.record import Printed, Study
+from papers.record import Printed, Study
 
 __all__ = ["Repeated", "study"]
 

@@ -19,10 +19,10 @@ from machine_tool_calibration.plots.rotary_axis import draw_motions
 from machine_tool_calibration.plots.step_diagonal import draw_comparison
 from machine_tool_calibration.plots.style import COLORS, MARKERS, new_figure, save
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.validation.record import Study
-from machine_tool_calibration.validation.study_probing import ColouredPoints, PinPositions
-from machine_tool_calibration.validation.study_rotary_axis import Repeated
-from machine_tool_calibration.validation.study_tracking import Profiles, TargetUncertainty
+from papers.record import Study
+from papers.study_probing import ColouredPoints, PinPositions
+from papers.study_rotary_axis import Repeated
+from papers.study_tracking import Profiles, TargetUncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

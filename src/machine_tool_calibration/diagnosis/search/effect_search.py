@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look at what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
+"""The search in what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
 )
 from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, EFFECT, FURTHER, LAW, STRUCTURE, THE_SAME
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
@@ -32,17 +32,13 @@ from machine_tool_calibration.residuals.pool import Pool
 __all__ = ["Absorbed", "EffectSearch", "Structure", "search_effects"]
 
 
-# Chance below which a structure is named, and below which places that differ more than their repeats are.
-_TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
 # Numbers of first coefficients of an effect that are tried alone.
 _LEADING = (1, 2, 4)
-# Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
-_ABSORBED = 1e-4
-# Probability from which an effect's law is tried with its tolerance, and how many are in any case.
-_MAY_BE, _BEST = 0.02, 6
-# Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
+# Effects whose laws are tried with their tolerances in any case.
+_BEST = 6
+# Share of a column's squares that its variation within the runs is at least explained for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
 
@@ -79,7 +75,7 @@ class Structure:
 
 @dataclass(frozen=True)
 class EffectSearch:
-    """One look at what a fitted model leaves.
+    """What was found in what a fitted model leaves.
 
     Attributes:
         fit: of the model.
@@ -149,11 +145,11 @@ def search_effects(
     findings = _findings(columns, found)
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
-    further = ACCEPTED if side_by_side else FURTHER
+    further = priors.ACCEPTED if side_by_side else priors.FURTHER
     accepted = _accepted(columns, findings, groups, found, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
-    without_cause = [_beside_effects(columns, found, k) for k in found.best]
+    without_cause = [_without_cause(columns, found, k) for k in found.best]
     return EffectSearch(
         fit=fit,
         noise=noise,
@@ -166,7 +162,7 @@ def search_effects(
         left=_structure(columns, found, accepted) if accepted else structure,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         sets=_named_sets(columns, found),
-        spread=dict(zip(columns.pool.spread[2], found.metrics[0].ratio, strict=True)),
+        spread=dict(zip(columns.pool.spread[2], found.marginals[0].ratio, strict=True)),
         variance=found.variance,
         signals={columns.candidates[k].name: _signal(columns, found, k) for k in found.best},
         without_cause=np.concatenate([np.zeros((0, len(columns.pool))), *(further for further, _ in without_cause)]),
@@ -177,8 +173,8 @@ def search_effects(
 def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
     """The effects, those that may be in with what their laws leave open; none where no law does."""
     out, changed = columns.candidates[: columns.effects], False
-    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k, 0])
-    for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > _MAY_BE)}:
+    ranked = sorted((k for k in found.single.best if k < len(out)), key=lambda k: -found.single.log_evidence[k])
+    for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > priors.MAY_BE)}:
         effect = out[k].effect
         if effect is not None and effect.tolerance > 0.0:
             point = found.best.get(k) or found.single.best[k]
@@ -190,21 +186,23 @@ def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
     effects = [k for k in columns.seen if k < columns.effects]
     log_odds = np.full(len(columns.candidates), -np.inf)
     for k in columns.seen:
-        prior = min(EFFECT, 1.0 / len(effects)) if k in effects else STRUCTURE
+        prior = min(priors.EFFECT, 1.0 / len(effects)) if k in effects else priors.STRUCTURE
         log_odds[k] = np.log(prior / (1.0 - prior))
-    apart = _apart(columns)
-    return search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
+    exclusive = _exclusive(columns)
+    return search(
+        columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, exclusive=exclusive
+    )
 
 
 def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
     """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
     point = found.best.get(k) or found.single.best[k]
     block = columns.blocks[point.block]
-    metric = found.beside([other for other in found.best if other != k] if k in found.best else [])[0]
-    return np.asarray(posterior_of(metric, block, point)[0] @ block.shaped.every)
+    marginal = found.marginals_with([other for other in found.best if other != k] if k in found.best else [])[0]
+    return np.asarray(posterior_of(marginal, block, point)[0] @ block.shaped.every)
 
 
-def _beside_effects(columns: _Columns, found: Posterior, k: int) -> tuple[Array, Array]:
+def _without_cause(columns: _Columns, found: Posterior, k: int) -> tuple[Array, Array]:
     """Columns of a structure in the most probable set, or by which an effect differs from its law; what is expected."""
     point = found.best[k]
     block = columns.blocks[point.block]
@@ -262,7 +260,10 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
             for own in (*leading, shaped):
                 place = slice(first, first + len(own.every))
                 squares = before[place]
-                if np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1] > _ABSORBED:
+                if (
+                    np.linalg.eigvalsh(gram.inner[place, place] / np.sqrt(np.outer(squares, squares)))[-1]
+                    > priors.ABSORBED
+                ):
                     share = -float(np.log(candidate.count * (len(leading) + 1)))
                     blocks.append(Block.of(c, place, own, squares, share))
             first += len(shaped.every)
@@ -270,7 +271,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     return _Columns(pool, every, len(candidates), projected, gram, blocks)
 
 
-def _apart(columns: _Columns) -> list[frozenset[int]]:
+def _exclusive(columns: _Columns) -> list[frozenset[int]]:
     """Pairs of effects of which one contains the other."""
     place = columns.place
     every = enumerate(columns.candidates)
@@ -312,14 +313,14 @@ def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[B
     for block in mine:
         basis = basis_of(inner[block.place, block.place])
         squares = np.sum((basis.T @ joined[block.place]) ** 2, axis=0)
-        taken = np.diff(np.append(0.0, np.cumsum(squares))[ends])
-        repeated |= (basis.shape[1] >= rank) & (taken >= THE_SAME**2 * rank)
+        explained = np.diff(np.append(0.0, np.cumsum(squares))[ends])
+        repeated |= (basis.shape[1] >= rank) & (explained >= priors.THE_SAME**2 * rank)
     others = [block for block in blocks if block.shaped.coefficients]
     return others + [block for block, known in zip(free, repeated, strict=True) if not known]
 
 
 def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
-    ratio, families = found.metrics[0].ratio, len(found.metrics[0].ratio) - len(columns.gram.sizes)
+    ratio, families = found.marginals[0].ratio, len(found.marginals[0].ratio) - len(columns.gram.sizes)
     plain = marginal_at(columns.gram, (0.0,) * families + ratio[families:])
     effects = enumerate(columns.candidates[: columns.effects])
     out = [finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects]
@@ -345,11 +346,11 @@ def _accepted(
             surest.
     """
     place = columns.place
-    sure = [f.name for f in findings if f.probability > ACCEPTED]
+    sure = [f.name for f in findings if f.probability > priors.ACCEPTED]
     known = {place[name] for name in sure}
     for group in groups:
         members = [place[name] for name in group]
-        if not known & set(members) and found.of(*members) > ACCEPTED and found.gains(known, members[0]):
+        if not known & set(members) and found.of(*members) > priors.ACCEPTED and found.gains(known, members[0]):
             sure.append(group[0])
     sure.sort(key=lambda name: -found.log_factor(place[name]))
     alike = {name: next((group for group in groups if name in group), (name,)) for name in sure}
@@ -360,12 +361,12 @@ def _accepted(
 
 def _of_law(pool: Pool, signals: Mapping[str, Array], name: str, other: str) -> bool:
     """Whether an effect is a small part of what a surer one may differ from its law by: smooth in time as it is."""
-    if rms(signals[name] / pool.sigma) > LAW * rms(signals[other] / pool.sigma):
+    if rms(signals[name] / pool.sigma) > priors.LAW * rms(signals[other] / pool.sigma):
         return False
     both = np.concatenate([signals[name][None], signals[other][None], smooth_share(pool, signals[other])])
     inner = pool.screen(both).gram[:-1, :-1]
     basis = basis_of(inner[1:, 1:])
-    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > ALIKE**2 * inner[0, 0])
+    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > priors.ALIKE**2 * inner[0, 0])
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
@@ -380,18 +381,18 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
 
 def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
-    tried = found.beside([columns.place[name] for name in accepted])
+    tried = found.marginals_with([columns.place[name] for name in accepted])
     beside = table(columns.blocks, tried, len(columns.candidates)) if accepted else found.single
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
-        log_factor = float(beside.log_factors[k, 0])
+        log_factor = float(beside.log_factors[k])
         # Paid for by the structures' prior against all others: what no effect says.
         p = found.p_value(k, log_factor)
-        if p <= _TOLD:
+        if p <= priors.STRUCTURE_CHANCE:
             block = columns.blocks[beside.best[k].block]
-            taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
+            explained = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _words(columns.candidates[k].name, block.shaped.shape)
-            out.append((p, -log_factor, Structure(*words, p, taken / float(tried[0].squares[0]))))
+            out.append((p, -log_factor, Structure(*words, p, explained / tried[0].squares)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
@@ -407,7 +408,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     out = []
     for noise in every:
         p, repeats = noise.lack_of_fit_p, noise.from_repeats
-        if p is not None and p < _LACK and repeats is not None:
+        if p is not None and p < priors.LACK_OF_FIT_CHANCE and repeats is not None:
             share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)
             out.append(Structure("place", "places differ more than their repeats", p, share))
     return tuple(out)

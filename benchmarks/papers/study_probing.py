@@ -22,7 +22,7 @@ from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PartPoint, ProbingPlan, SimulationSpec, simulate
 from machine_tool_calibration.simulation.probing_run import cross, pins
-from machine_tool_calibration.validation.record import Printed, Study
+from papers.record import Printed, Study
 
 __all__ = ["ColouredPoints", "PinPositions", "fit_first_case", "forecast", "planned_session", "study"]
 

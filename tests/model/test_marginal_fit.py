@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation import variance_components
-from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, marginal_at
+from machine_tool_calibration.estimation import priors, variance_components
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.model import stated
+from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
-from machine_tool_calibration.model.restated import declared
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
@@ -123,7 +123,7 @@ def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> Non
     """Only these, equally probable."""
 
     def grid(gram: Gram) -> list[tuple[tuple[float, ...], float, float]]:
-        return [((ratio,), 0.0, float(marginal_at(gram, (ratio,)).log_null[0])) for ratio in ratios]
+        return [((ratio,), 0.0, marginal_at(gram, (ratio,)).log_null) for ratio in ratios]
 
     monkeypatch.setattr(variance_components, "size_grid", grid)
 
@@ -152,7 +152,7 @@ def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.Mo
     tried = [generalised(model, spread, readings, ratio) for ratio in ratios]
     squares = np.array([one.squares for one in tried])
     logs = np.array([one.log_restricted for one in tried])
-    logs -= 0.5 * (len(readings) - 2 + DECLARED_DOF) * np.log(DECLARED_DOF + squares)
+    logs -= 0.5 * (len(readings) - 2 + priors.DECLARED_DOF) * np.log(priors.DECLARED_DOF + squares)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     # Otherwise this would say nothing of a mean.
@@ -181,7 +181,7 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
 def test_scatter_grows_without_a_jump() -> None:
     """No test decides beforehand whether the readings' scatter counts."""
     chi_square = np.linspace(0.0, 100.0, 400)
-    scatter = np.array([stated._scatter(value, 10) for value in chi_square])
+    scatter = np.array([marginal_fit._scatter(value, 10) for value in chi_square])
     assert (np.diff(scatter) >= 0.0).all()
     assert np.diff(scatter).max() < 0.05
     assert scatter[0] == 1.0

@@ -18,14 +18,15 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.estimation.marginal import DECLARED_DOF, Gram, marginal_at
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
 from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
-from machine_tool_calibration.model.imperfection import IMPERFECT, IMPERFECTION_SIZES, imperfection
+from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import Family, of_repeats, reproducibility
 
@@ -37,8 +38,6 @@ __all__ = ["FamilySize", "MarginalFit", "RandomPosterior", "RandomUnknowns", "st
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
 _COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 8, 3
-# Readings that the declared uncertainty is worth where it need not hold.
-_HARDLY = 2.0
 # Readings up to which what every model lacks is in what is published: of more, U is what grows least.
 _ENOUGH = 20_000
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
@@ -214,7 +213,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     root = _root(joint, total, squares)
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
-    freedom = solution.degrees_of_freedom
+    dof = solution.degrees_of_freedom
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
     # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
     imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
@@ -226,7 +225,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     left = [fit.residuals / fit.model.sigma for fit in joint.fits]
     repeated = of_repeats(observed, left, families) if len(runs) else None
     found = components(
-        Gram(inner[:-1, :-1], inner[:-1, -1:], inner[-1:, -1], own, freedom),
+        Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof),
         None if repeated is None else repeated.outside(~seen[runs], own),
     )
     chosen = np.argsort(-found.log_weights)
@@ -234,13 +233,13 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ found.squares[chosen])
-    scatter = _scatter(squares_left, freedom)
+    scatter = _scatter(squares_left, dof)
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
     tau[:, runs] = ratios[:, own]
     if imperfect.any():
         tau[:, imperfect] = _misfit(
-            projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], freedom
+            projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof
         )
     random = None
     if joint.random is None:
@@ -254,7 +253,7 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
 
 
-def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], freedom: int) -> float:
+def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float, ...], dof: int) -> float:
     """Root mean square of the size of what every model lacks a little, beside what does not reproduce.
 
     Args:
@@ -262,13 +261,13 @@ def _misfit(projected: Array, order: IntArray, own: IntArray, ratio: tuple[float
         order: (u,) the functions of runs, then those of what a model lacks.
         own: family of each of the former.
         ratio: size of each family, in units of the noise.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
+        dof: degrees of freedom of the readings beside the model's unknowns.
     """
-    inner, data = projected[np.ix_(order, order)], projected[order, -1:]
+    inner, data = projected[np.ix_(order, order)], projected[order, -1]
     family = np.append(own, np.full(len(order) - len(own), len(ratio)))
-    gram = Gram(inner, data, projected[-1:, -1], family, freedom)
-    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null[0] for s, p in IMPERFECTION_SIZES.items()]
-    return float(np.sqrt(special.softmax(logs) @ np.square(list(IMPERFECTION_SIZES))))
+    gram = Gram(inner, data, float(projected[-1, -1]), family, dof)
+    logs = [marginal_at(gram, (*ratio, s), float(np.log(p))).log_null for s, p in priors.IMPERFECTION_SIZES.items()]
+    return float(np.sqrt(special.softmax(logs) @ np.square(list(priors.IMPERFECTION_SIZES))))
 
 
 def _imperfect(observations: Observations) -> tuple[Family, ...]:
@@ -408,18 +407,18 @@ def _with_random(
     return found, step, covariance
 
 
-def _scatter(chi_square: float, freedom: int) -> float:
+def _scatter(chi_square: float, dof: int) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
     Either what was declared holds, as knowledge worth a number of readings, or it says next to nothing: the mean of the
     variance over both, by the probability that each gives the readings' scatter (inverse-gamma priors). Less scatter
     makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    worth = np.array([DECLARED_DOF, _HARDLY])
-    half = 0.5 * (freedom + worth)
-    logs = special.gammaln(half) - special.gammaln(0.5 * worth) + 0.5 * worth * np.log(worth)
-    logs = logs - half * np.log(worth + chi_square)
-    variance = special.softmax(logs) @ ((worth + chi_square) / (worth + freedom))
+    prior = np.array([priors.DECLARED_DOF, priors.HARDLY_DECLARED_DOF])
+    half = 0.5 * (dof + prior)
+    logs = special.gammaln(half) - special.gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
+    logs = logs - half * np.log(prior + chi_square)
+    variance = special.softmax(logs) @ ((prior + chi_square) / (prior + dof))
     return float(np.sqrt(max(variance, 1.0)))
 
 

@@ -19,15 +19,14 @@ from machine_tool_calibration.budget.contributor import Contributor, default_bud
 from machine_tool_calibration.budget.patterns import pattern
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import POSITION_ERROR
-from machine_tool_calibration.instruments.tracking import distance, projection
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.methods.map_comparison import DRAWS, MapComparison, compare_fits
-from machine_tool_calibration.model.restated import changed
+from machine_tool_calibration.model.refits import changed
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
-from machine_tool_calibration.validation.record import Printed, Study
+from papers.record import Printed, Study
 
 __all__ = ["Profile", "Profiles", "TargetUncertainty", "in_origin_datum", "study"]
 
@@ -186,9 +185,8 @@ def _share(progress: Callable[[str, float], None], number: int, what: str, share
 
 def _cosine() -> tuple[Printed, ...]:
     """A target beside the beam, by the geometry of the instrument."""
-    station, aside = np.zeros(3), np.array([0.32, 0.8e-3, 0.0])
-    beam = np.array([1.0, 0.0, 0.0])
-    error = float(distance(aside, station) - projection(aside, station, beam))
+    aside = np.array([0.32, 0.8e-3])  # along the beam, and across it
+    error = float(np.linalg.norm(aside) - aside[0])
     return (Printed("cosine error of 0.8 mm beside the beam at 320 mm", "Section 4.3", 1.0e-6, error, "m", 0.05e-6),)
 
 

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is believed before any reading, and every number by which the engine decides.
+
+The engine compares explanations of the readings by one evidence: effects of the catalogue, patterns without a cause,
+what every model lacks a little, what does not reproduce, single gross errors, and noise. Numbers of the calculation
+(rounding, memory, steps of a grid) stand where they are used and move no answer.
+"""
+
+from __future__ import annotations
+
+# --- noise ---
+
+DECLARED_DOF = 20.0
+"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
+
+HARDLY_DECLARED_DOF = 2.0
+"""The same where the declared uncertainty need not hold at all; the published scatter weighs both."""
+
+# --- what does not reproduce (size in units of the noise) ---
+
+ALL_REPRODUCES = 0.5
+"""Probability that a family (runs, mountings) has no size at all: it keeps the power to find effects."""
+
+IRREPRODUCIBILITY = 0.4
+"""Scale of the half-Cauchy prior of its size otherwise: the long tail makes large spreads harmless; with a light one
+every spread looks like a missing effect."""
+
+SERIES = (1.0, 1.0, 0.7)
+"""Sizes of the Legendre polynomials of degree 0 to 2 in the time of a run: what is slow is larger. A cubic costs every
+spread more than it explains, so that an effect of few coefficients was more probable than it."""
+
+SEVERAL_RUNS = 4
+"""Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:
+the slopes and bows of fewer are the machine's own."""
+
+ENOUGH_REPEATS = 8
+"""Degrees of freedom of repeats from which these alone tell what does not reproduce, so that a lack of fit cannot."""
+
+# --- what every model lacks a little ---
+
+IMPERFECTION_SIZES = {0.0: 0.5, 0.25: 0.2, 0.5: 0.2, 1.0: 0.1}
+"""Sizes of smooth functions of place that no model has, in units of the noise, with their probabilities: no larger than
+the readings scatter, since what is larger is an effect, or a structure to be named."""
+
+# --- effects of the catalogue, and structures without a cause ---
+
+EFFECT = 0.05
+"""Probability that one effect of the catalogue is missing: with the twenty or so that a plan can show, that something
+is missing and that nothing is are about even."""
+
+STRUCTURE = 0.003
+"""The same of a structure without a cause, of which many are tried: together they are as probable as one or two
+effects."""
+
+SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
+"""The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
+steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
+spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
+
+BEYOND = 2.0
+"""Times the limits of its coefficients up to which an effect is tried: what is plausible is known to no better."""
+
+SELDOM = 4.0
+"""Odds against a size beyond what is usual, such as a dead path of metres on a small machine."""
+
+RARE, RARE_SIZE = 0.01, SCALE_STEP**2
+"""Probability that an effect which was put into a model is larger than plausible, and its size then over half of that:
+what the readings say clearly holds."""
+
+POSITIVE = 10.0
+"""Odds that a coefficient which is positive by its nature (a backlash) is so in the readings: a control may compensate
+more than there is, and directions of approach may be recorded the wrong way round."""
+
+ANY_SIZE = 50.0
+"""Half the size that a structure without a cause may have, in standard uncertainties of a reading."""
+
+# --- gross errors (residuals in standard deviations of the noise) ---
+
+GROSS_ERRORS, GROSS_ERRORS_DOF = 1.0, 100.0
+"""One reading in a hundred has a gross error, known as well as from a hundred readings of which one had such."""
+
+WIDTH = 10.0
+"""Least width of gross errors: less is hardly distinguished from noise."""
+
+TAILS = {3.0: 0.02, 4.0: 0.03, 6.0: 0.1, 10.0: 0.15, 20.0: 0.2, 1000.0: 0.5}
+"""Degrees of freedom of the noise (Student) with their probabilities: the last is normal, 3 or 4 are rare."""
+
+BULK = 0.95
+"""Share of the readings whose distribution says what the noise is: gross errors have no say."""
+
+SAME_EVIDENCE = 4.5
+"""Difference in the logarithm of the evidence within which another set of gross errors may be true: 1 in 100."""
+
+SUSPECTED, SUSPECTED_BESIDE = 3.0, 4.0
+"""Predicted residuals from which a reading is judged with others, at first and beside a set: few sound ones are."""
+
+JUDGED = 0.02
+"""A reading with less than this share of itself in its residual cannot be judged: that is left to curvature."""
+
+SINGLE = 0.2
+"""Share of the readings beyond which gross errors are no longer single, and none is set aside."""
+
+MISFIT = 1.1
+"""Scatter over the declared uncertainty from which several wrong readings may hide each other (masking)."""
+
+COURSE = 0.7
+"""Scatter about the courses of the runs over the whole one, below which they are a pattern and no noise."""
+
+NEIGHBOURS, AGREEING, QUIET = 4, 3, 2.0
+"""Neighbours on each side of a reading in its run, how many of them must deviate, as one wrong one makes no course, and
+residuals within which they do not."""
+
+CURVED = 0.1
+"""Share of a course within which it predicts a reading: curvature of a transient that decays within three readings."""
+
+# --- what is accepted, refused and said ---
+
+ACCEPTED = 0.5
+"""Probability from which an effect is named as missing: it is in the model more likely than not."""
+
+FURTHER = 0.8
+"""The same of an effect beside a surer one: where a law does not hold exactly, what it leaves looks like another
+effect. Where the machine itself is read many are expected at once, and each counts like the first."""
+
+MAY_BE = 0.02
+"""The same from which the law of an effect is tried with its tolerance as well."""
+
+LIKELY = 0.2
+"""The same from which an effect is called likely: what one would look at next."""
+
+SURE = 0.95
+"""Probability that something is missing from which it is said although no effect can be named."""
+
+ALIKE, THE_SAME = 0.9, 0.98
+"""Cosine between the signals of two effects outside the model from which they are look-alikes; and from which a
+structure lies in the span of an effect, and is that effect."""
+
+LAW = 0.5
+"""Share of a surer effect's signal below which another one that is the same but for a smooth function of time is what
+that effect differs from its law by: a warm-up has more than one time constant."""
+
+ABSORBED = 1e-4
+"""Share of its squares outside the model below which an effect is absorbed: 1 % of its norm."""
+
+LEAST_GAIN = 9.0
+"""By how much an effect that is accepted lowers the weighted sum of squares at least, times the mean square that is
+left: three standard uncertainties of one coefficient."""
+
+CONTRADICTING = 3.0
+"""Logarithm of the likelihood ratio of readings that were left out from which they speak against an effect: 1 in 20."""
+
+SPOILT = 30.0
+"""Growth of the map's uncertainty by an effect from which the map is no longer determined for any purpose."""
+
+GOOD_ENOUGH, SMALL = 1 / 3, 0.7
+"""Share of the map's expanded uncertainty up to which what is left may move the map, and its size over the declared
+uncertainty of a reading below which that does not matter: then the model is adequate. What is larger than the noise
+never is."""
+
+CONTRADICTED, CONTRADICTED_CHANCE, MOST_OF_THE_EXCESS = 2.0, 1e-9, 1 / 3
+"""Weighted mean square from which the readings contradict the best model, the chance of that, and the share of the
+excess that effects must explain to be the cause all the same: more than what does not reproduce and a wrong declaration
+usually come to."""
+
+AS_NOISY = 0.9
+"""Share of the whole scatter from which that of repeats is as much: then the declared uncertainty is too small."""
+
+STRUCTURE_CHANCE, LACK_OF_FIT_CHANCE = 0.02, 0.001
+"""Chance below which a structure is named, and below which places that differ more than their repeats are."""
+
+DETECTED = 0.8
+"""Power with which the smallest size that is stated would be found."""
+
+SIZE_MARGIN = 2.0
+"""Standard uncertainties by which a size may lie outside of what is tried for before it is called implausible."""
