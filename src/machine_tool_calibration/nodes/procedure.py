@@ -436,6 +436,7 @@ class ProcedureNode(ManagedNode):
             "repeat": step.repeat if step is not None else "",
             "waiting_for": waiting,
             "duration": f"{sequencer.plan.duration:.0f}",
+            "services_move_axes": self._moves,
             **vars(sequencer.counters),
         }
         text = sequencer.message
