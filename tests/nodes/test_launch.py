@@ -44,10 +44,7 @@ class Record:
         self.arguments, self.named = arguments, named
 
 
-KINDS = (
-    "LaunchDescription", "DeclareLaunchArgument", "LogInfo", "OpaqueFunction", "Shutdown", "LifecycleNode", "EmitEvent",
-    "RegisterEventHandler", "OnProcessStart", "OnStateTransition", "ChangeState",
-)  # fmt: skip
+KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LogInfo", "OpaqueFunction", "Shutdown", "LifecycleNode")
 
 
 @pytest.fixture
@@ -62,15 +59,10 @@ def launch(monkeypatch, tmp_path):
     contents = {
         "launch": {"LaunchDescription": made["LaunchDescription"]},
         "launch.actions": made,
-        "launch.event_handlers": made,
-        "launch.events": {"matches_action": lambda action: action},
         "launch.logging": {"launch_config": SimpleNamespace(log_dir=str(tmp_path / "log"))},
         "launch.substitutions": {"LaunchConfiguration": configuration},
         "launch_ros": {},
         "launch_ros.actions": made,
-        "launch_ros.event_handlers": made,
-        "launch_ros.events": {},
-        "launch_ros.events.lifecycle": made,
         "ament_index_python": {},
         "ament_index_python.packages": {"get_package_share_directory": lambda name: str(LAUNCH.parent)},
     }
@@ -135,19 +127,11 @@ def test_who_has_no_axes_and_no_clock_is_told(launch):
     assert procedure.named["parameters"][1]["arrival"] == "joint_states"
 
 
-def test_each_node_is_taken_to_its_active_state_unless_a_manager_does(launch):
-    found = launch("identify.launch.py")
-    made = started(found)
-    changes = [
-        handler.named.get("on_start") or handler.named["entities"]
-        for action in made
-        if type(action).__name__ == "RegisterEventHandler"
-        for handler in action.arguments
-    ]
-    given = [change.named["event"].named["transition_id"] for (change,) in changes]
-    assert given == [1, 3] * len(nodes(found)), "configure, activate"
-    assert all(node.named["parameters"][1]["autostart"] is False for node in nodes(found))
-    assert all(type(action).__name__ == "LifecycleNode" for action in started(found, autostart="false"))
+def test_each_node_goes_to_its_active_state_unless_a_manager_takes_it_there(launch):
+    for file in ("identify.launch.py", "graph.launch.py"):
+        for given, told in ({}, True), ({"autostart": "false"}, False):
+            made = nodes(launch(file), **given)
+            assert made and all(node.named["parameters"][1]["autostart"] is told for node in made)
 
 
 @pytest.mark.parametrize("name", ["instrument", "procedure", "axis_simulator"])

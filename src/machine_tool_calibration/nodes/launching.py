@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
@@ -57,7 +57,10 @@ def managed_nodes(
     *,
     autostart: bool,
 ) -> list[Any]:
-    """The actions that start nodes of this package, and take each to its active state.
+    """The actions that start nodes of this package.
+
+    That they go to their active state is told them by a parameter: a transition that `launch` asks for by a service is
+    lost, now and then, where the node has not discovered `launch` yet.
 
     Args:
         parameters: of each node, by its name; they count more than those of the file.
@@ -66,38 +69,19 @@ def managed_nodes(
         on_exit: called when one ends.
         autostart: whether they are configured and activated; else a lifecycle manager does it.
     """
-    from launch.actions import EmitEvent, RegisterEventHandler
-    from launch.event_handlers import OnProcessStart
-    from launch.events import matches_action
     from launch_ros.actions import LifecycleNode
-    from launch_ros.event_handlers import OnStateTransition
-    from launch_ros.events.lifecycle import ChangeState
-    from lifecycle_msgs.msg import Transition
-
-    def change(node: Any, transition: int) -> Sequence[Any]:
-        return [EmitEvent(event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition))]
 
     space = namespace.strip("/")
-    actions: list[Any] = []
-    for name, values in parameters.items():
-        node = LifecycleNode(
+    return [
+        LifecycleNode(
             package="machine_tool_calibration",
             executable=name,
             name=name,
             namespace=space,
-            parameters=[file, {**values, "autostart": False}],
+            parameters=[file, {**values, "autostart": autostart}],
             remappings=[("/clock", f"/{space}/clock")] if space else [],
             output="screen",
             on_exit=on_exit,
         )
-        actions.append(node)
-        if autostart:
-            started = OnProcessStart(target_action=node, on_start=change(node, Transition.TRANSITION_CONFIGURE))
-            configured = OnStateTransition(
-                target_lifecycle_node=node,
-                start_state="configuring",
-                goal_state="inactive",
-                entities=change(node, Transition.TRANSITION_ACTIVATE),
-            )
-            actions += [RegisterEventHandler(started), RegisterEventHandler(configured)]
-    return actions
+        for name, values in parameters.items()
+    ]
