@@ -6,7 +6,10 @@ import signal
 import time
 
 import pytest
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.srv import AddDiagnostics
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
@@ -180,3 +183,38 @@ def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, ["/nowhere.yaml"])
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, [""])  # an effect in use comes from there
     assert float(operator.calculate("compare", PATIENCE)["reduced_chi_square"]) < 1.5
+
+
+def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_requests_are_answered(bench, folder):
+    operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
+    client = operator._node.create_client(Trigger, "estimator/reset")
+    assert operator.wait(client.service_is_ready, PATIENCE)
+    operator.wait(lambda: bool(operator.estimator.entries), PATIENCE)  # then it knows its clients
+    asked = [client.call_async(Trigger.Request()) for _ in range(200)]
+    assert operator.wait(lambda: all(one.done() for one in asked), PATIENCE), "a usual queue holds 10"
+    feed(operator, open_measurement(folder))
+
+    def cancel(goal):
+        request = CancelGoal.Request()
+        request.goal_info.goal_id.uuid = list(bytes.fromhex(goal)) if goal else [0] * 16
+        return ask(operator, CancelGoal, "estimator/cancel", request)
+
+    assert not cancel("").goals_canceling, "nothing is under way"
+    said = operator.call("estimator/diagnose", PATIENCE)
+    goal = said.removeprefix("goal ").partition(":")[0]
+    assert cancel("f" * 32).return_code == CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
+    (cancelled,) = cancel(goal).goals_canceling
+    assert bytes(cancelled.goal_id.uuid).hex() == goal
+    assert operator.wait(lambda: operator.outcome.device == goal, PATIENCE)
+    assert (operator.outcome.level, operator.outcome.message) == (1, "cancelled: diagnosing from 200 readings")
+    (last,) = Heard(operator, estimator__goals=GoalStatusArray)["estimator__goals"].status_list
+    assert last.status == GoalStatus.STATUS_CANCELED
+    assert cancel(goal).return_code == CancelGoal.Response.ERROR_GOAL_TERMINATED
+
+    def add(name):
+        return ask(operator, AddDiagnostics, "estimator/add_effect", AddDiagnostics.Request(load_namespace=name))
+
+    assert not add("").success and "no effect is named, and none has been found" in add("").message
+    assert not add("no_such").success
+    assert add("backlash_y").message == "effects in the model: backlash_y"
+    assert float(operator.calculate("identify", PATIENCE)["reduced_chi_square"]) < 1.5

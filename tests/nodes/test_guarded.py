@@ -3,6 +3,7 @@
 
 import asyncio
 import gc
+import threading
 import time
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -26,6 +28,7 @@ from machine_tool_calibration.nodes.estimator import Estimator
 from machine_tool_calibration.nodes.heard import NodeState
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
+from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post
 from machine_tool_calibration.nodes.ros.services import Answer
@@ -185,6 +188,45 @@ def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, ca
     for where in ("stumble", "walk"):
         assert said.count(f"{where}: ZeroDivisionError: an axis without length") == 1
     assert "in stumble" in said
+
+
+def test_what_the_handler_of_an_event_raises_is_logged_and_the_node_goes_on(made, capfd, monkeypatch):
+    node, stop = made(AxisSimulator), threading.Event()
+    turns = iter((ZeroDivisionError("no publisher"), None))
+
+    class Executor:
+        def add_node(self, node):
+            pass
+
+        def shutdown(self):
+            pass
+
+        def spin_once(self, timeout_sec):
+            raised = next(turns)
+            if raised is not None:
+                raise raised
+            stop.set()
+
+    monkeypatch.setattr(process, "SingleThreadedExecutor", Executor)
+    process._spin(node, stop)
+    assert "a callback: ZeroDivisionError: no publisher" in capfd.readouterr().err
+
+
+def test_a_node_that_is_deactivated_leaves_the_graph_and_begins_anew(made):
+    node = made(AxisSimulator)
+    (answer,) = node.set_parameters([Parameter("speed", value=0.1)])
+    assert not answer.successful and "cannot be set while the node is configured" in answer.reason
+    topics = {publisher.topic_name for publisher in node.publishers}
+    assert {"/joint_states", "/axes/executed"} <= topics
+    epoch = node._motion
+    assert node.trigger_deactivate() == node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    assert not {"/joint_states", "/axes/executed"} & {publisher.topic_name for publisher in node.publishers}
+    assert node.set_parameters([Parameter("speed", value=0.1), Parameter("site", value="/nowhere.yaml")])[0].successful
+    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE and node.fault == "/nowhere.yaml: no such file"
+    assert node.set_parameters([Parameter("site", value="")])[0].successful
+    node.start()
+    assert {publisher.topic_name for publisher in node.publishers} == topics
+    assert node._motion is not epoch and node.limits["x"].speed == 0.1
 
 
 # --- readings that are missing
