@@ -134,6 +134,11 @@ def test_real_time_motion_keeps_the_limits_and_can_be_stopped(bench):
     executed = axes.done(3, 1)
     (arrived,) = executed.reached
     assert executed.places[0]["x"] < 0.4 and executed.places[1]["x"] == 0.0
-    at = {from_message(pose.header.stamp): pose.pose.position.x for pose in axes.truth}
+
+    def true_places():
+        return {from_message(pose.header.stamp): pose.pose.position.x for pose in axes.truth}
+
+    assert axes.operator.wait(lambda: arrived in true_places(), PATIENCE)
+    at = true_places()
     later = [place for stamp, place in at.items() if stamp >= arrived]
-    assert arrived in at and set(later) == {at[arrived]}
+    assert set(later) == {at[arrived]}

@@ -247,10 +247,13 @@ class AxisSimulator(ManagedNode):
             return
         # what comes before the command's own moves is braking
         moves = self._motion.moves[-self._waypoints :] if self._waypoints else self._motion.moves[-1:]
+        until = self._now()
+        if self._pending_arrival:  # told with the true pose there, at the next tick
+            until = min(until, self._start + nanoseconds(self._motion.arrival) - 1)
         begin, first = moves[0]
         points = [(self._start + nanoseconds(begin), first.start)]
         for begin, part in moves[: self._waypoints]:
             reached = self._start + nanoseconds(begin + part.duration)
-            if reached <= self._now():
+            if reached <= until:
                 points.append((reached, part.end))
         self._executed.publish(executed_message(self._carried_out, points))
