@@ -20,6 +20,7 @@ from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_sit
 from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.tables import show_head
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 
@@ -300,15 +301,17 @@ def _show(story: _Demonstration) -> None:
 
     screen = console()
     measured = story.measured
-    screen.print(
-        f"[bold]1. Measured[/]: a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
-        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:"
+    show_head(
+        screen,
+        "1. Measured",
+        f": a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
+        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:",
     )
     show_result(screen, measured)
-    screen.print("\n[bold]2. Diagnosed and improved[/]")
+    show_head(screen, "\n2. Diagnosed and improved")
     show_improvement(screen, story.improvement)
-    screen.print("\n[bold]3. The truth[/], which nothing before has seen")
-    screen.print(_truth_in_words(story), markup=False)
+    show_head(screen, "\n3. The truth", ", which nothing before has seen")
+    screen.print(_truth_in_words(story))
     _show_error_of_map(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
     show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 

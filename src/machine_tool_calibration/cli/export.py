@@ -25,20 +25,17 @@ if TYPE_CHECKING:
 __all__ = ["bad_fit", "command"]
 
 
-# Chance below which readings contradict the model, as `mtcal identify` has it.
-_CHANCE = 1e-3
-
-
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
+    from machine_tool_calibration.reports.goodness import fits
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
-    if not fit.p_value < _CHANCE:
+    if fits(fit.p_value) != "bad":
         return None
     words = goodness_of_fit(
         {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
     )
-    return f"warning: {words}"
+    return f"warning: {words} `mtcal diagnose` looks for what is missing."
 
 
 _FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv", "json")
@@ -87,6 +84,7 @@ def command(
     mtcal export x_axis plate --format json       two sessions together
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
+    from machine_tool_calibration.reports.compensation import harm_words
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
 
@@ -125,6 +123,7 @@ def command(
                 "not_in_tables": made.absent,
                 "preview": made.left,
                 "worse": made.worse,
+                "worse_along": [one.name for one in made.worse_along],
             }
         )
     else:
@@ -134,8 +133,8 @@ def command(
             note(f"not determined: {names}: {why}")
     for text in found.warnings:
         note(text)
-    if made.worse:
-        note("warning: the errors would grow; do not load these files")
+    if harm := harm_words(made):
+        note(f"warning: {harm}")
 
 
 @dataclass(frozen=True)
@@ -191,10 +190,10 @@ def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
 
 def _show(out: Console, written: Sequence[Path], made: Exported) -> None:
     from machine_tool_calibration.reports.compensation import absent_words, left_table
-    from machine_tool_calibration.reports.tables import show_table
+    from machine_tool_calibration.reports.tables import show_head, show_table
 
     for path in written:
-        out.print(f"[bold]{path}[/]")
+        show_head(out, str(path))
     show_table(out, left_table(made))
     if made.absent:
         out.print(absent_words(made))

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Coefficient", "Entry", "History", "Part"]
 
+# Difference of the criterion from which it speaks strongly for a model (Kass and Raftery 1995).
+_CLEARLY = 6.0
+
 
 class Coefficient(Record):
     """A coefficient of an effect in a model."""
@@ -182,6 +185,11 @@ class Entry(Record):
         )
         return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
 
+    def criterion(self) -> float:
+        """The Bayesian information criterion, but for what models of the same readings have in common."""
+        squares = max((self.reduced_chi_square or math.inf) * self.degrees_of_freedom, 1e-300)
+        return self.used * math.log(squares) + (self.used - self.degrees_of_freedom) * math.log(self.used)
+
     @property
     def readings_aside(self) -> int:
         """How many readings were taken for outliers, of all sessions."""
@@ -239,6 +247,19 @@ class History(Record):
     def in_use(self) -> Entry | None:
         """The current model."""
         return None if self.current is None else self.entry(self.current)
+
+    @property
+    def better(self) -> Entry | None:
+        """The model of the same readings that describes them clearly better than the one in use; None if none does.
+
+        By the Bayesian information criterion, with the noise that each model leaves (Schwarz 1978).
+        """
+        now = self.in_use
+        known = [one for one in self.models if now is not None and (one.data, one.used) == (now.data, now.used)]
+        best = min(known, key=Entry.criterion, default=None)
+        if now is None or best is None or best.criterion() > now.criterion() - _CLEARLY:
+            return None
+        return best
 
     def grown(self, entries: Sequence[Entry]) -> History:
         """With models made one from the other; the last is the current one.

@@ -8,13 +8,14 @@ from typing import Protocol, cast
 import numpy as np
 
 from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import Rejected
+from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["build_model", "model_names", "rejected_readings", "sharing_variant"]
+__all__ = ["build_model", "error_map", "model_names", "rejected_readings", "sharing_variant"]
 
 
 class _Method(Protocol):
@@ -22,6 +23,9 @@ class _Method(Protocol):
 
     def build(self, session: Session, model: str) -> MethodModel:
         """The model of a session."""
+
+    def error_map(self, model: MethodModel, fit: Fit) -> ErrorMap:
+        """The machine's errors from a fit of such a model."""
 
 
 def model_names(method: str | None = None) -> tuple[str, ...]:
@@ -55,6 +59,12 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
     return cast(_Method, load(session.spec.model)).build(session, name), name
+
+
+def error_map(fit: Fit) -> ErrorMap:
+    """The machine's errors from one session's share in a fit."""
+    spec = fit.model.observations.session.spec
+    return cast(_Method, load(spec.map or spec.model)).error_map(fit.model, fit)
 
 
 def rejected_readings(session: Session) -> tuple[Rejected, ...]:

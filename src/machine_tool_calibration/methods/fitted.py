@@ -11,7 +11,7 @@ from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.methods.build import build_model, sharing_variant
+from machine_tool_calibration.methods.build import build_model, error_map, sharing_variant
 from machine_tool_calibration.methods.joint.effects import with_effects
 from machine_tool_calibration.methods.joint.map import joint_map
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
@@ -142,8 +142,7 @@ class FittedSessions:
     def map_of(self, joint: JointFit) -> ErrorMap:
         """The machine's errors by another fit of the same models, such as a restated one (`model.refits`)."""
         if self.common is None:
-            fit = joint.fits[0]
-            return fit.model.error_map(fit)
+            return error_map(joint.fits[0])
         return joint_map(joint, self.common, stated(joint, self.common.angles))
 
 

@@ -47,7 +47,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
+from machine_tool_calibration.nodes.ros.services import answer_by, offer
 from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import setup_named, target_message
@@ -200,7 +200,7 @@ class ProcedureNode(ManagedNode):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, f"~/{name}", partial(_answer_by, handler))
+            offer(self, f"~/{name}", partial(answer_by, handler))
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()
@@ -446,11 +446,3 @@ class ProcedureNode(ManagedNode):
             text = f"{text}; {self._remark}"
         level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
         self._status.show(level, text, entries)
-
-
-def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
-    """Answer a request by a function that says what it did or raises what it cannot do."""
-    try:
-        answer.send(True, handler())
-    except CalibrationError as error:
-        answer.send(False, str(error))

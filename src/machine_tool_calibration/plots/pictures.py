@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.method import load
@@ -49,4 +50,4 @@ def common_figures(result: Mapping[str, Any]) -> dict[str, Figure]:
         "error_map": draw_map(content) if mapped else None,
         "error_motions": draw_tables(result.get("parameters", ())),
     }
-    return {name: figure for name, figure in drawn.items() if figure is not None}
+    return {name: figure for name, figure in drawn.items() if figure is not None} | standard_figures(content)

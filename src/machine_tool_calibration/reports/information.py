@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration
-from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_head, show_suspicions, show_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -86,7 +86,7 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
     except (ValueError, OverflowError, OSError):
         start = f"{bag.first} ns"
     files = f"{len(bag.files)} file" + ("s" if len(bag.files) != 1 else "")
-    out.print(f"[bold]{bag.path}[/]: recording, {files}, {size / 1e6:.2f} MB")
+    show_head(out, str(bag.path), f": recording, {files}, {size / 1e6:.2f} MB")
     out.print(f"{bag.messages_in_all} messages in {bag.duration:.1f} s, from {start}")
     rows = []
     for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
@@ -101,7 +101,7 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
 def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
     """Setups and columns of a session."""
     method = summary.method.replace("_", " ")
-    out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
+    show_head(out, session.source, f": {method}, machine {session.description.machine.chain}")
     out.print(counts_in_words(session, summary))
     for table in session_tables(session, summary):
         show_table(out, table)

@@ -20,7 +20,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, beside, new_figure, setup_color, text, when_changed
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
@@ -90,6 +90,7 @@ class LivePage:
     """Looks at what was heard a few times a second while it is shown."""
 
     title = "Live"
+    about = "What a running graph says: its nodes, readings as they come, and their map."
     blocks = 5
 
     def __init__(self, state: State, work: Work, feed: Feed) -> None:
@@ -326,10 +327,10 @@ class LivePage:
 
 
 def _displacement(value: float) -> str:
-    """To a tenth of a micrometre, as long as it may be."""
+    """To the nanometre, as long as it may be."""
     if np.isnan(value):
         return "lost"
-    return f"{1e3 * value:.4f} mm" if abs(value) > _LONG else quantity(value, "m")
+    return f"{millimetres(value)} mm" if abs(value) > _LONG else quantity(value, "m")
 
 
 def _where(feed: Feed, states: Sequence[NodeState]) -> str:

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from machine_tool_calibration.session.checks.enough import enough_in_a_setup
-from machine_tool_calibration.session.description import Description, Positive, Setup, Vector3
+from machine_tool_calibration.session.description import Description, Setup
 from machine_tool_calibration.session.method import MethodSpec
+from machine_tool_calibration.session.values import Positive, Vector3
 
 
 class CircleSetup(Setup):

@@ -10,7 +10,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-__all__ = ["Answer", "offer"]
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["Answer", "answer_by", "offer"]
 
 
 class Answer:
@@ -51,3 +53,11 @@ def offer(node: Node, name: str, handler: Callable[[Answer], None]) -> None:
 
     # a group of its own: an answer that is owed keeps no other callback waiting
     node.create_service(Trigger, name, called, callback_group=ReentrantCallbackGroup())
+
+
+def answer_by(handler: Callable[[], str], answer: Answer) -> None:
+    """Answer a request by a function that says what it did or raises what it cannot do."""
+    try:
+        answer.send(True, handler())
+    except CalibrationError as error:
+        answer.send(False, str(error))

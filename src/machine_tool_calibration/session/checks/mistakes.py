@@ -34,8 +34,10 @@ __all__ = [
     "explanation",
     "in_degrees",
     "scaled",
+    "shifted",
     "turned_round",
     "with_columns",
+    "with_values",
 ]
 
 LENGTHS = "like millimetres; lengths are in metres"
@@ -49,6 +51,7 @@ SENSES = (
 )
 # Exchanges are tried among so many setups, targets or points.
 _MOST = 8
+_SLIPPED = (1, -1, 2, -2)  # rows
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,26 @@ def with_columns(session: Session, what: str, **columns: Array) -> Supposition:
     """Other values, each (n,), in columns."""
     readings = replace(session.readings, columns={**session.readings.columns, **columns})
     return Supposition(what, session.with_readings(readings))
+
+
+def with_values(session: Session, what: str, **columns: Array) -> Supposition:
+    """The same, also of the displacements."""
+    displacement = columns.pop("displacement", session.readings.displacement)
+    changed = session.with_readings(replace(session.readings, displacement=displacement))
+    return with_columns(changed, what, **columns)
+
+
+def shifted(session: Session, name: str, values: Array) -> Iterator[Supposition]:
+    """A column that slipped by some rows against the others.
+
+    Args:
+        session: the measurement.
+        name: of the column, or `displacement`.
+        values: (n,) of it.
+    """
+    for rows in _SLIPPED:
+        which = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'down' if rows > 0 else 'up'}"
+        yield with_values(session, f"{name} looks shifted by {which}", **{name: np.roll(values, -rows)})
 
 
 def in_degrees(session: Session, what: str, *names: str) -> Supposition:
