@@ -15,13 +15,14 @@ from functools import partial
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.budget.contributor import Contributor, default_budget
+from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.budget.patterns import pattern
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.methods.map_comparison import DRAWS, MapComparison, compare_fits
 from machine_tool_calibration.model.refits import changed
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.machine import VirtualMachine
@@ -120,7 +121,7 @@ def study(progress: Callable[[str, float], None]) -> Study:
     found = _found(fitted)
     shown = TargetUncertainty(found.points, np.linalg.norm(found.expanded, axis=1), found.stations)
     progress("Table 4 to the map", 0.1)
-    budget = propagate(fitted, default_budget([_INSTRUMENT]))
+    budget = propagate(fitted, template_of(_INSTRUMENT))
     spread = budget.u[budget.numbers.quantity(POSITION_ERROR).members]
     progress("Figs. 10 to 13", 0.2)
     profiles = tuple(_profile(motion, found, machine) for motion in ("EXX", "EYY"))
@@ -224,7 +225,7 @@ def _unknowns(fitted: FittedSessions) -> float:
 def _table(fitted: FittedSessions) -> tuple[Printed, ...]:
     """Table 4: what each contributor of the instrument's budget does to the reading at (100, 100) mm from station A."""
     observed = fitted.joint.assembly.models[0].observations
-    budget = {c.symbol: c for c in default_budget([_INSTRUMENT])}
+    budget = {c.symbol: c for c in template_of(_INSTRUMENT)}
     at = observed.position[:, :2] - np.array(_TARGET)
     row = int(np.flatnonzero((observed.readings.setup == 0) & (np.abs(at) < 1e-9).all(axis=1))[0])
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from machine_tool_calibration.version import __version__
+
 if TYPE_CHECKING:
     from machine_tool_calibration.errors import CalibrationError
     from machine_tool_calibration.interface.budget import Budget, Conformity
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.interface.session import Measurement, load, simulate
 
-__version__ = "0.1.0"
 
 __all__ = [
     "Budget",
@@ -41,6 +42,7 @@ __all__ = [
     "Improvement",
     "MapComparison",
     "Measurement",
+    "__version__",
     "catalogue",
     "identify",
     "improve",

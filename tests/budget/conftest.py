@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 

@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.budget.conformity import Conformity, Verdict, conformity, decide
-from machine_tool_calibration.budget.contributor import Contributor
+from machine_tool_calibration.budget.conformity import INCOMPLETE, RULES, Conformity, Verdict, conformity, decide
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, TrackingPlan, simulate
 
+# Readings that scatter by next to nothing.
+QUIET = {"standard_uncertainty": {"displacement": 1e-10}}
 # Declared 1 µm, four runs: the mean at each position is known to 0.5 µm.
 U = 0.5e-6
 
@@ -30,9 +32,16 @@ def one(found: Conformity) -> Verdict:
     return found.verdicts[0]
 
 
+def judged(fitted: FittedSessions, tolerances: dict[str, float], **said: Any) -> Conformity:
+    """With a budget of nothing but the declared scatter of the readings."""
+    sigma = float(fitted.joint.assembly.models[0].sigma[0])
+    line = Contributor(name="noise", type="A", standard_uncertainty=sigma, enters="reading", varies="reading")
+    return conformity(fitted, tolerances, budget=propagate(fitted, [line]), **said)
+
+
 def of_exx(fitted: FittedSessions, tolerance: float, **said: Any) -> Verdict:
     """Of the range of EXX."""
-    return one(conformity(fitted, {"EXX": tolerance}, **said))
+    return one(judged(fitted, {"EXX": tolerance}, **said))
 
 
 def test_range_of_independent_values(reproducible: None, runs: Callable[..., Session]) -> None:
@@ -63,12 +72,12 @@ def test_squareness_by_the_normal_distribution() -> None:
     content = fitted.error_map.content["squareness"]
     value, u = content["C0Y"], content["C0Y_u"]
     for tolerance in (abs(value), abs(value) + u, abs(value) + 3 * u):
-        found = one(conformity(fitted, {"C0Y": tolerance}))
+        found = one(judged(fitted, {"C0Y": tolerance}))
         expected = stats.norm.cdf(tolerance, value, u) - stats.norm.cdf(-tolerance, value, u)
         assert (found.value, found.u) == pytest.approx((value, u))
         assert found.probability == pytest.approx(expected)
     assert found.decision == "pass"
-    assert one(conformity(fitted, {"C0Y": abs(value) / 10})).decision == "fail"
+    assert one(judged(fitted, {"C0Y": abs(value) / 10})).decision == "fail"
 
 
 def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., Session]) -> None:
@@ -80,7 +89,7 @@ def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., 
     across = type(readings)(
         readings.setup, readings.repeat, readings.displacement, columns, readings.labels, readings.row
     )
-    found = one(conformity(fit_sessions(session.with_readings(across)), {"EYX": 10e-6}))
+    found = one(judged(fit_sessions(session.with_readings(across)), {"EYX": 10e-6}))
     assert found.value == pytest.approx(6e-6)
     assert found.decision == "pass"
 
@@ -89,18 +98,18 @@ def test_volumetric_error(reproducible: None) -> None:
     """The largest of many lengths, drawn with their joint uncertainty: above the measured one rather than below."""
     fitted = fit_sessions(simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session)
     length = np.linalg.norm(fitted.error_map.error[:, :2], axis=1)
-    found = one(conformity(fitted, {"volumetric": float(length.max())}))
+    found = one(judged(fitted, {"volumetric": float(length.max())}))
     assert found.value == pytest.approx(length.max())
     assert found.probability < 0.5
     assert found.decision in ("undecided", "fail")
-    assert one(conformity(fitted, {"volumetric": 2 * float(length.max())})).decision == "pass"
+    assert one(judged(fitted, {"volumetric": 2 * float(length.max())})).decision == "pass"
 
 
 def test_budget_takes_the_place_of_the_identification(
     runs: Callable[..., Session], contributor: Callable[..., Contributor]
 ) -> None:
     """A length error of 2 µm/m makes a range over 0.4 m uncertain by 0.8 µm and nothing else."""
-    fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4)))
+    fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4), **QUIET))
     budget = propagate(fitted, [contributor("length", "never")])
     found = conformity(fitted, {"EXX": 8.8e-6}, budget=budget)
     assert found.uncertainty == "budget"
@@ -110,15 +119,34 @@ def test_budget_takes_the_place_of_the_identification(
 
 def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Callable[..., Contributor]) -> None:
     """Student's t in place of the normal distribution, for what is drawn as well."""
-    fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4)))
+    fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4), **QUIET))
     budget = propagate(fitted, [contributor("length", "never", degrees_of_freedom=2.0)])
     found = conformity(fitted, {"EXX": 9.6e-6, "A_X": 1e-6}, budget=budget)
     assert found.verdicts[0].probability == pytest.approx(stats.t.cdf(2.0, 2.0), abs=0.02)
     assert stats.norm.cdf(2.0) - stats.t.cdf(2.0, 2.0) > 0.05
 
 
+def test_nothing_is_decided_without_a_budget(fitted: FittedSessions) -> None:
+    """What the readings show lacks instrument and temperature: neither a tolerance of a metre passes, nor any fails."""
+    for rule in RULES:
+        found = conformity(fitted, {"EXX": 1.0, "A_X": 1e-12}, rule=rule)
+        assert {verdict.decision for verdict in found.verdicts} <= {"undecided", "not determined"}
+        assert found.verdicts[0].why == INCOMPLETE and np.isnan(found.verdicts[0].probability)
+        assert found.decision != "pass"
+
+
+def test_what_the_readings_show_is_not_undercut(
+    runs: Callable[..., Session], contributor: Callable[..., Contributor]
+) -> None:
+    """A budget that forgets the scatter of the readings does not make it small."""
+    fitted = fit_sessions(runs(np.random.default_rng(2).normal(0.0, 1e-6, 20)))
+    budget = propagate(fitted, [contributor("length", "never", 1e-9)])
+    assert budget.complete == pytest.approx(budget.numbers.u, nan_ok=True)
+    assert one(conformity(fitted, {"EXX": 1e-5}, budget=budget)).u > 0.1e-6
+
+
 def test_not_determined_never_passes(fitted: FittedSessions) -> None:
-    found = conformity(fitted, {"EXX": 1.0, "C0Y": 1.0, "EAX": 1.0, "A": 1.0}, rule="simple")
+    found = judged(fitted, {"EXX": 1.0, "C0Y": 1.0, "EAX": 1.0, "A": 1.0}, rule="simple")
     assert [verdict.decision for verdict in found.verdicts][1:3] == ["not determined", "not determined"]
     assert found.verdicts[0].decision == "pass"
     assert found.decision == "not determined"
@@ -130,12 +158,12 @@ def test_a_lost_target_leaves_the_volumetric_error_open() -> None:
     readings = session.readings
     first = (readings.columns["x"] == readings.columns["x"][0]) & (readings.columns["y"] == readings.columns["y"][0])
     lost = session.with_readings(readings.select(~first | (readings.setup == 0)))
-    found = one(conformity(fit_sessions(lost), {"volumetric": 1.0}))
+    found = one(judged(fit_sessions(lost), {"volumetric": 1.0}))
     assert found.decision == "not determined"
     assert "target" in found.why
 
 
-def test_figures_of_iso_230_2(runs: Callable[..., Session]) -> None:
+def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callable[..., Contributor]) -> None:
     there = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
     session = runs()
     readings = session.readings
@@ -146,7 +174,8 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session]) -> None:
     fitted = fit_sessions(session.with_readings(moved))
     run = fitted.error_map.content["iso230_2"][0]
     m, u = run["M"], run["M_U"] / 2.0
-    found = conformity(fitted, {"M": m + u, "M_X": m - u, "B_mean_X": 1e-6, "A_Y": 1e-6})
+    budget = propagate(fitted, [contributor("length", "never", 1e-15)])
+    found = conformity(fitted, {"M": m + u, "M_X": m - u, "B_mean_X": 1e-6, "A_Y": 1e-6}, budget=budget)
     assert [verdict.name for verdict in found.verdicts] == ["M_X", "M_X", "B_mean_X", "A_Y"]
     assert [v.probability for v in found.verdicts[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
     assert [v.decision for v in found.verdicts] == ["undecided", "undecided", "pass", "not determined"]

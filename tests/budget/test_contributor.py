@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.budget.contributor import Contributor, default_budget, read_budget, template
-from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.budget.contributor import default_budget, read_budget, template, template_of
+from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
+from machine_tool_calibration.session.contributor import Contributor
+from machine_tool_calibration.session.session import Session
 
 GOOD = {"name": "a", "type": "B", "enters": "reading", "varies": "run"}
 
@@ -112,19 +115,29 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
 def test_a_template_is_read_as_it_is_printed(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(template("touch_probe"), encoding="utf-8")
-    assert read_budget(path) == default_budget(["touch_probe"])
+    assert read_budget(path) == template_of("touch_probe")
 
 
-def test_instruments_without_a_budget() -> None:
+def test_instruments_without_a_budget(runs: Callable[..., Session]) -> None:
     with pytest.raises(
         ModelError, match=r"no budget for the instrument 'laser_traker' \(did you mean 'laser_tracker'\?\)"
     ):
         template("laser_traker")
     with pytest.raises(ModelError, match="does not name its instrument: `instrument` in session"):
-        default_budget([None])
+        default_budget([runs()])
 
 
-def test_budgets_of_two_instruments_stay_apart() -> None:
-    both = default_budget(["laser_tracker", "touch_probe", "laser_tracker"])
+def test_budgets_of_two_instruments_stay_apart(runs: Callable[..., Session]) -> None:
+    both = default_budget([runs(instrument=name) for name in ("laser_tracker", "touch_probe", "laser_tracker")])
     assert {c.instrument for c in both} == {"laser_tracker", "touch_probe"}
-    assert len({c.name for c in both}) == len(both) == len(default_budget(["laser_tracker"])) + 3
+    assert len({c.name for c in both}) == len(both) == len(template_of("laser_tracker")) + 3
+
+
+def test_a_session_states_its_own_budget(runs: Callable[..., Session]) -> None:
+    line = {"name": "scale", "type": "B", "standard_uncertainty": 2e-6, "enters": "length", "varies": "never"}
+    own = runs(instrument="laser_interferometer", budget=[line])
+    assert [c.name for c in default_budget([own])] == ["scale"]
+    with pytest.raises(ModelError, match="sessions of one instrument, laser_interferometer, state different budgets"):
+        default_budget([own, runs(instrument="laser_interferometer")])
+    with pytest.raises(SessionError, match="contributors has the name 'scale' twice"):
+        runs(budget=[line, line])

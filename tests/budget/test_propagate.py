@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.budget import propagate as module
-from machine_tool_calibration.budget.contributor import Contributor, default_budget, instruments
+from machine_tool_calibration.budget.contributor import instruments, template_of
 from machine_tool_calibration.budget.propagate import KNOWN, REPEATABILITY, Budget, propagate
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.model.refits import changed, declared
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
@@ -215,7 +216,7 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
 
 @pytest.mark.parametrize("instrument", instruments())
 def test_budgets_to_begin_with_name_their_sources(instrument: str) -> None:
-    lines = default_budget([instrument])
+    lines = template_of(instrument)
     assert all(line.source for line in lines)
     assert len({line.name for line in lines}) == len(lines)
 
@@ -223,7 +224,7 @@ def test_budgets_to_begin_with_name_their_sources(instrument: str) -> None:
 def test_radial_error_motion_dominates_the_open_loop_interferometer() -> None:
     """As Ibaraki et al. 2014 conclude from Table 4: the directions of the beam contribute next to nothing."""
     own = fit_sessions(simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session)
-    budget = propagate(own, default_budget(["tracking_interferometer"]))
+    budget = propagate(own, template_of("tracking_interferometer"))
     found = budget.largest("position_error")
     assert found is not None
     share = {

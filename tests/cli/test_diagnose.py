@@ -37,6 +37,11 @@ def test_people_read_the_verdict_first(hidden: str, capsys: pytest.CaptureFixtur
     assert run(["diagnose", hidden]) == 0
     out = capsys.readouterr().out
     assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
+    assert len(out.splitlines()) <= 24  # one screen: the verdict, the effects, the next step
+    assert "b = 1.5" in out and "Next: `mtcal improve` adds backlash_y" in out
+    assert run(["diagnose", hidden, "--details"]) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
     for title in (
         "Effects looked for",
         "Confounded effects",

@@ -30,7 +30,7 @@ def test_json_names_files_and_preview(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_people_see_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["export", str(SESSION), "--format", "linuxcnc", "-o", str(tmp_path)]) == 0
     shown = capsys.readouterr()
-    assert "RMS compensated" in shown.out and "x.comp" in shown.out
+    assert "RMS left" in shown.out and "x.comp" in shown.out
     assert "not determined: EZX" in shown.err
     reasons = [line.split(": ", 2)[2] for line in shown.err.splitlines() if line.startswith("not determined")]
     assert len(set(reasons)) == len(reasons)
@@ -98,7 +98,7 @@ def test_several_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture
     for form in ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv"):
         folder = tmp_path / form
         assert run(["export", str(one), str(other), "--format", form, "-o", str(folder)]) == 0
-        assert "RMS compensated" in capsys.readouterr().out
+        assert "RMS left" in capsys.readouterr().out
 
 
 def test_sessions_without_tables_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

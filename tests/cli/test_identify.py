@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from machine_tool_calibration.cli.main import run
@@ -50,7 +52,7 @@ def test_for_people(say):
     text = words(out)
     assert "tracking interferometer in 2 dimensions, pointed open loop: 288 readings in 4 setups (A, B, C, D)" in text
     assert "The model fits the readings within their declared uncertainty (p = 0.57)." in text
-    assert "position error 5.10 µm RMS, 10.8 µm at most" in text
+    assert "position error 5.10 µm RMS, 10.84 µm at most" in text
     assert "its uncertainty U (k = 2) 0.47" in text
     assert "datum: no shift and no turn of all targets" in text
 
@@ -68,9 +70,18 @@ def test_for_programs(name, say):
             assert np.shape(value) == np.shape(document["error_map"][key[:-2]])
 
 
+def test_a_setup_of_any_name(say, tmp_path):
+    session = shutil.copytree(DATA / "tracking_2d", tmp_path / "s")
+    described = (session / "session.yaml").read_text().replace("id: A\n", "id: '[/a] north[a]'\n")
+    (session / "session.yaml").write_text(described)
+    rows = (session / "observations.csv").read_text().replace(",A,", ",[/a] north[a],")
+    (session / "observations.csv").write_text(rows)
+    assert "4 setups ([/a] north[a], B, C, D)" in words(say(session)[1])
+
+
 def test_what_is_not_determined_has_no_number_beside_it(say):
     _, out, _ = say(DATA / "step_diagonal")
-    table, lost = out.split("not determined:")[:2]
+    table, lost = out.split("\nnot determined:")[:2]
     assert "EAX" in lost
     assert "angle.EAX" not in table and "EXX" in table
 
@@ -88,11 +99,20 @@ def test_a_map_in_two_directions_and_too_few_runs_are_said(say, tmp_path):
     session = simulate(spec).session
     write_session(session.with_readings(session.readings.select(session.readings.repeat == 0)), tmp_path / "s")
     _, out, _ = say(tmp_path / "s", "--effect", "backlash_x")
-    assert "22, at 11 places: a place counts once for each direction of approach" in words(out)
+    assert "22 at 11 places: one for each direction of approach" in words(out)
     assert "ISO 230-2 asks for 5 runs in each direction" in words(out)
     assert "repeatability and accuracy are not determined" in words(out)
     _, out, _ = say(tmp_path / "s")
     assert "points of the map 11 " in words(out)
+    written = tmp_path / "map.csv"
+    _, out, _ = say(tmp_path / "s", "--effect", "backlash_x", "--csv", written, "--units", "um")
+    assert "x / mm y / mm z / mm approach ex / µm" in words(out) and " x- " in out
+    table = pd.read_csv(written, comment="#")
+    both = table[(table["error"] == "ex") & (table["x"] == 40)].set_index("approach")
+    # Twice the half width lies between the directions; U has two figures, and the value no more decimals.
+    assert both.loc["x-", "value"] - both.loc["x+", "value"] == pytest.approx(6.0, abs=0.3)
+    assert set(table["unit"]) == {"um"} and both["U"].round(2).equals(both["U"])
+    assert both["value"].round(2).equals(both["value"])
 
 
 def test_an_effect_makes_the_model_fit(say, backlash):
@@ -112,13 +132,15 @@ def test_an_effect_makes_the_model_fit(say, backlash):
     )
 
 
-def test_model_with_tables_in_one_row_each(say):
+def test_error_motions_are_tables_over_their_axes(say):
     status, out, _ = say(DATA / "tracking_2d", "--model", "rigid_body")
     assert status == 0
     assert "EXX(0.08)" not in out
-    (row,) = [line.split() for line in out.splitlines() if line.startswith("EXX ")]
-    assert row[1] == "6"
-    assert row[-1] == "µm"
+    _, after = out.split("Error motions of X ± U (k = 2)\n")
+    head, *rows = after.splitlines()[:7]
+    assert words(head).startswith("X / mm EXX / µm EYX / µm")
+    assert [row.split()[0] for row in rows] == ["0", "80", "160", "240", "320", "400"]
+    assert all(re.match(r"\s*\d+ +([-+]?[\d.]+ ± [\d.]+|0) ", row) for row in rows)
     assert "not determined: EZX, EZY, EAX, EBX" in words(out)
 
 
@@ -170,7 +192,7 @@ def test_pictures_in_the_present_folder(say, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, _, _ = say(DATA / "step_diagonal", "--plot")
     assert status == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "residuals.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "iso230_6.png", "residuals.png"}
 
 
 def test_formulation_of_a_step_diagonal(say):

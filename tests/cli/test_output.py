@@ -19,12 +19,12 @@ def test_json_option_and_document() -> None:
     assert CliRunner().invoke(verb, []).stdout == ""
 
 
-def test_text_for_people_in_a_pipe_has_no_escape_codes(capsys: pytest.CaptureFixture[str]) -> None:
-    console().print("[bold]12.5 µm[/bold] " + "x" * 100)
+def test_text_for_people_is_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    console().print("north[a]: 12.5 µm [/a] " + "x" * 90)
     console().print("cell:warning:2")
     out = capsys.readouterr().out
     assert "\x1b" not in out
-    assert out == "12.5 µm " + "x" * 100 + "\ncell:warning:2\n", "nothing is put in the place of a name"
+    assert out == "north[a]: 12.5 µm [/a] " + "x" * 90 + "\ncell:warning:2\n", "nothing is put in the place of a name"
 
 
 def test_one_line() -> None:

@@ -112,10 +112,9 @@ def test_points_of_a_description(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 def test_an_outline_into_a_procedure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "part.csv").write_text("x,y\n-40,-30\n40,-30\n40,30\n-40,30\n")
-    procedure = ROOT / "config" / "procedures" / "probing_cross.yaml"
     made = tmp_path / "mine.yaml"
     words = ["workpiece", str(tmp_path / "part.csv"), "--unit", "mm", "--spacing", "10", "--stylus", "6"]
-    assert run([*words, "--into", str(procedure), "-o", str(made), "--json"]) == 0
+    assert run([*words, "--into", "probing_cross", "-o", str(made), "--json"]) == 0
     points = json.loads(capsys.readouterr().out)["workpiece"]
     session = read_procedure(made).session
     assert [p.id for p in session.workpiece] == [p["id"] for p in points]  # type: ignore[union-attr]

@@ -63,7 +63,7 @@ def test_an_effect_with_the_name_of_an_error_motion_hides_it_not(
 
 def test_export_with_an_effect(sessions: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = said(capsys, "export", *sessions, "--effect", "backlash_y", "--format", "isg", "-o", tmp_path / "tables")
-    assert "RMS compensated" in text and "backlash_y" in text
+    assert "RMS left" in text and "backlash_y" in text
 
 
 def test_compare_for_people(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,10 +90,15 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
         ({"coefficients": {"b": {"unit": "m**9**9**9**9", "low": 0, "high": 1}}}, "unknown unit"),
         ({"coefficients": {"b": {"unit": "9**9**9**9", "low": 0, "high": 1}}}, "unknown unit"),
         ({"coefficients": {"b": {"unit": "m" * 5000, "low": 0, "high": 1}}}, "unknown unit"),
+        ({"coefficients": {"b": {"unit": "(m", "low": 0, "high": 1}}}, "unknown unit '(m'"),
+        (
+            {"formula": "b * dir_y * exp(-(time - t0) / tau)", "constants": {"t0": {"value": 5}}},
+            "t0 states no unit and counts as a pure number: constants: {t0: {value: 5.0, unit: m}}",
+        ),
     ],
 )
 def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: str) -> None:
-    with pytest.raises(ModelError, match=says.replace("(", r"\(")) as caught:
+    with pytest.raises(ModelError, match=re.escape(says)) as caught:
         formula_effect(SETTLING | change)
     assert "\n" not in str(caught.value)
 

@@ -12,9 +12,9 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.session.description import Instrument
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.values import Instrument
 from machine_tool_calibration.simulation import PRESETS, DirectPlan, MachineSpec, SimulationSpec, simulate
 
 OF_A_BEAM = {"dead_path", "refractive_index", "pointer_radial_error", "pointer_zero_offset", "pointer_axis_offset",

@@ -13,6 +13,9 @@ import yaml
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing import import_table, parse_mapping
+from machine_tool_calibration.importing.mapping import ROLES, Mapping
+from machine_tool_calibration.importing.text_table import FileForm
+from machine_tool_calibration.importing.units import UNITS as KNOWN_UNITS
 from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data"
@@ -41,7 +44,7 @@ def as_people_have_it(session: Path, file: Path) -> None:
 def test_every_method(method: str, tmp_path: Path) -> None:
     as_people_have_it(DATA / method, tmp_path / "table.csv")
     words = ["convert", str(tmp_path / "table.csv"), str(tmp_path / "made"), "--table", "readings"]
-    words += ["--description", str(DATA / method / "session.yaml"), "--separator", "semicolon", "--decimal", "comma"]
+    words += ["--description", str(DATA / method / "session.yaml")]
     assert run([*words, "--column", "displacement=Reading [um]", "--unit", "pressure=hPa"]) == 0
     made, given = read_session(tmp_path / "made"), read_session(DATA / method)
     assert made.description == given.description
@@ -80,3 +83,25 @@ def test_what_is_lacking_is_said(without: str, units: dict[str, str], message: s
     }
     with pytest.raises(SessionError, match=message):
         import_table(tmp_path / "table.csv", parse_mapping(content, "mapping"))
+
+
+def test_a_mapping_and_a_description_that_differ_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    as_people_have_it(DATA / "step_diagonal", tmp_path / "table.csv")
+    mapping = {"format": "mtcal-mapping/1", "table": "readings", "session": {"repeats": 1, "blocks": 6}}
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(mapping))
+    words = ["convert", str(tmp_path / "table.csv"), str(tmp_path / "made"), "--mapping", str(tmp_path / "m.yaml")]
+    assert run([*words, "--description", str(DATA / "step_diagonal" / "session.yaml")]) == 1
+    assert "m.yaml: session says blocks, repeats otherwise than --description" in capsys.readouterr().err
+
+
+def test_the_page_of_mappings_has_every_key() -> None:
+    page = (DATA.parents[1] / "docs" / "mappings.md").read_text()
+    for name in {
+        *Mapping.model_fields,
+        *FileForm.model_fields,
+        *KNOWN_UNITS,
+        *(q for kind in ROLES.values() for q in kind),
+    }:
+        assert f"`{name}`" in page

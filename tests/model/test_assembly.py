@@ -41,9 +41,10 @@ class Line(MethodModel):
             dense_index,
         )
 
-    def error_map(self, fit):
-        points = np.zeros((1, 3))
-        return ErrorMap({"points": points, "scale": fit.theta[1:2], "hole": np.array([np.nan])}, points, points, points)
+
+def error_map(fit):
+    points = np.zeros((1, 3))
+    return ErrorMap({"points": points, "scale": fit.theta[1:2], "hole": np.array([np.nan])}, points, points, points)
 
 
 def line(displacement, terms=("scale",), *, shared=True, constraints=(), priors=()):
@@ -134,10 +135,10 @@ def test_p_value_and_predicted():
 
 def result_of(model):
     fit = fit_models([model]).fits[0]
-    error_map = model.error_map(fit)
+    found = error_map(fit)
     return Result(
         fit=fit,
-        error_map=error_map,
+        error_map=found,
         effects=("scale",),
         model_name="line",
         rejected=(),

@@ -13,14 +13,13 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors, variance_components
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
-from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
-from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
+from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
-from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate
@@ -50,9 +49,6 @@ class Line(MethodModel):
             own_index.reshape(1, 1),
             dense_index,
         )
-
-    def error_map(self, fit: Fit) -> ErrorMap:
-        raise NotImplementedError
 
 
 def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, Array, Array, Array]:
@@ -226,7 +222,7 @@ def test_spread_between_mountings_is_found_and_in_the_maps_uncertainty(plan: str
         spread = Spread(slope=size * sigma, bow=size * sigma)
         fit = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=3, spread=spread)).session)[0]])
         own = fit.fits[0]
-        published = np.asarray(own.model.error_map(own).content[f"{quantity}_u"], dtype=float)
+        published = np.asarray(error_map(own).content[f"{quantity}_u"], dtype=float)
         uncertainty.append(float(np.sqrt(np.nanmean(published**2))))
         chance.append(max(size.probability for size in fit.marginal.sizes))
         # What does not reproduce is no scatter of single readings.
@@ -247,8 +243,8 @@ def test_what_a_model_lacks_is_no_spread_where_readings_were_repeated(plan: str)
         joint = fit_models([build_model(moved)[0]])
         assert max(size.size for size in joint.marginal.sizes) < session.sigma
         own, plain = joint.fits[0], declared(joint).fits[0]
-        difference = own.model.error_map(own).error - plain.model.error_map(plain).error
-        uncertainty = own.model.error_map(own).uncertainty
+        difference = error_map(own).error - error_map(plain).error
+        uncertainty = error_map(own).uncertainty
         assert np.sqrt(np.nanmean((difference / uncertainty) ** 2)) < 0.3
     spread = Spread(slope=8.0 * session.sigma, bow=8.0 * session.sigma)
     found = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=5, spread=spread)).session)[0]])

@@ -4,11 +4,13 @@
 from typing import Any
 
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
+from machine_tool_calibration.reports.standards import standard_tables
 from machine_tool_calibration.reports.tables import TextTable
 
 RUN: dict[str, Any] = {
     "axis": "X", "setup": "x", "position": [0.0, 0.1, 0.2], "count_up": [2, 2, 2], "count_down": [2, 1, 2],
-    "B": 2.0e-6, "B_U": 0.5e-6, "M": 3.0e-6, "E_up": 4.0e-6,
+    "mean_up": [0.0, 1e-6, 4e-6], "mean_down": [None, -1e-6, None], "reversal": [None, 2e-6, None],
+    "s_up": [3e-7] * 3, "s_down": [None] * 3, "B": 2.0e-6, "B_U": 0.5e-6, "M": 3.0e-6, "E_up": 4.0e-6,
 }  # fmt: skip
 
 
@@ -48,18 +50,21 @@ def test_the_steps_of_a_plate_say_what_is_significant() -> None:
 
 
 def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> None:
-    (table,) = direct_tables({"iso230_2": [RUN]})
-    assert isinstance(table, TextTable)
+    table, places = standard_tables({"iso230_2": [RUN]}, "iso230_2")
+    assert isinstance(table, TextTable) and isinstance(places, TextTable)
     assert "2 up, 1 down" in table.title and "3 positions" in table.title
     rows = {row[0]: row[1:] for row in table.rows}
     assert set(rows) == {"reversal error B", "systematic deviation E", "mean deviation, range M"}
-    assert rows["reversal error B"][:2] == ("", "") and rows["reversal error B"][3]
-    assert rows["systematic deviation E"][0] and not rows["systematic deviation E"][1].strip("–")
+    assert rows["reversal error B"] == ("", "", "2.00 ± 0.50")
+    assert rows["systematic deviation E"] == ("4.00", "–", "–")
+    # U of a mean of two with s = 0.3 um is 0.4 um: two decimals.
+    assert places.rows[1] == ("100", "1.00", "-1.00", "0.00", "2.00", "0.30", "–")
     assert table.note == (
         "ISO 230-2 asks for 5 runs in each direction; with fewer the figures are for information, and repeatability is "
         "uncertain"
     )
-    (table,) = direct_tables({"iso230_2": [{**RUN, "count_up": [1], "count_down": [], "note": "One run only."}]})
+    few = {**RUN, "count_up": [1, 1, 1], "count_down": [0, 0, 0], "note": "One run only."}
+    table, _ = standard_tables({"iso230_2": [few]}, "iso230_2")
     assert isinstance(table, TextTable)
     assert table.note.startswith("One run only; ") and "repeatability and accuracy are not determined" in table.note
 

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sentences of an identification: how well the model fits, and what shares a reason."""
 
-import numpy as np
-
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
     group_by_reason,
-    motion_row,
     summary_rows,
 )
 
@@ -23,12 +20,6 @@ def test_goodness_of_fit():
 def test_names_that_share_a_reason():
     assert group_by_reason([("a", "why"), ("b", "because"), ("c", "why")]) == [("why", "a, c"), ("because", "b")]
     assert group_by_reason((str(k), "lost") for k in range(20))[0][1].endswith("7 and 12 more")
-
-
-def test_an_error_motion_of_which_only_the_datum_has_a_value_has_none() -> None:
-    assert motion_row("EXX", np.zeros(1), np.zeros(1), 11, "m") == ("EXX", "1 of 11", "–", "–", "–", "µm")
-    known = motion_row("EAX", np.array([0.0, 2e-6]), np.array([0.0, 1e-7]), 2, "rad")
-    assert known == ("EAX", "2", "0.00", "2.00", "0.20", "µrad")
 
 
 def test_the_datum_of_the_map_is_said_where_it_is_another_one() -> None:

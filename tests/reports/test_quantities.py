@@ -6,6 +6,7 @@ from machine_tool_calibration.reports.quantities import (
     declared_words,
     duration,
     micrometres,
+    millimetres,
     probability,
     quantity,
     range_of,
@@ -47,6 +48,12 @@ def test_numbers_in_tables() -> None:
     assert [duration(s) for s in (None, 20.0, 2364.0, 7040.0)] == ["–", "20 s", "39 min", "2.0 h"]
     assert range_of(-1e-4, 1e-4, "m") == "±100 µm"
     assert range_of(0.0, 5e-5, "m") == "0 µm to 50.0 µm"
+
+
+def test_long_distances_are_grouped() -> None:
+    assert millimetres(0.230150138).replace("\u202f", " ") == "230.150 138"
+    assert millimetres(-1.2345678901).replace("\u202f", " ") == "-1 234.567 890"
+    assert millimetres(float("nan")) == "–"
 
 
 def test_of_many_coefficients_the_most_significant_is_shown() -> None:

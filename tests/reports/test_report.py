@@ -43,13 +43,13 @@ def report(name: str) -> tuple[Diagnosis, Report]:
 
 
 def table(shown: Report, title: str) -> TextTable:
-    return next(t for t in shown.tables if t.title.startswith(title))
+    return next(t for t in (*shown.tables, *shown.details) if t.title.startswith(title))
 
 
 @pytest.mark.parametrize("name", list(SPECS))
 def test_every_row_has_a_text_for_every_head(name: str) -> None:
     _, shown = report(name)
-    for each in shown.tables:
+    for each in (*shown.tables, *shown.details):
         assert each.rows
         assert all(len(row) == len(each.columns) for row in each.rows)
         assert not any("nan" in cell.lower().split() for row in each.rows for cell in row)

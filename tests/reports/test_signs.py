@@ -48,7 +48,7 @@ def test_so_it_is_where_it_is_in_the_model(exchanged: Session) -> None:
     # That of X is nothing, whatever its sign.
     assert list(negative_words(result.joint, result.effects)) == [NEGATIVE]
     screen = io.StringIO()
-    show_result(Console(file=screen, width=200), result.document(), [exchanged], result.joint)
+    show_result(Console(file=screen, width=200), result.document(), [exchanged], result)
     assert NEGATIVE in screen.getvalue()
 
 

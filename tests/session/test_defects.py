@@ -310,7 +310,12 @@ FILE_DEFECTS: list[tuple[str, Callable[[bytes], bytes], str]] = [
     (C, lambda _: b"", "observations.csv: the file is empty"),
     (C, lambda _: b"\n\n", "observations.csv: the file is empty"),
     (C, lambda data: data[: data.index(b"\n") + 1], "observations.csv: has a header but no rows"),
-    (C, lambda data: data.decode().encode("utf-16"), "observations.csv: the text is UTF-16; save the file as UTF-8"),
+    (
+        C,
+        lambda data: data.decode().encode("utf-16"),
+        "observations.csv: the text is UTF-16; save the file as UTF-8; `mtcal convert FOLDER NEW --encoding utf-16` "
+        "reads it",
+    ),
     (
         C,
         lambda data: data.replace(b"A,0", b"\xb5,0", 1),

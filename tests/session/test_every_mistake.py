@@ -100,6 +100,43 @@ def all_of(*damages: Damage) -> Damage:
     return damage
 
 
+def entry(name: str, index: int, **change: Callable[[Any], Any]) -> Damage:
+    """Keys of one entry of the description changed."""
+
+    def damage(session: Session) -> Session:
+        entries = list(getattr(session.description, name))
+        old = entries[index]
+        entries[index] = old.model_copy(update={key: f(getattr(old, key)) for key, f in change.items()})
+        return described(session, **{name: tuple(entries)})
+
+    return damage
+
+
+def moved(axis: int, by: float) -> Callable[[Any], Any]:
+    return lambda place: tuple(v + by * (j == axis) for j, v in enumerate(place))
+
+
+def slipped(rows: int) -> Damage:
+    return lambda s: s.with_readings(replace(s.readings, displacement=np.roll(s.readings.displacement, rows)))
+
+
+def ten_rows_elsewhere(session: Session) -> Session:
+    setup = session.readings.setup.copy()
+    setup[np.flatnonzero(setup == 0)[5:15]] = len(session.setup_ids) - 1
+    return session.with_readings(replace(session.readings, setup=setup))
+
+
+def beam_for_reading(session: Session) -> Session:
+    azimuth = session.readings.columns["azimuth"]
+    exchanged = columns(azimuth=lambda v: session.readings.displacement)(session)
+    return exchanged.with_readings(replace(exchanged.readings, displacement=azimuth))
+
+
+def fahrenheit(session: Session) -> Session:
+    hot = {n: 1.8 * v + 32.0 for n, v in session.readings.columns.items() if n.startswith("temperature_")}
+    return session.with_readings(replace(session.readings, columns={**session.readings.columns, **hot}))
+
+
 def recorded_at_declared_angle(session: Session) -> Session:
     declared = np.array([setup.c for setup in session.description.setups])
     return columns(c=lambda _: declared[session.readings.setup])(session)
@@ -128,17 +165,47 @@ def swaps(count: int, *keys: str) -> dict[str, tuple[Damage, str]]:
     return rows | entries
 
 
+# One wrong sign, a wrong start, a wrong column: what contradicts what, and what is likelier meant.
+SLIPPED: dict[str, tuple[Damage, str]] = {
+    "readings two rows late": (slipped(2), "displacement looks shifted by 2 rows down"),
+    "ten rows of another setup": (ten_rows_elsewhere, "they look like readings of setup"),
+    "degrees Fahrenheit": (fahrenheit, "these look like degrees Fahrenheit"),
+}
+SIGNED: dict[str, tuple[Damage, str]] = {
+    f"sign {j} of diagonal {k}": (
+        entry("setups", k, direction=lambda d, j=j: tuple(-v if i == j else v for i, v in enumerate(d))),
+        "off the run that start, direction, step and blocks state, one of",
+    )
+    for k in range(3)
+    for j in range(3)
+} | {
+    f"signs {i} and {j} of diagonal {k} exchanged": (
+        entry("setups", k, direction=lambda d, i=i, j=j: tuple(d[{i: j, j: i}.get(n, n)] for n in range(3))),
+        "direction [-1, 1, 1], and stated" if k == 1 else "direction [1, -1, 1], and stated",
+    )
+    for k, i, j in ((1, 0, 1), (1, 0, 2), (2, 0, 1), (2, 1, 2))
+}
 BEAM = {
+    "azimuth for displacement": (beam_for_reading, "azimuth and displacement look exchanged"),
+    "no azimuth": (columns(azimuth=lambda v: 0.0 * v), "off the direction from the stated place of the station"),
+    "azimuth from another zero": (columns(azimuth=lambda v: v + 0.17), "azimuth is 0.17 rad too large throughout"),
+    "a station that stands metres away": (entry("setups", 0, position=moved(0, 2.0)), "of setup 'A' is"),
+    "x twice": (columns(x=lambda v: 2.0 * v), "x looks doubled"),
     "azimuth in degrees": (columns(azimuth=DEGREES), "degrees"),
     "azimuth clockwise": (columns(azimuth=lambda v: -v), "clockwise"),
 }
 STATIONS = {"stations in millimetres": (scaled_entries("setups", "position", 1e3), "millimetres")}
-TRACKING = UNITS | SIGNS | BEAM | STATIONS | swaps(4, "position")
+TRACKING = UNITS | SIGNS | SLIPPED | BEAM | STATIONS | swaps(4, "position")
 ROTARY = (
     {k: v for k, v in UNITS.items() if "positions" not in k}
     | SIGNS
     | STATIONS
+    | SLIPPED
     | {
+        "a target that stands metres away": (
+            entry("targets", 0, position=moved(0, 2.0)),
+            "target 'P' is found 1.99e+03 mm off its stated position (position_uncertainty 0.05 mm), the most along x",
+        ),
         "angles in degrees": (columns(c=DEGREES), "degrees"),
         "angles of the other sign": (columns(c=lambda v: -v), "other way"),
         "rotation_sign": (turned_round, "other way"),
@@ -158,6 +225,13 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
     "rotary_axis_one_way": ROTARY,
     "step_diagonal": UNITS
     | SIGNS
+    | SLIPPED
+    | SIGNED
+    | {
+        "x twice": (columns(x=lambda v: 2.0 * v), "x looks doubled"),
+        "a start 0.1 m away": (entry("setups", 0, start=moved(1, 0.1)), "places run from [0, 0, 0] to [0.12, 0.12"),
+        "a start 1 m outside": (entry("setups", 5, start=moved(2, 1.0)), "is 1000 mm off the run"),
+    }
     | {"starts in millimetres": (scaled_entries("setups", "start", 1e3), "millimetres")}
     | {f"rows of setups {i} and {j}": (swapped_rows(i, j), "exchanged") for i, j in pairs(6)}
     | {f"diagonals {i} and {j}": (swapped_entries(i, j, "direction", "start"), "exchanged") for i, j in pairs(3)},
@@ -175,6 +249,9 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
             "other way",
         ),
         "rotation_sign": (turned_round, "other way"),
+        "all normals reversed": (scaled_entries("workpiece", "normal", -1.0), "are the normals of workpiece reversed?"),
+        "x twice": (columns(x=lambda v: 2.0 * v), "x looks doubled"),
+        "degrees Fahrenheit": SLIPPED["degrees Fahrenheit"],
         "workpiece in millimetres": (scaled_entries("workpiece", "position", 1e3), "millimetres"),
         "two points": (swapped_labels("point", "3", "40"), "points '3' and '40' look exchanged"),
         **{

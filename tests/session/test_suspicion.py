@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,12 +96,47 @@ def test_every_verb_that_fits_says_it(capsys: pytest.CaptureFixture[str], tmp_pa
 
 def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     session = simulate(SimulationSpec(plan=PLANS["step_diagonal"](), seed=3)).session
-    write_session(with_readings(session, lambda d: 0.0 * d), tmp_path / "s")
-    says = f"all {len(session.readings)} readings are 0: was the instrument read?"
+    five = session.description.model_copy(update={"repeats": 5})
+    write_session(replace(session, description=five), tmp_path / "s")
+    says = "repeats is 5 in session.yaml, and the readings are of 2: repeat 0, 1"
     for more in ([], ["--json"]):
         assert run(["compare-formulations", str(tmp_path / "s"), *more]) == 0
         out = capsys.readouterr().out
         assert json.loads(out)["suspicious"] == [says] if more else f"suspicious: {says}" in " ".join(out.split())
+
+
+def turned(session: Session) -> Session:
+    columns = {**session.readings.columns, "azimuth": session.readings.columns["azimuth"] + 0.01}
+    return session.with_readings(replace(session.readings, columns=columns))
+
+
+@pytest.mark.parametrize(
+    ("preset", "damage", "says"),
+    [
+        ("tracking_2d", turned, "azimuth is 10 mrad too large at all stations"),
+        ("step_diagonal", {"blocks": 117}, "117 steps of 12 mm along x, and the places read are 11 from 0 to 120 mm"),
+        ("step_diagonal", {"step": (0.03, 0.03, 0.03)}, "10 steps of 30 mm along x, and the places read are 11 from 0"),
+        ("rotary_axis", {"repeats": 5}, "repeats is 5 in session.yaml, and the readings are of 1: repeat 0"),
+    ],
+)
+def test_what_fits_and_is_stated_otherwise(preset: str, damage: Any, says: str) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session
+    wrong = (
+        damage(session)
+        if callable(damage)
+        else replace(session, description=session.description.model_copy(update=damage))
+    )
+    check_session(wrong)
+    assert says in " ".join(suspicions([wrong]))
+
+
+def test_a_place_found_beside_the_stated_one_is_said() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=1)).session
+    first, *rest = session.description.setups
+    moved = first.model_copy(update={"position": (first.position[0], first.position[1] + 0.02, first.position[2])})
+    description = session.description.model_copy(update={"setups": (moved, *rest)})
+    (said,) = identify(replace(session, description=description)).document()["suspicious"]
+    assert said.startswith("station 'A' is found ") and "mm off its stated position (position_uncertainty 0.2" in said
 
 
 def test_an_uncertainty_along_the_path_of_a_probe_is_said_to_change_nothing() -> None:

@@ -12,6 +12,7 @@ from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pandas as pd
 import pytest
@@ -161,7 +162,7 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
     # Export: what a controller would leave, and the report, on the disk and downloaded.
     press("Export")
     press("Show what would be left")
-    page.get_by_text("RMS compensated").wait_for()
+    page.get_by_text("RMS left").wait_for()
     press("Save the files")
     page.get_by_text("Download compensation.ini").wait_for()
     page.get_by_label("Diagnosis in the report").select_option("left out")
@@ -214,5 +215,9 @@ def test_without_the_token_there_is_nothing(address: str) -> None:
         for known in ("/", "/workbench", "/workbench/ws", "/workbench/autoload.js", static, "/saved/a/b"):
             assert status(address, f"{wrong}{known}") == 404
         assert status(address, f"{wrong}/workbench/ws", Origin=address.split(token)[0][:-1], **upgrade) == 404
-    # A page of another address may not use the websocket, even with the token.
+    # A page of another address may not use the websocket, even with the token, nor may another name lead here.
     assert status(address, f"{path}/ws", Origin="http://example.org", **upgrade) == 403
+    assert status(address, path, Host=f"example.org:{urlsplit(address).port}") == 403
+    with urlopen(address) as answer:
+        assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Frame-Options"] == "DENY"

@@ -69,6 +69,15 @@ def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, docu
     assert "model 1" in page._table.object and "model 4" in page._table.object
 
 
+def test_compare_shows_long_readings_in_millimetres_and_hides_setups(state: State, document: Document) -> None:
+    page = shown(ComparePage, state)
+    assert "308.263\u202f963" in page._table.object
+    assert page._legend.options == ["A", "B", "C", "D"] and page._band[0].top == pytest.approx(0.6)
+    page._legend.value = ["B"]
+    page._show_setups()
+    assert {page._readings.data["setup"][k] for k in page._view.filter.indices} == {"B"}
+
+
 def test_another_measurement_may_lie_in_another_plane(state: State, tmp_path: Path, document: Document) -> None:
     page = shown(ImprovePage, state)
     assert page._plane.value == "xy"
@@ -98,6 +107,7 @@ def test_the_tables_of_a_measurement_are_tables(state: State, document: Document
     assert "<pre" not in page._setups.object + page._more.object, "no lines that break in the middle"
     assert "<td" in page._setups.object and "(-350.0, 50.0, 0.0) mm" in page._setups.object
     assert "Models" in page._more.object
+    assert "The readings scatter" in page._words.object, "the fit is told before the recording is called sound"
 
 
 def test_a_page_is_put_in_its_place_at_once(hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,6 +119,9 @@ def test_a_page_is_put_in_its_place_at_once(hidden: Path, document: Document, mo
     monkeypatch.setattr(document.models, "recompute", lambda: through.append(recompute()))
     window._show("Export")
     assert len(through) == 1, "Bokeh goes through all models of the window"
+    assert window._head.visible
+    window._show("Live")
+    assert not window._head.visible, "what is heard is not the measurement that is open"
 
 
 class Connection:

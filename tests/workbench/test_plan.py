@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.workbench.handed_over import reported
-from machine_tool_calibration.workbench.models import planned
+from machine_tool_calibration.workbench.models import Subject, looked_ahead, planned
 from machine_tool_calibration.workbench.state import Job, State
 
 
@@ -74,6 +75,18 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
         assert len(then.session.readings) == repeats * 36 and then.seconds is not None
         wide.append((float(np.nanmean(then.uncertainty)), then.seconds))
     assert wide[1][0] < wide[0][0] and wide[1][1] > 2 * wide[0][1]
+
+
+@pytest.mark.parametrize("method", ["tracking_2d", "rotary_axis", "step_diagonal", "probing"])
+def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> None:
+    measurement = simulate(method, effects={"linear_drift": 1e-9} if method != "probing" else {}, seed=3)
+    subject = Subject(measurement)
+    model = subject.tried(None, "", measurement.chosen(None, (), ()), frozenset(), frozenset())
+    now, *then = looked_ahead(subject, model, lambda what, share: None)
+    assert now.typical == model.step.map_uncertainty, "that which Improve and the history show"
+    known = now.uncertainty > 0
+    assert len(then) > 1 and all(np.all(one.uncertainty[known] < 1.001 * now.uncertainty[known]) for one in then)
+    assert min(one.typical for one in then) < 0.9 * now.typical
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")

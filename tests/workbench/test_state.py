@@ -43,8 +43,10 @@ def test_an_effect_is_added_and_undone_and_the_history_holds_it(hidden: Path) ->
     assert state.model.fit.rms_residual < 0.5 * first
     kept = read_history(history_path(hidden))
     assert kept.in_use is not None and kept.in_use.effects == ("backlash_y",) and kept.in_use.by == "workbench"
+    assert "saved as model 2" in state.headline and not state.warning
     state.undo()
     assert state.model.fit.rms_residual == first
+    assert "saved as model 1" in state.headline and state.warning.startswith("Model 2 (backlash_y) fits better")
     assert read_history(history_path(hidden)).current == 1
     state.undo()
     assert "nothing to undo" in state.remark and len(state.models) == 1
@@ -216,7 +218,7 @@ def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
 
 def test_what_a_search_set_aside_is_shown_and_put_back_for_good(struck: Path) -> None:
     state = opened(struck)
-    assert state.model.aside == {20, 90, 150} == state.found.keys() and "3 readings set aside" in state.remark
+    assert state.model.aside == {20, 90, 150} == state.found.keys() and "3 readings set aside" in state.headline
     assert not state.models[0].aside, "the first model has all readings, and can be gone back to"
     np.testing.assert_allclose(list(state.found.values()), 80e-6, atol=10e-6)
     state.changed(aside=[20, 150])()

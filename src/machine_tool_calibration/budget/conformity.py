@@ -17,8 +17,9 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.budget.propagate import Budget, Progress, draw_readings
+from machine_tool_calibration.budget.propagate import Budget, Progress, coverage_factor, draw_readings
 from machine_tool_calibration.budget.published import (
+    DIAGONAL_FIGURES,
     FIGURES,
     POSITION_ERROR,
     Quantity,
@@ -33,8 +34,10 @@ from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = ["RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
+__all__ = ["INCOMPLETE", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
 
+INCOMPLETE = "U is without instrument and temperature"
+"""Why nothing passes or fails without a budget: the readings themselves do not show what these add."""
 RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
 """Decision rules (`decide`)."""
 VOLUMETRIC = "volumetric"
@@ -55,10 +58,10 @@ class Verdict:
         unit: m or rad.
         tolerance: largest value, or largest absolute value of what has a sign.
         value: measured; NaN where it is not determined.
-        u: standard uncertainty: of a range or largest value half the interval of 95.45 % over 2.
-        probability: of conformity; NaN where it is not determined.
+        u: half the expanded uncertainty for 95.45 %.
+        probability: of conformity; NaN where it is not determined, or its uncertainty is not complete.
         decision: pass, fail, undecided or `not determined`.
-        why: what is not determined and why; empty otherwise.
+        why: what is not determined and why, or what its uncertainty lacks; empty otherwise.
     """
 
     name: str
@@ -158,7 +161,8 @@ def conformity(
             figure of ISO 230-2 (`A` of all axes, `A_X` of one), or `volumetric`.
         rule: of decision, one of `RULES`.
         level: conformance probability of the rule.
-        budget: whose uncertainties are taken; those of the identification if absent.
+        budget: whose uncertainties are taken, or what the readings show where that is more. Without one the
+            uncertainty lacks what instrument and temperature add, and every tolerance stays undecided.
         seed: of the draws.
         progress: is told what is done and which share of it.
 
@@ -186,7 +190,7 @@ class _Conformity:
     def __init__(self, fitted: FittedSessions, budget: Budget | None, seed: int, progress: Progress) -> None:
         self.fitted, self.budget, self.seed, self.progress = fitted, budget, seed, progress
         if budget is not None:
-            self.numbers, self.u, self.freedom = budget.numbers, budget.u, budget.degrees_of_freedom
+            self.numbers, self.u, self.freedom = budget.numbers, budget.complete, budget.degrees_of_freedom
         else:
             self.numbers = everything(fitted)
             self.u, self.freedom = self.numbers.u, np.full(len(self.numbers.u), np.inf)
@@ -213,10 +217,10 @@ class _Conformity:
         if name in ERROR_MOTIONS:
             return self.motion(name)
         base = figure_of(name) or name
-        if base in FIGURES:
+        if base in FIGURES or base in DIAGONAL_FIGURES:
             own = [q for q in known.values() if q.name == name or (name == base and figure_of(q.name) == base)]
             return [self.of(q, None, signed=base == "B_mean") for q in own]
-        allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, VOLUMETRIC]
+        allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, *DIAGONAL_FIGURES, VOLUMETRIC]
         raise ModelError(
             f"{name!r} is no figure with a tolerance{did_you_mean(name, allowed)}: an error motion or squareness of "
             f"ISO 230-1, {', '.join(FIGURES)} of ISO 230-2 (A_X for one axis), or {VOLUMETRIC}"
@@ -263,14 +267,17 @@ class _Conformity:
         if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
             return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
         if figure.work_out is None:
-            value, u = float(values[0]), float(spread[0])
-            probability = _single(value, u, float(self.freedom[members[0]]), tolerance, signed=figure.signed)
+            value, freedom = float(values[0]), self.freedom[members[0]]
+            probability = _single(value, float(spread[0]), float(freedom), tolerance, signed=figure.signed)
+            u = float(coverage_factor(freedom) * spread[0]) / 2.0
         else:
             value = float(figure.work_out(values[None])[0])
             drawn_figures = self.draws(figure, values, spread)
             probability = float(np.mean(drawn_figures <= tolerance))
             low, high = np.percentile(drawn_figures, [2.275, 97.725])
             u = float(high - low) / 4.0
+        if self.budget is None:
+            return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", INCOMPLETE)
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
         return Verdict(name, unit, tolerance, value, u, probability, decision)

@@ -1,146 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A contributor to the measurement uncertainty, and the YAML file that lists them.
-
-Words as in the GUM (JCGM 100): type A or B, distribution, standard or expanded uncertainty, degrees of freedom. How a
-contributor enters the readings, and which readings share one value of it, are the two questions that decide what it
-does to a result.
-"""
+"""Budgets: YAML files with contributors to the measurement uncertainty, and those of instruments to begin with."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from machine_tool_calibration.arrays import HALF_WIDTHS, Array, standard_draws
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.session.description import Finite, Instrument, Positive
+from machine_tool_calibration.session.contributor import Contributor, Contributors
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.session import Session
+
 __all__ = [
-    "UNITS",
     "BudgetFile",
-    "Contributor",
-    "Enters",
-    "Varies",
     "default_budget",
     "instruments",
+    "known_contributors",
     "read_budget",
     "template",
+    "template_of",
 ]
 
 FORMAT = "mtcal-budget/1"
-
-Enters = Literal[
-    "reading",
-    "along",
-    "across",
-    "angle",
-    "length",
-    "temperature",
-    "air_temperature",
-    "air_pressure",
-    "air_humidity",
-]
-Varies = Literal["reading", "place", "angle", "run", "setup", "session", "never"]
-
-UNITS: dict[str, str] = {
-    "reading": "m",
-    "along": "m",
-    "across": "m",
-    "angle": "rad",
-    "length": "1",
-    "temperature": "K",
-    "air_temperature": "K",
-    "air_pressure": "Pa",
-    "air_humidity": "1",
-}
-"""Unit of a contributor's value, by how it enters."""
-
-# Mean fourth power over the square of the variance.
-_FOURTHS = {"normal": 3.0, "rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "arcsine": 3.0 / 2.0}
-
-
-class Contributor(Record):
-    """One line of an uncertainty budget.
-
-    Attributes:
-        name: what it is.
-        symbol: as in u_11; may be absent.
-        type: A, evaluated from observations by statistics; B, otherwise.
-        distribution: of its value.
-        standard_uncertainty: in the unit of `UNITS`; or instead of it
-        expanded: expanded uncertainty, with
-        coverage_factor: k; or
-        half_width: of a distribution with ends.
-        degrees_of_freedom: of a standard uncertainty that was evaluated; not said: known exactly.
-        enters: what one unit of it does to a reading (`patterns.effect_on_readings`).
-        varies: which readings share a value of it: one reading, or all of a place, beam direction, run, setup, session;
-            never: all.
-        expansion: coefficient of expansion of what has the temperature, 1/K.
-        instrument: whose readings alone it enters; those of all if it is not said.
-        source: where the value is from.
-    """
-
-    name: Annotated[str, Field(min_length=1, max_length=80)]
-    symbol: Annotated[str, Field(max_length=20)] = ""
-    type: Literal["A", "B"]
-    distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
-    standard_uncertainty: Positive | None = None
-    expanded: Positive | None = None
-    coverage_factor: Annotated[Finite, Field(gt=0)] | None = None
-    half_width: Positive | None = None
-    degrees_of_freedom: Annotated[Finite, Field(ge=1)] | None = None
-    enters: Enters
-    varies: Varies
-    expansion: Annotated[Finite, Field(gt=0)] | None = None
-    instrument: Instrument | Literal[""] = ""
-    source: str = ""
-
-    @model_validator(mode="after")
-    def _check(self) -> Contributor:
-        sizes = [key for key in ("standard_uncertainty", "expanded", "half_width") if getattr(self, key) is not None]
-        if len(sizes) != 1:
-            said = " and ".join(sizes) or "none"
-            raise ValueError(f"one of standard_uncertainty, expanded and half_width must be given, not {said}")
-        if (self.expanded is None) != (self.coverage_factor is None):
-            raise ValueError("expanded and coverage_factor belong together")
-        if self.half_width is not None and self.distribution == "normal":
-            raise ValueError("half_width is for rectangular, triangular and arcsine; a normal distribution has no ends")
-        if (self.enters == "temperature") != (self.expansion is not None):
-            raise ValueError("expansion (1/K) belongs to what enters by temperature, and only to that")
-        return self
-
-    @property
-    def u(self) -> float:
-        """Standard uncertainty, in the unit of `UNITS`."""
-        if self.half_width is not None:
-            return self.half_width / HALF_WIDTHS[self.distribution]
-        if self.expanded is not None and self.coverage_factor is not None:
-            return self.expanded / self.coverage_factor
-        return float(self.standard_uncertainty or 0.0)
-
-    @property
-    def unit(self) -> str:
-        """Of its value."""
-        return UNITS[self.enters]
-
-    @property
-    def fourth(self) -> float:
-        """Mean fourth power of its value over the square of its variance."""
-        return _FOURTHS[self.distribution]
-
-    def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """(count,) independent values; of a few degrees of freedom by the t-distribution (JCGM 101, 6.4.9)."""
-        if self.distribution == "normal" and self.degrees_of_freedom is not None:
-            return np.asarray(self.u * rng.standard_t(self.degrees_of_freedom, count))
-        return self.u * standard_draws(self.distribution, rng, count)
 
 
 class BudgetFile(Record):
@@ -154,15 +43,7 @@ class BudgetFile(Record):
 
     format: Literal["mtcal-budget/1"]
     instrument: str = ""
-    contributors: Annotated[tuple[Contributor, ...], Field(min_length=1, max_length=1000)]
-
-    @model_validator(mode="after")
-    def _check(self) -> Any:
-        names = [c.name for c in self.contributors]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"contributors has the name {twice[0]!r} twice")
-        return self
+    contributors: Annotated[Contributors, Field(min_length=1)]
 
 
 def read_budget(path: Path) -> tuple[Contributor, ...]:
@@ -191,28 +72,48 @@ def template(instrument: str) -> str:
     return str((_folder() / f"{instrument}.yaml").read_text(encoding="utf-8"))
 
 
-def default_budget(used: Sequence[str | None]) -> tuple[Contributor, ...]:
-    """The contributors of the budgets to begin with, of all instruments of a measurement.
-
-    Args:
-        used: instrument of each session.
+def template_of(instrument: str) -> tuple[Contributor, ...]:
+    """The contributors of an instrument's budget to begin with.
 
     Raises:
-        ModelError: there is none for one of them, or a session does not name its instrument.
+        ModelError: there is none for it.
     """
-    names = list(dict.fromkeys(used))
-    if None in names:
-        raise ModelError(
-            "the session does not name its instrument: `instrument` in session.yaml does, or give a budget "
-            f"(`mtcal budget --template INSTRUMENT` prints those of {', '.join(instruments())})"
-        )
-    out: list[Contributor] = []
-    for name in (str(n) for n in names):
-        own = parse_record(template(name), f"{name}.yaml", BudgetFile, FORMAT).contributors
-        if len(names) > 1:
-            own = tuple(c.model_copy(update={"name": f"{name}: {c.name}", "instrument": name}) for c in own)
-        out += own
-    return tuple(out)
+    return parse_record(template(instrument), f"{instrument}.yaml", BudgetFile, FORMAT).contributors
+
+
+def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
+    """The contributors that sessions state themselves, else those of their instruments' budgets to begin with.
+
+    Raises:
+        ModelError: a session states none and there is none for its instrument, or it does not name that; or sessions
+            of one instrument state different ones.
+    """
+    each: dict[str | None, tuple[Contributor, ...]] = {}
+    for session in sessions:
+        name, own = session.instrument, session.description.budget
+        if not own and name is None:
+            raise ModelError(
+                "the session does not name its instrument: `instrument` in session.yaml does, or give a budget "
+                f"(`mtcal budget --template INSTRUMENT` prints those of {', '.join(instruments())})"
+            )
+        lines = own or template_of(str(name))
+        if each.setdefault(name, lines) != lines:
+            raise ModelError(f"sessions of one instrument, {name}, state different budgets: give one for all of them")
+    if len(each) == 1:
+        return next(iter(each.values()))
+    return tuple(
+        line.model_copy(update={"name": f"{name}: {line.name}", "instrument": name or ""})
+        for name, lines in each.items()
+        for line in lines
+    )
+
+
+def known_contributors(sessions: Sequence[Session]) -> tuple[tuple[Contributor, ...], str]:
+    """Those of `default_budget`, or none and the reason in words."""
+    try:
+        return default_budget(sessions), ""
+    except ModelError as error:
+        return (), str(error)
 
 
 def _folder() -> Any:

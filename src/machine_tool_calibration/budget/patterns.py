@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
-from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.instruments.refractive_index import STANDARD_AIR, refractivity
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import distinct_places
 
 __all__ = ["Pattern", "effect_on_readings", "measured_length", "pattern", "sharing"]

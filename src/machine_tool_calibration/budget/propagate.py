@@ -18,7 +18,6 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import COVERAGE, Array
-from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.patterns import Pattern, pattern
 from machine_tool_calibration.budget.published import (
     Numbers,
@@ -32,6 +31,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import changed, covariance_of, declared
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "Progress",
     "Share",
     "Sum",
+    "coverage_factor",
     "draw_readings",
     "propagate",
 ]
@@ -177,6 +178,16 @@ class Budget:
         return np.where(np.isfinite(self.numbers.value), total, np.nan)
 
     @cached_property
+    def complete(self) -> Array:
+        """(M,) standard uncertainty that is stated: the combined one, or what the readings show where that is more."""
+        return np.maximum(self.u, self.numbers.u)
+
+    @cached_property
+    def expanded(self) -> Array:
+        """(M,) expanded uncertainty that is stated, for 95.45 %."""
+        return coverage_factor(self.degrees_of_freedom) * self.complete
+
+    @cached_property
     def degrees_of_freedom(self) -> Array:
         """(M,) effective ones of each combined uncertainty, by Welch and Satterthwaite (GUM Eq. (G.2b))."""
         return _effective(np.array([line.u**2 for line in self.lines]), self.lines)
@@ -212,8 +223,14 @@ class Budget:
         total = float(squares.sum())
         shares = tuple(Share(float(p), float(s / total) if total else 0.0) for p, s in zip(parts, squares, strict=True))
         freedom = float(_effective(squares[:, None], self.lines)[0])
-        k = 2.0 if np.isinf(freedom) else float(special.stdtrit(freedom, 0.5 + COVERAGE / 2.0))
+        k = float(coverage_factor(np.array(freedom)))
         return Sum(quantity, index, shares, float(np.sqrt(total)), freedom, k, float(stated))
+
+
+def coverage_factor(freedom: Array) -> Array:
+    """Of an interval of 95.45 % by Student's t; 2 for infinitely many degrees of freedom."""
+    t = special.stdtrit(np.where(np.isinf(freedom), 1.0, freedom), 0.5 + COVERAGE / 2.0)
+    return np.where(np.isinf(freedom), 2.0, t)
 
 
 def _effective(squares: Array, lines: Sequence[Line]) -> Array:

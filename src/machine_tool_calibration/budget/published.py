@@ -17,13 +17,14 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS
-from machine_tool_calibration.methods.direct.map import positioning_runs
 from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.methods.iso230_2 import positioning_runs
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap
 
 __all__ = [
+    "DIAGONAL_FIGURES",
     "FIGURES",
     "POSITION_ERROR",
     "Numbers",
@@ -37,10 +38,12 @@ __all__ = [
 ]
 
 POSITION_ERROR = "position_error"
-FIGURES = ("B", "B_mean", "R", "E", "M", "A")
-"""Figures of ISO 230-2:2014 that are published with an uncertainty."""
+FIGURES = ("B", "B_mean", "R", "R_up", "R_down", "E", "E_up", "E_down", "M", "A", "A_up", "A_down")
+"""Figures of ISO 230-2:2014, of each axis (`A_X`)."""
+DIAGONAL_FIGURES = {"E_D": "E", "E_D_up": "E_up", "E_D_down": "E_down", "B_D": "B"}
+"""Figures of ISO 230-6:2002 with those of one diagonal, as of an axis, that they are (`E_D_PPP`)."""
 
-_FIGURE = re.compile(rf"({'|'.join(FIGURES)})_[XYZ](?:\..*)?")
+_FIGURE = re.compile(rf"(?:({'|'.join(FIGURES)})_[XYZ]|({'|'.join(DIAGONAL_FIGURES)})_[PN0]{{3}})(?:\..*)?")
 _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 
 
@@ -168,28 +171,35 @@ def _of_fit(fitted: FittedSessions, joint: JointFit) -> Iterator[_Entry]:
     error_map = fitted.map_of(joint)
     yield _position_error(error_map)
     yield from _content(error_map.content)
+    for one in error_map.content.get("iso230_7", ()):
+        value, u = np.array([one["value"]]), np.array([one["U"] / 2.0])
+        yield _Entry(f"{one['motion']}_range", one["unit"], value, u, _nowhere)
     yield from _unknowns(joint, error_map)
 
 
 def _of_runs(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> Iterator[_Entry]:
-    """Figures of ISO 230-2 of a session of direct deviations, which its readings give without a model.
+    """Figures of ISO 230-2 and ISO 230-6 of a session, which its readings give without a model.
 
     With the standard uncertainty that follows from the repeatability of the runs, unless the readings are shifted; none
     for several sessions, which have no such figures.
     """
-    if fitted.common is not None or "iso230_2" not in fitted.error_map.content:
+    content = fitted.error_map.content
+    if fitted.common is not None or not ("iso230_2" in content or "iso230_6" in content):
         return
     observed = fitted.joint.assembly.models[0].observations
     if shifts is not None:
         moved = replace(observed.readings, displacement=observed.readings.displacement + shifts[0])
         observed = replace(observed, readings=moved)
-    runs = positioning_runs(observed, uncertain=shifts is None)
-    axes = [run["axis"] for run in runs]
-    for run in runs:
-        suffix = run["axis"] if axes.count(run["axis"]) == 1 else f"{run['axis']}.{run['setup']}"
-        for figure in FIGURES:
-            value, u = np.array([run[figure]]), np.array([run.get(f"{figure}_U", np.nan) / 2.0])
-            yield _Entry(f"{figure}_{suffix}", "m", value, u, _nowhere)
+    for diagonals, figures in ((False, dict(zip(FIGURES, FIGURES, strict=True))), (True, DIAGONAL_FIGURES)):
+        if ("iso230_6" if diagonals else "iso230_2") not in content:
+            continue
+        runs = positioning_runs(observed, diagonals=diagonals, uncertain=shifts is None)
+        axes = [run["axis"] for run in runs]
+        for run in runs:
+            suffix = run["axis"] if axes.count(run["axis"]) == 1 else f"{run['axis']}.{run['setup']}"
+            for name, figure in figures.items():
+                value, u = np.array([run[figure]]), np.array([run.get(f"{figure}_U", np.nan) / 2.0])
+                yield _Entry(f"{name}_{suffix}", "m", value, u, _nowhere)
 
 
 def unit_of(name: str) -> str:
@@ -198,9 +208,9 @@ def unit_of(name: str) -> str:
 
 
 def figure_of(name: str) -> str | None:
-    """Figure of ISO 230-2 that a quantity such as `A_X` or `B_mean_X.second` is; None of others."""
+    """Figure of ISO 230-2 or ISO 230-6 that a quantity such as `A_X`, `B_mean_X.second` or `E_D_PPP` is; or None."""
     match = _FIGURE.fullmatch(name)
-    return match[1] if match else None
+    return (match[1] or match[2]) if match else None
 
 
 def _nowhere(k: int) -> str:

@@ -28,12 +28,13 @@ from machine_tool_calibration.interface.arguments import MOST_DRAWS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from machine_tool_calibration.budget.contributor import Contributor
+    from machine_tool_calibration.budget.propagate import Budget
     from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.methods.fitted import FittedSessions
+    from machine_tool_calibration.session.contributor import Contributor
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["budget_option", "command", "contributors_of", "fitted"]
+__all__ = ["budget_option", "command", "complete_budget", "fitted"]
 
 
 def budget_option(text: str) -> Callable[[Any], Any]:
@@ -43,7 +44,9 @@ def budget_option(text: str) -> Callable[[Any], Any]:
 
 @click.command("budget")
 @click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=click.Path(path_type=Path))
-@budget_option("YAML file with the contributors; that of the session's instrument to begin with, if absent.")
+@budget_option(
+    "YAML file with the contributors; the session's own, else that of its instrument to begin with, if absent."
+)
 @click.option("--template", "instrument", metavar="INSTRUMENT", help="Print an instrument's contributors, to edit.")
 @click.option(
     "--quantity",
@@ -130,9 +133,27 @@ def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Seq
 
 
 def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:
-    """The contributors of the files, or of the instruments' budgets to begin with."""
+    """The contributors of the files, of the sessions, or of the instruments' budgets to begin with."""
     from machine_tool_calibration.budget.contributor import default_budget, read_budget
 
     if files:
         return tuple(c for file in files for c in read_budget(file))
-    return default_budget([session.instrument for session in sessions])
+    return default_budget(sessions)
+
+
+def complete_budget(
+    files: Sequence[Path], sessions: Sequence[Session], own: FittedSessions, seed: int, progress: Report
+) -> Budget | None:
+    """The budget that a verdict needs; where there is none, what to do is said on standard error."""
+    from machine_tool_calibration.budget.contributor import known_contributors, read_budget
+    from machine_tool_calibration.budget.propagate import propagate
+
+    own_lines, why = ((), "") if files else known_contributors(sessions)
+    lines = own_lines or tuple(c for file in files for c in read_budget(file))
+    if not lines:
+        note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
+        return None
+    if not files and not all(session.description.budget for session in sessions):
+        names = ", ".join(dict.fromkeys(str(session.instrument) for session in sessions))
+        note(f"note: U is by the budget to begin with of {names}; yours: `mtcal budget --template`, then --budget FILE")
+    return propagate(own, lines, seed=seed, progress=progress)

@@ -100,6 +100,7 @@ def _document(comparison: Comparison) -> Mapping[str, Any]:
             for name, profiles in comparison.profiles.items()
         },
         "refused": dict(comparison.refused),
+        "mirror_tilts": dict(comparison.tilts),
     }
 
 
@@ -128,7 +129,14 @@ def _show(comparison: Comparison) -> None:
             np.nanmax(np.abs(a - b))
             for a, b in zip(comparison.profiles["conventional"].error, comparison.profiles["new"].error, strict=True)
         ]
-        out.print(f"The conventional formulation is up to {quantity(float(max(off)), 'm')} from the new one.")
+        words = f"The conventional formulation is up to {quantity(float(max(off)), 'm')} from the new one"
+        if comparison.tilts:
+            tilts = ", ".join(f"{1e6 * tilt:.3g} µrad in {name}" for name, tilt in comparison.tilts.items())
+            words += (
+                ": it takes the mirrors to be at right angles to their beams, and what a tilt makes of the way across "
+                f"the beam for positioning errors and squareness of the machine. The readings show tilts of {tilts}"
+            )
+        out.print(f"{words}.")
     for name, why in comparison.refused.items():
         out.print(f"{name}: {why}")
 

@@ -3,20 +3,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import note_written
+from machine_tool_calibration.cli.diagnosing import (
+    Wanted,
+    history_option,
+    model_options,
+    no_model,
+    note_written,
+)
 from machine_tool_calibration.cli.output import (
     PictureFile,
     console,
     json_option,
+    note,
     progress_bar,
     session_labels,
     write_json,
 )
 from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.session.catalogue import spec_of
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.reports.measured import Measured
 
 __all__ = ["command"]
 
@@ -24,38 +38,35 @@ __all__ = ["command"]
 @click.command("compare-maps")
 @click.argument("first", type=click.Path(path_type=Path))
 @click.argument("second", type=click.Path(path_type=Path))
-@click.option("--model", help="Variant of the model, where a measurement's method has it.")
+@model_options
+@history_option
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
 @click.option("--plot", type=PictureFile(), help="Draw both maps into this file (png, svg, pdf).")
 @json_option
-def command(first: Path, second: Path, model: str | None, seed: int, plot: Path | None, as_json: bool) -> None:
+def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | None, as_json: bool) -> None:
     """Say whether two measurements of one machine agree within their joint uncertainty.
 
     FIRST and SECOND are session folders or recordings, of any methods: a tracking interferometer and a grid encoder,
-    say, or one instrument before and after. Each is identified by itself. At the points that both maps have, the
+    say, or one instrument before and after. Each is identified by itself, with the effects and the model that its
+    method has of those asked for, or with what its history has in use. At the points that both maps have, the
     motion between their datums is taken out, and what is left is divided by its expanded uncertainty (k = 2): the
     normalised difference E_n, within ±1 where the maps agree.
 
     \b
     mtcal compare-maps tracking grid
     mtcal compare-maps tracking grid --plot comparison.png
+    mtcal compare-maps before after --from-history
     """
-    from machine_tool_calibration.methods.identify import fitted_sessions, identify
+    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
     from machine_tool_calibration.methods.map_comparison import compare_fits
-    from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.reports.map_comparison import map_comparison_document, show_map_comparison
 
     one, two = session_labels([first, second])
-    sessions = [open_measurement(first), open_measurement(second)]
-    known = sorted({name for session in sessions for name in session.spec.models})
-    if model is not None and model not in known:
-        raise ModelError(f"neither measurement has a model {model!r}{did_you_mean(model, known)}")
     with progress_bar() as progress:
         fitted = []
-        for session, label in zip(sessions, (one, two), strict=True):
+        for own, label in zip(_measured(wanted, (first, second)), (one, two), strict=True):
             progress(f"identifying {label}")
-            variant = model if model in session.spec.models else None
-            fitted.append(fitted_sessions(identify(session, model=variant)))
+            fitted.append(fitted_sessions(identify_sessions(own.chosen)))
         comparison = compare_fits(fitted[0], fitted[1], (one, two), seed=seed, progress=progress)
     if plot is not None:
         from machine_tool_calibration.plots.map_comparison import draw_map_comparison
@@ -67,3 +78,39 @@ def command(first: Path, second: Path, model: str | None, seed: int, plot: Path 
         write_json({**map_comparison_document(comparison), "provenance": [one.provenance.document() for one in fitted]})
     else:
         show_map_comparison(console(), comparison)
+
+
+def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
+    """The measurements, each with what its method knows of the model that is asked for, or with its history's.
+
+    Raises:
+        UsageError: effects or a model are asked for beside those of the history.
+        CalibrationError: neither has a history, knows the model, or can have an effect.
+    """
+    from machine_tool_calibration.effects.catalogue import find_effects
+    from machine_tool_calibration.reports.history_file import history_path, read_history
+
+    tried = [wanted.from_history and read_history(history_path(path)).in_use is not None for path in paths]
+    if wanted.from_history and not any(tried):
+        raise no_model(paths)
+    if wanted.from_history:
+        out = [replace(wanted, from_history=own).open([path]) for path, own in zip(paths, tried, strict=True)]
+        for path, own in zip(paths, tried, strict=True):
+            if not own:
+                note(f"{path}: no model was tried yet; its method's own is compared")
+        return out
+    out = [replace(wanted, model=None, effects=()).open([path]) for path in paths]
+    known = sorted({name for one in out for name in spec_of(one.recorded[0]).models})
+    if wanted.model is not None and wanted.model not in known:
+        raise ModelError(f"neither measurement has a model {wanted.model!r}{did_you_mean(wanted.model, known)}")
+    found: list[Measured] = []
+    for one in out:
+        chosen, variants = one.chosen, spec_of(one.recorded[0]).models
+        chosen = replace(chosen, model=wanted.model if wanted.model in variants else None)
+        observations = chosen.base(chosen.sessions[0])[0].observations
+        acting = (e.id for e in find_effects(wanted.effects, chosen.own) if e.why_not(observations) is None)
+        found.append(replace(one, chosen=replace(chosen, effects=tuple(acting))))
+    for name in wanted.effects:
+        if not any(name in one.chosen.effects for one in found):
+            raise ModelError(f"neither measurement can have the effect {name}")
+    return found

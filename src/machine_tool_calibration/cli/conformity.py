@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.budget.conformity import RULES, conformity
-from machine_tool_calibration.cli.budget import budget_option, contributors_of, fitted
+from machine_tool_calibration.cli.budget import budget_option, complete_budget, fitted
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
@@ -35,7 +35,9 @@ __all__ = ["command"]
     show_default=True,
     help="Conformance probability of the rule.",
 )
-@budget_option("Take the uncertainties of this budget (`mtcal budget`) instead of those of the identification.")
+@budget_option(
+    "YAML file with the contributors; the session's own, else its instrument's to begin with (`mtcal budget`)."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
 @model_options
 @history_option
@@ -55,14 +57,14 @@ def command(
 
     SESSION is a session folder or a recording. A tolerance is that of an error motion (its range over the axis), of a
     squareness (its absolute value), of a figure of ISO 230-2 (A, R, E, M, B, B_mean; A_X of one axis) or of the
-    volumetric error (volumetric: the largest position error of the map). What the data does not determine never passes.
+    volumetric error (volumetric: the largest position error of the map). What the data does not determine never passes,
+    and nothing is decided without a budget: what the readings themselves show lacks instrument and temperature.
 
     \b
     mtcal conformity session --tolerance EXX=10um --tolerance C0Y=20urad
     mtcal conformity session --tolerance volumetric=30um --rule simple
     mtcal conformity session --tolerances tolerances.yaml --budget mine.yaml --json
     """
-    from machine_tool_calibration.budget.propagate import propagate
     from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
     from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 
@@ -71,9 +73,7 @@ def command(
         raise click.UsageError("Missing --tolerance NAME=VALUE or --tolerances FILE.")
     with progress_bar() as progress:
         sessions, own = fitted(wanted, measurements, progress)
-        budget = None
-        if budgets:
-            budget = propagate(own, contributors_of(budgets, sessions), seed=seed, progress=progress)
+        budget = complete_budget(budgets, sessions, own, seed, progress)
         found = conformity(
             own,
             tolerances,

@@ -22,7 +22,7 @@ from machine_tool_calibration.cli.foreign_options import (
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import RosName, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_head, show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
@@ -49,22 +49,20 @@ def _preview_document(imported: Imported) -> dict[str, Any]:
 
 def _show_preview(imported: Imported, *, whole: bool) -> None:
     """Print remarks, and where the whole is wanted what was read, the first readings and the text of session.yaml."""
-    from rich.markup import escape
-
     from machine_tool_calibration.session.folder import readings_frame
     from machine_tool_calibration.session.parse import description_yaml
 
     session = imported.session
     if whole:
         out = console()
-        out.print(f"[bold]{escape(session.source)}[/]: {imported.rows} rows, {len(session.readings)} readings")
+        show_head(out, session.source, f": {imported.rows} rows, {len(session.readings)} readings")
         read = tuple((role, *column_and_unit) for role, column_and_unit in imported.columns.items())
         show_table(out, TextTable("", ("quantity", "column", "unit"), read))
         frame = readings_frame(session).head(_FIRST)
         rows = tuple(tuple(_shown(value) for value in row) for row in frame.itertuples(index=False))
         show_table(out, TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows))
         out.print("session.yaml:", style="bold")
-        out.print(escape(description_yaml(session.description).rstrip()))
+        out.print(description_yaml(session.description).rstrip())
     for text in imported.notes:
         note(text)
 
@@ -182,9 +180,7 @@ def command(
     if as_json:
         write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
-        console().print(
-            f"[bold]{target}[/]: {document['readings']} readings" if "readings" in document else str(target)
-        )
+        show_head(console(), str(target), f": {document['readings']} readings" if "readings" in document else "")
         for topic, file in document.get("topics", {}).items():
             console().print(f"  {topic}: {file}")
     for topic in document.get("skipped", ()):

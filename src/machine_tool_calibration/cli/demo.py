@@ -20,6 +20,8 @@ from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_sit
 from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.tables import show_head
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 
@@ -103,7 +105,7 @@ def error_against_truth(measured: Measured, result: Result) -> MapError:
     The truth is the machine's own errors, without the hidden effect; for direct deviations, whose map says what the
     axis does from either side, with it.
     """
-    true, spec = read_site(str(measured.output / "site.yaml")), measured.session.spec
+    true, spec = read_site(str(measured.output / "site.yaml")), spec_of(measured.session)
     if spec.reads_machine:
         return _deviations(Site(true), result)
     site = Site(true.model_copy(update={"effects": ()}))
@@ -300,21 +302,23 @@ def _show(story: _Demonstration) -> None:
 
     screen = console()
     measured = story.measured
-    screen.print(
-        f"[bold]1. Measured[/]: a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
-        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:"
+    show_head(
+        screen,
+        "1. Measured",
+        f": a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
+        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:",
     )
     show_result(screen, measured)
-    screen.print("\n[bold]2. Diagnosed and improved[/]")
+    show_head(screen, "\n2. Diagnosed and improved")
     show_improvement(screen, story.improvement)
-    screen.print("\n[bold]3. The truth[/], which nothing before has seen")
-    screen.print(_truth_in_words(story), markup=False)
+    show_head(screen, "\n3. The truth", ", which nothing before has seen")
+    screen.print(_truth_in_words(story))
     _show_error_of_map(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
     show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
 def _show_error_of_map(session: Session, before: MapError, after: MapError, stated: float | None) -> None:
-    direct = session.spec.reads_machine
+    direct = spec_of(session).reads_machine
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
     known = stated is not None and not direct

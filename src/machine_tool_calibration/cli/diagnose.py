@@ -23,7 +23,12 @@ __all__ = ["command"]
 @sessions_argument
 @model_options
 @history_option
-@click.option("--all", "everything", is_flag=True, help="List every effect that was looked for.")
+@click.option(
+    "--details",
+    is_flag=True,
+    help="All that was found: each effect, what is confounded or would not show, smallest sizes, what to measure.",
+)
+@click.option("--all", "everything", is_flag=True, help="The details, with every effect that was looked for.")
 @click.option(
     "-o",
     "--output",
@@ -34,6 +39,7 @@ __all__ = ["command"]
 def command(
     measurements: tuple[Path, ...],
     wanted: Wanted,
+    details: bool,
     everything: bool,
     output: Path | None,
     as_json: bool,
@@ -42,7 +48,7 @@ def command(
 
     SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried,
     alone and together with others, beside what does not reproduce between runs and setups; the answer is the
-    probability that it is missing. It names
+    probability that it is missing. With --details it names
     confounded effects that this measurement cannot distinguish, effects that would not show in it, the smallest size
     that it would have found, structure that no effect explains, and readings that do not belong to the rest.
 
@@ -71,4 +77,4 @@ def command(
     if as_json:
         write_json(diagnosis_document(found, then.advice, then.changes))
         return
-    show_diagnosis(console(), found, then, 0 if everything else 8)
+    show_diagnosis(console(), found, then, 0 if everything else 8, details=details or everything)

@@ -13,6 +13,7 @@ from machine_tool_calibration.cli.diagnosing import Wanted, history_option, mode
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,20 +26,17 @@ if TYPE_CHECKING:
 __all__ = ["bad_fit", "command"]
 
 
-# Chance below which readings contradict the model, as `mtcal identify` has it.
-_CHANCE = 1e-3
-
-
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
+    from machine_tool_calibration.reports.goodness import fits
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
-    if not fit.p_value < _CHANCE:
+    if fits(fit.p_value) != "bad":
         return None
     words = goodness_of_fit(
         {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
     )
-    return f"warning: {words}"
+    return f"warning: {words} `mtcal diagnose` looks for what is missing."
 
 
 _FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv", "json")
@@ -87,6 +85,7 @@ def command(
     mtcal export x_axis plate --format json       two sessions together
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
+    from machine_tool_calibration.reports.compensation import harm_words
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
 
@@ -125,6 +124,7 @@ def command(
                 "not_in_tables": made.absent,
                 "preview": made.left,
                 "worse": made.worse,
+                "worse_along": [one.name for one in made.worse_along],
             }
         )
     else:
@@ -134,8 +134,8 @@ def command(
             note(f"not determined: {names}: {why}")
     for text in found.warnings:
         note(text)
-    if made.worse:
-        note("warning: the errors would grow; do not load these files")
+    if harm := harm_words(made):
+        note(f"warning: {harm}")
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str])
             number = measured.history[-1].number
             note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
         model = wanted.model or (None if chosen.model == "free" else chosen.model)
-        chosen = replace(chosen, model=model or chosen.sessions[0].spec.with_tables)
+        chosen = replace(chosen, model=model or spec_of(chosen.sessions[0]).with_tables)
     result = identify_sessions(chosen)
     said = [bad_fit(result.joint, result.error_map.content)]
     if isinstance(result, Result):
@@ -191,10 +191,10 @@ def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
 
 def _show(out: Console, written: Sequence[Path], made: Exported) -> None:
     from machine_tool_calibration.reports.compensation import absent_words, left_table
-    from machine_tool_calibration.reports.tables import show_table
+    from machine_tool_calibration.reports.tables import show_head, show_table
 
     for path in written:
-        out.print(f"[bold]{path}[/]")
+        show_head(out, str(path))
     show_table(out, left_table(made))
     if made.absent:
         out.print(absent_words(made))

@@ -78,9 +78,16 @@ foreign_options = options(
         metavar="QUANTITY=VALUE",
         help="A quantity that is the same in every row, as in z=120mm or dir_x=1.",
     ),
-    _option("--separator", help="A character, or comma (default), semicolon, tab, bar, space."),
-    _option("--decimal", type=click.Choice(["point", "comma"]), help="Decimal mark; point by default."),
-    _option("--encoding", help="Of the text: utf-8 (default), latin-1, cp1252, utf-16 …"),
+    _option(
+        "--separator",
+        help="A character, or comma, semicolon, tab, bar, space; by default that of the first four in the header.",
+    ),
+    _option(
+        "--decimal",
+        type=click.Choice(["point", "comma"]),
+        help="Decimal mark; by default the one that the numbers have where commas do not separate them.",
+    ),
+    _option("--encoding", help="Of the text: utf-8 or utf-16, which are told apart by default, latin-1, cp1252 …"),
     _option("--skip", type=click.IntRange(min=0), help="Lines before the header."),
     _option("--skip-after-header", type=click.IntRange(min=0), help="Lines after the header, such as one of units."),
     _option("--no-header", is_flag=True, help="No line names the columns; they are called 1, 2, 3 …"),
@@ -195,9 +202,20 @@ def mapping_from(given: dict[str, Any], description: Path | None = None) -> tupl
         described = load_yaml(read_text(description), str(description)).value
         if not isinstance(described, dict):
             raise CalibrationError(f"{description}: a session.yaml is a mapping of keys")
-        _update(content, "session", {key: value for key, value in described.items() if key != "format"}, path)
+        said = {key: value for key, value in described.items() if key != "format"}
+        _refuse_otherwise(content.get("session"), said, str(path), str(description))
+        _update(content, "session", said, path)
     _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
     return content, "command line" if path is None else str(path)
+
+
+def _refuse_otherwise(before: Any, said: dict[str, Any], path: str, description: str) -> None:
+    """Refuse what a mapping's `session` and a session.yaml both say, and not the same."""
+    both = [key for key in said if isinstance(before, dict) and key in before and before[key] != said[key]]
+    if both:
+        raise CalibrationError(
+            f"{path}: session says {', '.join(both)} otherwise than --description {description}: say it in one"
+        )
 
 
 def _update(content: dict[str, Any], key: str, more: dict[str, Any], path: Path | None) -> None:

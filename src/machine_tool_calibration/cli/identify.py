@@ -40,6 +40,12 @@ __all__ = ["command"]
     type=click.Path(path_type=Path, dir_okay=False),
     help="CSV file for all that was found, one value a row with its expanded uncertainty U (k = 2).",
 )
+@click.option(
+    "--units",
+    type=click.Choice(["si", "um"]),
+    default="si",
+    help="Units of --csv: m and rad, or mm and ° for places, µm and µrad for errors, rounded to what U allows.",
+)
 @click.option("--plot", is_flag=True, help="Draw pictures: into --output, or into the present folder.")
 @json_option
 def command(
@@ -49,6 +55,7 @@ def command(
     formulation: str | None,
     output: Path | None,
     table: Path | None,
+    units: str,
     plot: bool,
     as_json: bool,
 ) -> None:
@@ -83,10 +90,11 @@ def command(
             progress("drawing")
             written = _write(document, result, recorded, folder, result_file=output is not None)
         if table and result is not None:
-            from machine_tool_calibration.reports.result_tables import tidy
+            from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
 
+            values = in_shop_units(tidy(result)) if units == "um" else tidy(result)
             try:
-                written.append(write_table(tidy(result), table, result.provenance))
+                written.append(write_table(values, table, result.provenance))
             except OSError as error:
                 raise CalibrationError(f"{table}: cannot be written: {error.strerror}") from None
     better = None if result is None else wanted.unused(measured, sessions, result.joint)
@@ -95,7 +103,7 @@ def command(
     elif result is None:
         show_profiles(console(), document)
     else:
-        show_result(console(), document, recorded, result.joint)
+        show_result(console(), document, recorded, result)
     for path in () if as_json else written:
         console().print(f"written: {path}")
     if better:

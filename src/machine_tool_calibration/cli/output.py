@@ -114,7 +114,8 @@ def console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
     # Tables keep their width in a file or a pipe, where rich would assume 80 columns.
     width = None if stream.isatty() or "COLUMNS" in os.environ else 120
-    return Screen(file=stream, width=width, highlight=False, emoji=False)
+    # What is printed is of people's files: no name in them, such as north[a], is markup.
+    return Screen(file=stream, width=width, highlight=False, emoji=False, markup=False)
 
 
 class Report(Protocol):
@@ -132,7 +133,7 @@ def progress_bar() -> Iterator[Report]:
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("reading", total=None)
 

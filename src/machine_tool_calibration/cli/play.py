@@ -9,6 +9,7 @@ import click
 
 from machine_tool_calibration.cli.output import RosName, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.tables import show_head
 
 __all__ = ["command"]
 
@@ -84,6 +85,6 @@ def command(
     if as_json:
         write_json({"format": "mtcal-played/1", "bag": bag, "messages": player.sent, "state": player.state})
     else:
-        console().print(f"[bold]{bag}[/]: {player.sent} messages sent, {player.state}")
+        show_head(console(), str(bag), f": {player.sent} messages sent, {player.state}")
     if player.trouble:
         raise CalibrationError(player.trouble)

@@ -13,6 +13,7 @@ import click
 
 from machine_tool_calibration.cli.output import RosName, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.tables import show_head
 
 __all__ = ["command"]
 
@@ -86,8 +87,8 @@ def command(
             }
         )
     else:
-        lost = f", [bold]{recorder.lost} lost[/]" if recorder.lost else ", none lost"
+        lost = f", {recorder.lost} lost" if recorder.lost else ", none lost"
         held = f"{recorder.bag.messages} messages of {len(recorder.bag.topics)} topics"
-        console().print(f"[bold]{recorder.bag.folder}[/]: {held}{lost}")
+        show_head(console(), str(recorder.bag.folder), f": {held}{lost}")
     if recorder.trouble:
         raise CalibrationError(recorder.trouble)

@@ -10,6 +10,7 @@ import click
 
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.tables import show_head
 
 __all__ = ["command"]
 
@@ -50,9 +51,9 @@ def command(bag: Path, output: Path | None, as_json: bool) -> None:
             }
         )
         return
-    out = console()
     seconds = (saved.last - saved.first) / 1e9
-    out.print(f"[bold]{saved.folder}[/]: {saved.messages} messages of {saved.topics} topics, {seconds:.1f} s")
+    words = f": {saved.messages} messages of {saved.topics} topics, {seconds:.1f} s"
+    show_head(console(), str(saved.folder), words)
     for problem in saved.problems:
         note(problem)
     if saved.lost_bytes:

@@ -83,6 +83,5 @@ def command(
             tolerances=limits,
             progress=progress,
         )
-        progress("drawing")
-        written = write_report(found, spoken, outputs, figures)
+        written = write_report(found, spoken, outputs, figures, progress)
     note_written(written)

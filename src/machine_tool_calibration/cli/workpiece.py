@@ -31,12 +31,14 @@ __all__ = ["command"]
 @click.option("--open", "is_open", is_flag=True, help="The last corner of a CSV outline is not joined to the first.")
 @click.option("--clearance", type=float, default=0.0, show_default=True, help="What the stylus keeps from other walls.")
 @click.option("--stylus", type=float, metavar="DIAMETER", help="Leave out points at which it would touch elsewhere.")
-@click.option("--into", type=click.Path(path_type=Path), help="Procedure (YAML) into which the points are put.")
+@click.option(
+    "--into", help="Procedure into which the points are put: a YAML file, or the name of one that the package brings."
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="New file: .csv (points) or .yaml.")
 @json_option
 def command(
     file: Path,
-    into: Path | None,
+    into: str | None,
     output: Path | None,
     as_json: bool,
     **outline: Any,
@@ -49,7 +51,7 @@ def command(
 
     \b
     mtcal workpiece config/workpieces/cross_pocket.yaml -o points.csv
-    mtcal workpiece contour.dxf --spacing 5 --stylus 6 --into probing.yaml -o my_part.yaml
+    mtcal workpiece contour.dxf --spacing 5 --stylus 6 --into probing_pins -o my_part.yaml
     """
     from machine_tool_calibration.procedure.workpiece import read_workpiece, workpiece_entries
 
@@ -97,13 +99,14 @@ def _outline(
     return workpiece_points(validated(Workpiece, content, str(file)), file.parent)
 
 
-def _write(points: tuple[WorkpiecePoint, ...], into: Path | None, output: Path) -> None:
+def _write(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path) -> None:
+    from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.procedure.workpiece.points_file import points_csv, points_yaml, procedure_with
 
     if output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")
     if into is not None:
-        text = procedure_with(into, points)
+        text = procedure_with(procedure_file(into), points)
     elif output.suffix.lower() == ".csv":
         text = points_csv(points)
     elif output.suffix.lower() in (".yaml", ".yml"):

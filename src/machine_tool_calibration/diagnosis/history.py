@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["Coefficient", "Entry", "History", "Part"]
+
+# Difference of the criterion from which it speaks strongly for a model (Kass and Raftery 1995).
+_CLEARLY = 6.0
 
 
 class Coefficient(Record):
@@ -148,7 +152,7 @@ class Entry(Record):
         if len(sessions) == 1:
             return self.model
         # Of several, those that have the variant that was asked for took it, all others what they can share.
-        for part, spec in zip(said, (session.spec for session in sessions), strict=True):
+        for part, spec in zip(said, (spec_of(session) for session in sessions), strict=True):
             if part is not None and part.model != (spec.shared or next(iter(spec.models))):
                 return part.model
         return None
@@ -181,6 +185,11 @@ class Entry(Record):
             for entry in (self, other)
         )
         return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
+
+    def criterion(self) -> float:
+        """The Bayesian information criterion, but for what models of the same readings have in common."""
+        squares = max((self.reduced_chi_square or math.inf) * self.degrees_of_freedom, 1e-300)
+        return self.used * math.log(squares) + (self.used - self.degrees_of_freedom) * math.log(self.used)
 
     @property
     def readings_aside(self) -> int:
@@ -239,6 +248,19 @@ class History(Record):
     def in_use(self) -> Entry | None:
         """The current model."""
         return None if self.current is None else self.entry(self.current)
+
+    @property
+    def better(self) -> Entry | None:
+        """The model of the same readings that describes them clearly better than the one in use; None if none does.
+
+        By the Bayesian information criterion, with the noise that each model leaves (Schwarz 1978).
+        """
+        now = self.in_use
+        known = [one for one in self.models if now is not None and (one.data, one.used) == (now.data, now.used)]
+        best = min(known, key=Entry.criterion, default=None)
+        if now is None or best is None or best.criterion() > now.criterion() - _CLEARLY:
+            return None
+        return best
 
     def grown(self, entries: Sequence[Entry]) -> History:
         """With models made one from the other; the last is the current one.

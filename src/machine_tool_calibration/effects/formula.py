@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from tokenize import TokenError
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -28,9 +29,9 @@ from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["FormulaEffect", "checked_definition", "formula_effect", "read_effects"]
@@ -129,7 +130,7 @@ class FormulaEffect(Effect):
         units |= {n: c.unit for n, c in definition.constants.items()}
         for name, unit in units.items():
             try:
-                if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit):
+                if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit) or unit.count("(") != unit.count(")"):
                     raise ValueError
                 registry().Unit("dimensionless" if unit == "1" else unit)
             except (
@@ -138,11 +139,26 @@ class FormulaEffect(Effect):
                 ValueError,
                 TypeError,
                 AssertionError,
+                TokenError,
             ):
                 raise ModelError(f"{name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
-        unit_of_value = self._expression.unit(units)
+        try:
+            unit_of_value = self._expression.unit(units)
+        except ModelError as error:
+            raise ModelError(f"{error}{self._without_unit()}") from None
         if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
-            raise ModelError(f"the formula gives {unit_of_value:~P}, and not a length")
+            raise ModelError(f"the formula gives {unit_of_value:~P}, and not a length{self._without_unit()}")
+
+    def _without_unit(self) -> str:
+        """How a constant or coefficient of the formula that states no unit gets one; for the end of a message."""
+        for key in ("constants", "coefficients", "shapes"):
+            for name, entry in getattr(self._definition, key).items():
+                if "unit" not in entry.model_fields_set:
+                    stated = ", ".join(f"{k}: {v}" for k, v in entry.model_dump(exclude_unset=True).items())
+                    return (
+                        f"; {name} states no unit and counts as a pure number: {key}: {{{name}: {{{stated}, unit: m}}}}"
+                    )
+        return ""
 
     def _check_linear(self) -> None:
         """Linear in the coefficients: with all at zero nothing, with all doubled twice as much, with two the sum."""

@@ -66,16 +66,16 @@ def solve_normal(
     typical = scale.max(initial=0.0)
     scale = np.where(scale > 1e-13 * typical, scale, typical if typical > 0 else 1.0)
     scaled = matrix / np.outer(scale, scale)
-    c = len(constraints)
+    rows = constraints / scale
+    length = np.linalg.norm(rows, axis=1)
+    # A condition on nothing says nothing.
+    rows, goals = rows[length > 0] / length[length > 0, None], values[length > 0] / length[length > 0]
     particular = np.zeros(m)
-    if c:
-        rows = constraints / scale
-        rows = rows / np.linalg.norm(rows, axis=1)[:, None]
+    if len(rows):
         # Constraints may repeat what others say: only their span counts.
         u, s, vt = np.linalg.svd(rows, full_matrices=True)
         keep = s > 1e-10 * s[0]
-        goal = values / np.linalg.norm(constraints / scale, axis=1)
-        particular = vt[: len(s)][keep].T @ ((u[:, : len(s)].T @ goal)[keep] / s[keep])
+        particular = vt[: len(s)][keep].T @ ((u[:, : len(s)].T @ goals)[keep] / s[keep])
         free = vt[int(keep.sum()) :].T
     else:
         free = np.eye(m)

@@ -40,6 +40,11 @@ class Exported:
         """Whether the errors would grow."""
         return self.left[-1].worse
 
+    @property
+    def worse_along(self) -> list[ResidualError]:
+        """Directions in which the errors would grow."""
+        return [one for one in self.left[:-1] if one.worse]
+
 
 @dataclass(frozen=True)
 class Compensation:

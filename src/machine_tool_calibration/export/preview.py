@@ -14,6 +14,8 @@ from machine_tool_calibration.model.result import ErrorMap
 __all__ = ["ResidualError", "ResidualErrors", "residual_errors", "summary"]
 
 _PARTS = ("x", "y", "z")
+# Ratio up to which errors are the same: the shift and turn that are taken out differ a little before and after.
+_SAME = 1.002
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,9 @@ class ResidualError:
         rms_after: with the compensation.
         largest_before: as measured.
         largest_after: with the compensation.
-        uncertainty: root mean square standard uncertainty of the measured error: what is left cannot be known to be
-            smaller.
+        uncertainty: root mean square standard uncertainty of the measured error.
+        rms_left: expected of the machine: what the files leave of the measured error, and what that is uncertain by.
+        largest_left: at any point at most, with 95 %: what the files leave there, and its U (k = 2).
     """
 
     name: str
@@ -36,11 +39,13 @@ class ResidualError:
     largest_before: float
     largest_after: float
     uncertainty: float
+    rms_left: float
+    largest_left: float
 
     @property
     def worse(self) -> bool:
         """Whether the compensation would do harm."""
-        return self.rms_after > self.rms_before
+        return self.rms_after > _SAME * self.rms_before
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,9 @@ def _residual_error(name: str, before: Array, after: Array, spread: Array) -> Re
     def largest(values: Array) -> float:
         return float(np.abs(values).max())
 
-    return ResidualError(name, rms(before), rms(after), largest(before), largest(after), rms(spread))
+    left = largest(np.abs(after) + 2.0 * spread)
+    expected = float(np.hypot(rms(after), rms(spread)))
+    return ResidualError(name, rms(before), rms(after), largest(before), largest(after), rms(spread), expected, left)
 
 
 def _without_motion(points: Array, error: Array, known: Array) -> Array:

@@ -6,6 +6,7 @@ Cells become numbers in SI units or, where they are time stamps of other program
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Sequence
@@ -73,6 +74,7 @@ def _past_midnight(times: Array) -> Array:
 # How .xlsx, .ods (zipped) and .xls files begin.
 _WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _LARGEST = 64 << 20  # bytes
+_LOOKED_AT = 1000  # lines, and bytes, by which the form of a table is recognised
 _MOST_COLUMNS = 1000
 _MOST_CELLS = 5_000_000
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -80,7 +82,7 @@ _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space":
 
 
 class FileForm(Record):
-    """How the text is written.
+    """How the text is written; separator, decimal mark and UTF-16 are recognised where they are not said.
 
     Attributes:
         separator: one character, or its name: comma, semicolon, tab, bar, space (one or more).
@@ -244,6 +246,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
     source = str(path)
     lines = _lines(path, form)
     numbered = [(number, text) for number, text in enumerate(lines, start=1) if number > form.skip and text.strip()]
+    form = _recognised(form, [text for _, text in numbered])
     left_out = []
     if form.comment:
         left_out = [entry for entry in numbered if entry[1].lstrip().startswith(form.comment)]
@@ -282,14 +285,42 @@ def _is_row(text: str, count: int, form: FileForm) -> bool:
     return len(cells) == count and numbers >= 2
 
 
+def _recognised(form: FileForm, lines: Sequence[str]) -> FileForm:
+    """The form with the separator and the decimal mark that a table's lines show, where it does not say them."""
+    found: dict[str, str] = {}
+    if "separator" not in form.model_fields_set:
+        first = next((text for text in lines if not (form.comment and text.lstrip().startswith(form.comment))), "")
+        found["separator"] = next((name for name in ("semicolon", "tab", "bar") if _SEPARATORS[name] in first), "comma")
+    separator = _SEPARATORS.get(form.separator, form.separator) if not found else _SEPARATORS[found["separator"]]
+    if "decimal" not in form.model_fields_set and separator not in (",", _SEPARATORS["space"]):
+        cells = [cell.strip() for text in lines[:_LOOKED_AT] for cell in text.split(separator)]
+        marks = {cell.strip("+-0123456789eE") for cell in cells if any(sign.isdigit() for sign in cell)}
+        if "," in marks and "." not in marks:
+            found["decimal"] = ","
+    return form.model_copy(update=found)
+
+
+def _encoding(form: FileForm, data: bytes) -> str:
+    """The encoding that the form says, or UTF-16 where the text is that; without a byte order mark."""
+    known = "encoding" in form.model_fields_set or data.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE))
+    if not known and data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # Of Latin letters every second byte is 0 in UTF-16.
+    begin = b"" if known else data[:_LOOKED_AT]
+    for encoding, zeros in (("utf-16-le", begin[1::2]), ("utf-16-be", begin[::2])):
+        if zeros.count(0) > len(zeros) // 2:
+            return encoding
+    encoding = form.encoding.lower().replace("_", "-")
+    return "utf-8-sig" if encoding in ("utf-8", "utf8") else encoding
+
+
 def _lines(path: Path, form: FileForm) -> list[str]:
     source, data = str(path), read_bytes(path, _LARGEST)
     if data.startswith(_WORKBOOKS):
         raise SessionError(f"{source}: a spreadsheet's workbook; save its sheet as CSV, and convert that")
-    encoding = form.encoding.lower().replace("_", "-")
-    if encoding in ("utf-8", "utf8"):
+    encoding = _encoding(form, data)
+    if encoding == "utf-8-sig":
         reject_foreign_encoding(data, source)
-        encoding = "utf-8-sig"
     try:
         text = data.decode(encoding)
     except LookupError:

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from machine_tool_calibration.budget.conformity import Conformity as Verdicts
-from machine_tool_calibration.budget.contributor import Contributor, default_budget, read_budget
+from machine_tool_calibration.budget.contributor import default_budget, read_budget
 from machine_tool_calibration.budget.propagate import Budget as Propagated
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.show import Shown, notebook, printed
 from machine_tool_calibration.reports.budget import budget_document, show_budget
 from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.session import Session
 
@@ -181,7 +182,7 @@ def contributors_of(
         CalibrationError: the file or a line is wrong, or the instrument has no budget to begin with.
     """
     if given is None:
-        return default_budget([session.instrument for session in sessions])
+        return default_budget(sessions)
     if isinstance(given, str | Path):
         return read_budget(Path(given))
     out = []

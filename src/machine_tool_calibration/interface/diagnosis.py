@@ -238,11 +238,15 @@ class Diagnosis(Shown):
         sure = (f"{name} (probability {probability(self.probability[name])})" for name in self.effects)
         return f"missing: {', '.join(sure)}"
 
-    def report(self) -> str:
-        """What `mtcal diagnose` prints: what is missing, confounded effects, what to measure next, what is hidden."""
+    def report(self, *, details: bool = False) -> str:
+        """What `mtcal diagnose` prints: the verdict, the effects and the next step.
+
+        Args:
+            details: with confounded effects, what to measure next and what is hidden, as with `--details`.
+        """
         from machine_tool_calibration.reports.diagnosis import show_diagnosis
 
-        return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions))
+        return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions, details=details))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""

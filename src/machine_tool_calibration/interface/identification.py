@@ -27,12 +27,12 @@ from machine_tool_calibration.reports.quantities import quantity, rounded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from machine_tool_calibration.budget.contributor import Contributor
     from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.methods.probing.propagation import Distribution
+    from machine_tool_calibration.session.contributor import Contributor
 
 __all__ = ["Fit", "identify", "split_effects"]
 
@@ -181,7 +181,7 @@ class Fit(Shown):
         from machine_tool_calibration.reports.identification import show_result
 
         sessions = self.measurement.sessions
-        return printed(lambda screen: show_result(screen, self._document, sessions, self.result.joint))
+        return printed(lambda screen: show_result(screen, self._document, sessions, self.result))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
@@ -308,7 +308,8 @@ class Fit(Shown):
         """Who contributes what to the uncertainty of everything that was identified.
 
         Args:
-            contributors: a YAML file, or its lines as mappings; those of the instrument to begin with if absent.
+            contributors: a YAML file, or its lines as mappings; those of the sessions, else of
+                their instruments to begin with, if absent.
             quantities: names to tell in detail, such as EXX, C0Y or an unknown; the usual ones if absent.
             draws: of a Monte Carlo check (JCGM 101); 0 without one.
             seed: of random draws.
@@ -344,13 +345,17 @@ class Fit(Shown):
                 absolute value), A, R, E, M, B or B_mean of ISO 230-2 (`A_X` of one axis), or `volumetric`.
             rule: guarded (ISO 14253-1), guarded-acceptance, guarded-rejection or simple (JCGM 106).
             level: conformance probability of the rule.
-            budget: whose uncertainties are taken; those of the identification if absent.
+            budget: whose uncertainties are taken; if absent that of the sessions or of their instruments to begin
+                with, and where there is none, nothing passes or fails.
             seed: of random draws.
 
         Raises:
             CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
         """
         from machine_tool_calibration.budget.conformity import conformity
+        from machine_tool_calibration.budget.contributor import known_contributors
+        from machine_tool_calibration.budget.propagate import Budget as Propagated
+        from machine_tool_calibration.budget.propagate import propagate
         from machine_tool_calibration.budget.tolerances import tolerance
         from machine_tool_calibration.interface.budget import Budget, Conformity
 
@@ -359,9 +364,13 @@ class Fit(Shown):
         if budget is not None:
             require_kind(budget, Budget, "budget must be one, as Fit.budget gives it")
         sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
-        held = None if budget is None else budget.propagated
-        found = conformity(fitted_sessions(self.result), sizes, rule=rule, level=level, budget=held, seed=seed)
-        return Conformity(found)
+        fitted = fitted_sessions(self.result)
+        if budget is not None:
+            held: Propagated | None = budget.propagated
+        else:
+            lines, _ = known_contributors(self.measurement.sessions)
+            held = propagate(fitted, lines, seed=seed) if lines else None
+        return Conformity(conformity(fitted, sizes, rule=rule, level=level, budget=held, seed=seed))
 
     @cached_property
     def _document(self) -> dict[str, Any]:

@@ -52,7 +52,16 @@ def printed(show: Callable[[Console], None]) -> str:
 
     text = io.StringIO()
     # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
-    show(Console(file=text, width=_WIDTH, highlight=False, force_terminal=False, force_jupyter=False, no_color=True))
+    kind = Console(
+        file=text,
+        width=_WIDTH,
+        highlight=False,
+        markup=False,
+        force_terminal=False,
+        force_jupyter=False,
+        no_color=True,
+    )
+    show(kind)
     return text.getvalue()
 
 

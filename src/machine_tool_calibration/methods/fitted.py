@@ -11,7 +11,7 @@ from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.methods.build import build_model, sharing_variant
+from machine_tool_calibration.methods.build import build_model, error_map, sharing_variant
 from machine_tool_calibration.methods.joint.effects import with_effects
 from machine_tool_calibration.methods.joint.map import joint_map
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
@@ -20,6 +20,7 @@ from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
@@ -142,8 +143,7 @@ class FittedSessions:
     def map_of(self, joint: JointFit) -> ErrorMap:
         """The machine's errors by another fit of the same models, such as a restated one (`model.refits`)."""
         if self.common is None:
-            fit = joint.fits[0]
-            return fit.model.error_map(fit)
+            return error_map(joint.fits[0])
         return joint_map(joint, self.common, stated(joint, self.common.angles))
 
 
@@ -181,7 +181,7 @@ def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tupl
     effects, labels = chosen.present, chosen.labels or ()
     if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
-    known = list(dict.fromkeys(name for session in chosen.sessions for name in session.spec.models))
+    known = list(dict.fromkeys(name for session in chosen.sessions for name in spec_of(session).models))
     if chosen.model is not None and chosen.model not in known:
         hint = did_you_mean(chosen.model, known)
         raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")

@@ -83,7 +83,7 @@ class JointResult(Identified):
         solution = self.fit.published
         sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
         return [
-            Estimate.of(p, value, u)
+            self.estimate(p, value, u)
             for p, value, u, good in zip(
                 self.fit.assembly.parameters, solution.theta, sigma, solution.determined, strict=True
             )

@@ -13,12 +13,13 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.normal import covariance_root
-from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import Projected, gram, project
-from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
-from machine_tool_calibration.model.marginal_fit import MarginalFit, RandomUnknowns, state
-from machine_tool_calibration.model.model import POINTS, Assembly, MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.model.marginal_fit import MarginalFit, marginal_fit
+from machine_tool_calibration.model.model import POINTS, MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.model.random_unknowns import RandomUnknowns
+from machine_tool_calibration.model.solved import Solved
 
 __all__ = ["Fit", "JointFit", "absorbed_by", "fit_models", "screen", "screen_joint"]
 
@@ -27,25 +28,19 @@ _FURTHER = "\0further "
 
 
 @dataclass(frozen=True)
-class JointFit:
+class JointFit(Solved):
     """Several sessions in one fit; for a single session it has one member.
 
     Attributes:
-        assembly: the models and their problem.
-        solution: where the sum of squares is least, every reading for itself.
-        random: unknowns that are small random functions; None without any.
         given: what is published in place of what follows from the readings (`model.refits`); None usually.
     """
 
-    assembly: Assembly
-    solution: Solution
-    random: RandomUnknowns | None = None
     given: MarginalFit | None = None
 
     @cached_property
     def marginal(self) -> MarginalFit:
         """What is published: with what does not reproduce, and with the scatter of the readings."""
-        return state(self) if self.given is None else self.given
+        return marginal_fit(self) if self.given is None else self.given
 
     @cached_property
     def published(self) -> Solution:
@@ -60,14 +55,6 @@ class JointFit:
         problem = self.assembly.problem
         total, squares = gram(problem, self.solution.theta, self.solution.local)
         return covariance_root(total, squares, problem.constraints)
-
-    @cached_property
-    def without_expectations(self) -> Problem:
-        """The problem without what is expected of unknowns that are random functions."""
-        if self.random is None:
-            return self.assembly.problem
-        names = frozenset(self.random.names)
-        return assemble([model.without_priors(names) for model in self.assembly.models], self.assembly.labels).problem
 
     @cached_property
     def without_random(self) -> JointFit:
@@ -137,6 +124,18 @@ class Fit:
         return self.joint.published.covariance[np.ix_(self.places, self.places)]
 
     @property
+    def marginal_columns(self) -> Array:
+        """(K + k, n) columns of the terms' unknowns, then those of what does not reproduce."""
+        return np.concatenate([self.model.dense(), self.joint.marginal.functions[self.index]])
+
+    @property
+    def marginal_covariance(self) -> Array:
+        """(K + k, K + k) covariance of the unknowns of these columns, from the declared uncertainty."""
+        marginal = self.joint.marginal
+        index = np.append(self.places, marginal.coefficients(self.index))
+        return np.asarray(marginal.solution.covariance[np.ix_(index, index)])
+
+    @property
     def scatter_factor(self) -> float:
         """Published uncertainties over those that follow from the declared one."""
         return self.joint.marginal.scatter
@@ -156,8 +155,7 @@ class Fit:
     @cached_property
     def residuals(self) -> Array:
         """(n,) measured minus predicted, m."""
-        solution = self.solution
-        return scaled_residuals(self.part, solution.theta, solution.local[self.index]) * self.model.sigma
+        return self.joint.normalised(self.index) * self.model.sigma
 
     @property
     def predicted(self) -> Array:

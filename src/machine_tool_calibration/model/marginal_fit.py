@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -28,12 +28,11 @@ from machine_tool_calibration.estimation.variance_components import Components, 
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.random_unknowns import RandomPosterior, RandomUnknowns
 from machine_tool_calibration.model.reproducibility import Family, of_repeats, reproducibility
+from machine_tool_calibration.model.solved import Solved
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.model.fit import Fit, JointFit
-
-__all__ = ["FamilySize", "MarginalFit", "RandomPosterior", "RandomUnknowns", "state"]
+__all__ = ["FamilySize", "MarginalFit", "marginal_fit"]
 
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
@@ -42,44 +41,6 @@ _COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 8, 3
 _ENOUGH = 20_000
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
 _SEEN = 1e-3
-
-
-@dataclass(frozen=True)
-class RandomPosterior:
-    """What the readings say of unknowns that are random functions.
-
-    Attributes:
-        size: root mean square of their size over all that is possible, in their unit.
-        probability: that they are not zero.
-        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
-        covariance: (m, m) of these.
-    """
-
-    size: float
-    probability: float
-    theta: Array
-    covariance: Array
-
-
-class RandomUnknowns(Protocol):
-    """Unknowns of a model that are small random functions, and what is expected of them."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the unknowns."""
-
-    @property
-    def root(self) -> Array:
-        """(q, r) unknowns per unit of r independent coefficients whose standard deviation is the functions' size."""
-
-    @property
-    def sizes(self) -> dict[float, float]:
-        """Sizes that are possible, in their unit, with their probabilities before any reading; 0 among them."""
-
-    def posterior(
-        self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
-    ) -> RandomPosterior:
-        """From the normal equations of all unknowns, these last and without what is expected of them."""
 
 
 @dataclass(frozen=True)
@@ -131,30 +92,25 @@ class MarginalFit:
     squares: float
     ratios: Array
 
-    def columns(self, fit: Fit) -> Array:
-        """(K + k, n) of a session whose unknowns are those of its terms: their columns, then these functions."""
-        return np.concatenate([fit.model.dense(), self.functions[fit.index]])
-
-    def covariance(self, fit: Fit) -> Array:
-        """(K + k, K + k) covariance of the unknowns of these columns, from the declared uncertainty."""
-        first = len(self.solution.theta) - sum(len(f) for f in self.functions)
-        first += sum(len(f) for f in self.functions[: fit.index])
-        index = np.append(fit.places, np.arange(first, first + len(self.functions[fit.index])))
-        return np.asarray(self.solution.covariance[np.ix_(index, index)])
+    def coefficients(self, index: int) -> IntArray:
+        """(k,) places of the coefficients of a session's functions in the solution."""
+        first = len(self.solution.theta) - sum(map(len, self.functions)) + sum(map(len, self.functions[:index]))
+        return np.arange(first, first + len(self.functions[index]))
 
 
 @single_blas()
-def state(joint: JointFit) -> MarginalFit:
+def marginal_fit(solved: Solved) -> MarginalFit:
     """The fit with what does not reproduce in it.
 
     Args:
-        joint: of one or several sessions.
+        solved: models of one or several sessions.
     """
-    problem, solution = joint.without_expectations, joint.solution
+    problem, solution = solved.without_expectations, solved.solution
     # Rows of a plate that differ are the part's, as far as the map is concerned.
-    families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
-    if joint.random is None and problem.n_readings <= _ENOUGH:
-        families = [(*own, *_imperfect(m.observations)) for own, m in zip(families, joint.assembly.models, strict=True)]
+    families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in solved.assembly.models]
+    if solved.random is None and problem.n_readings <= _ENOUGH:
+        lacking = [_imperfect(m.observations) for m in solved.assembly.models]
+        families = [own + further for own, further in zip(families, lacking, strict=True)]
     parts, place, names = _widened(problem, families)
     u = len(place)
     wide = Problem(
@@ -165,15 +121,15 @@ def state(joint: JointFit) -> MarginalFit:
         problem.priors and replace(problem.priors, columns=np.pad(problem.priors.columns, ((0, 0), (0, u)))),
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
-    if u or joint.random is not None:
-        found = _averaged(joint, problem, wide, place, names)
+    if u or solved.random is not None:
+        found = _averaged(solved, problem, wide, place, names)
     else:
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
         found = _Marginal(
             np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
         )
     mean, covariance = found.mean, found.covariance
-    if sizes := effect_sizes(joint.assembly.parameters, solution.determined):
+    if sizes := effect_sizes(solved.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
     stated = replace(
@@ -186,7 +142,7 @@ def state(joint: JointFit) -> MarginalFit:
     )
     functions = tuple(
         np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
-        for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
+        for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
     )
     return MarginalFit(
         tuple(parts), stated, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
@@ -206,11 +162,11 @@ class _Marginal:
     ratios: Array
 
 
-def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray, names: tuple[str, ...]) -> _Marginal:
+def _averaged(solved: Solved, problem: Problem, wide: Problem, place: IntArray, names: tuple[str, ...]) -> _Marginal:
     """The mean over the sizes of what does not reproduce."""
-    solution, m, u = joint.solution, problem.size, len(place)
+    solution, m, u = solved.solution, problem.size, len(place)
     total, squares = gram(wide, np.concatenate([solution.theta, np.zeros(u)]), solution.local)
-    root = _root(joint, total, squares)
+    root = _root(solved, total, squares)
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
     dof = solution.degrees_of_freedom
@@ -221,15 +177,15 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
     own, families = place[runs], tuple(name for name in names if name != IMPERFECT)
     some = np.append(runs, u)
     inner = projected[np.ix_(some, some)]
-    observed = [model.observations for model in joint.assembly.models]
-    left = [fit.residuals / fit.model.sigma for fit in joint.fits]
+    observed = [model.observations for model in solved.assembly.models]
+    left = [solved.normalised(k) for k in range(len(observed))]
     repeated = of_repeats(observed, left, families) if len(runs) else None
     found = components(
         Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof),
         None if repeated is None else repeated.outside(~seen[runs], own),
     )
     chosen = np.argsort(-found.log_weights)
-    most = _MOST if joint.random is None else _MOST_WITH_RANDOM
+    most = _MOST if solved.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ found.squares[chosen])
@@ -242,14 +198,14 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
             projected, np.append(runs, np.flatnonzero(imperfect)), own, found.ratios[chosen[0]], dof
         )
     random = None
-    if joint.random is None:
+    if solved.random is None:
         mean, covariance = _marginal(total, projected, root, tau, weights, scatter, imperfect)
     else:
-        tried = [_at(joint, joint.random, problem, total, squares, one, scatter) for one in tau]
+        tried = [_at(solved, solved.random, problem, total, squares, one, scatter) for one in tau]
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
         random = found_random[int(np.argmax(weights))]
-    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0)[runs], own, families, scatter)
+    sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, families, scatter)
     return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
 
 
@@ -275,11 +231,11 @@ def _imperfect(observations: Observations) -> tuple[Family, ...]:
     return (Family(IMPERFECT, np.zeros(len(observations), dtype=np.int64), shapes),) if len(shapes) else ()
 
 
-def _root(joint: JointFit, total: Array, squares: Array) -> Array:
+def _root(solved: Solved, total: Array, squares: Array) -> Array:
     """Root of the covariance, with what is expected of random unknowns, which is not in the matrix."""
-    if joint.random is None:
-        return covariance_root(total, squares, joint.assembly.problem.constraints)
-    values, vectors = np.linalg.eigh(joint.solution.covariance)
+    if solved.random is None:
+        return covariance_root(total, squares, solved.assembly.problem.constraints)
+    values, vectors = np.linalg.eigh(solved.solution.covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
@@ -344,7 +300,7 @@ def _marginal(
 
 
 def _at(
-    joint: JointFit,
+    solved: Solved,
     random: RandomUnknowns,
     problem: Problem,
     total: Array,
@@ -361,7 +317,7 @@ def _at(
     matrix = total[:m, :m] - cross.T @ carried[:, :m]
     # At the solution the residual has nothing left along the model.
     right = -cross.T @ carried[:, m]
-    found, step, covariance = _with_random(joint, random, problem, total[:m, -1], matrix, right, squares, scatter)
+    found, step, covariance = _with_random(solved, random, problem, total[:m, -1], matrix, right, squares, scatter)
     full, both = np.zeros(m + u), np.zeros((m + u, m + u))
     full[:m], both[:m, :m] = step, covariance
     response = carried[:, :m]
@@ -373,7 +329,7 @@ def _at(
 
 
 def _with_random(
-    joint: JointFit,
+    solved: Solved,
     random: RandomUnknowns,
     problem: Problem,
     pull: Array,
@@ -386,11 +342,11 @@ def _with_random(
 
     What is expected of random unknowns is in metres and radians: it is weighed against the readings' real scatter.
     """
-    place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
+    place = {parameter.name: k for k, parameter in enumerate(solved.assembly.parameters)}
     last = np.array([place[name] for name in random.names], dtype=np.int64)
     others = np.setdiff1d(np.arange(problem.size), last)
     order = np.concatenate([others, last])
-    theta = joint.solution.theta
+    theta = solved.solution.theta
     inner = matrix[np.ix_(order, order)]
     held = right[order] + inner[:, len(others) :] @ theta[last]
     # What is expected of the random unknowns was in the fit and is not in this problem.
@@ -423,10 +379,10 @@ def _scatter(chi_square: float, dof: int) -> float:
 
 
 def _sizes(
-    joint: JointFit, found: Components, seen: Array, place: IntArray, names: tuple[str, ...], scatter: float
+    solved: Solved, found: Components, seen: Array, place: IntArray, names: tuple[str, ...], scatter: float
 ) -> tuple[FamilySize, ...]:
     """Sizes in metres, of that part of the functions which the model does not take up."""
-    sigma = np.concatenate([model.sigma for model in joint.assembly.models])
+    sigma = np.concatenate([model.sigma for model in solved.assembly.models])
     unit = scatter * float(np.sqrt(np.mean(sigma**2)))
     out = []
     for k, name in enumerate(names):

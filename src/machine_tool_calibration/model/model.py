@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
@@ -15,11 +15,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.model.observations import Observations
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.model.fit import Fit
-    from machine_tool_calibration.model.marginal_fit import RandomUnknowns
-    from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.random_unknowns import RandomUnknowns
 
 __all__ = [
     "POINTS",
@@ -264,10 +260,6 @@ class MethodModel(ABC):
     @abstractmethod
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """The readings as a part of a problem, given the places of the unknowns in the shared vector."""
-
-    @abstractmethod
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """The machine's errors from a fit of this model."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
+from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
 
@@ -180,11 +181,14 @@ class Identified(ABC):
         error_map: the machine's errors.
         model_name: variant of the model, such as free or rigid_body; of several sessions each once.
         effects: ids of the effects that were added.
+        variance_added: what a budget adds to the variance of unknowns, by name; None where the uncertainty is what
+            the readings show, without instrument and temperature.
     """
 
     error_map: ErrorMap
     model_name: str
     effects: tuple[str, ...]
+    variance_added: Mapping[str, float] | None = None
 
     @property
     @abstractmethod
@@ -200,6 +204,11 @@ class Identified(ABC):
     @abstractmethod
     def not_determined(self) -> list[NotDetermined]:
         """What the data cannot determine, with the reason."""
+
+    def estimate(self, parameter: Parameter, value: float, standard_uncertainty: float) -> Estimate:
+        """Of an unknown as the fit has it, with what a budget adds."""
+        more = (self.variance_added or {}).get(parameter.name, 0.0)
+        return Estimate.of(parameter, value, float(np.sqrt(standard_uncertainty**2 + more)))
 
     @property
     def joint(self) -> JointFit:
@@ -228,6 +237,7 @@ class Identified(ABC):
             "effects": list(self.effects),
             "spread": [size.document() for size in stated.sizes],
             "scatter_factor": stated.scatter,
+            "uncertainty": "identification" if self.variance_added is None else "budget",
             "parameters": [estimate.document() for estimate in self.parameters],
             "error_map": plain(self.error_map.content),
         }
@@ -262,7 +272,7 @@ class Result(Identified):
         for parameter, value, u, good in found:
             if good:
                 value, u = moved.get(parameter.name, (value, u))
-                out.append(Estimate.of(parameter, value, u))
+                out.append(self.estimate(parameter, value, u))
         return out
 
     @property
@@ -293,7 +303,7 @@ class Result(Identified):
             "rejected": [r.document() for r in self.rejected],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.fit.model.datum,
-            "suspicious": suspicions([session]),
+            "suspicious": [*suspicions([session]), *(p.words for p in misplaced(session, self.error_map.content))],
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }

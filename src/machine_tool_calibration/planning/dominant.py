@@ -23,7 +23,7 @@ import numpy as np
 from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import fit_models
@@ -33,7 +33,7 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "dominant", "expected_model", "limits_of"]
+__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "angular_size", "dominant", "expected_model", "limits_of"]
 
 ANGULAR = 5e-6
 """Root mean square of a usual machining centre's angular errors, rad."""
@@ -158,9 +158,13 @@ def limits_of(session: Session, model: str | None = None) -> Dominant | None:
         built = build_model(session, model)[0]
     except CalibrationError:
         return None
-    spread = built.spread if isinstance(built, StepDiagonalModel) else None
-    angular = ANGULAR if spread is None else spread.size
-    return dominant(session, model=model, angular=angular, drift=DRIFT * max(_warming(session), 1.0))
+    return dominant(session, model=model, angular=angular_size(built), drift=DRIFT * max(_warming(session), 1.0))
+
+
+def angular_size(model: MethodModel) -> float:
+    """What the readings of a model say of the size of the machine's angular errors, rad; what is usual if nothing."""
+    spread = model.spread if isinstance(model, StepDiagonalModel) else None
+    return ANGULAR if spread is None else spread.size
 
 
 def _warming(session: Session) -> float:
@@ -229,4 +233,4 @@ def expected_model(session: Session, model: str | None, angular: float = ANGULAR
 def _map(model: MethodModel) -> ErrorMap:
     # From where the readings are taken, and not from how they scatter: those of a further measurement are not there
     # yet, and angular errors that a model leaves out must not count as what does not reproduce.
-    return model.error_map(declared(fit_models([model])).fits[0])
+    return error_map(declared(fit_models([model])).fits[0])

@@ -12,30 +12,33 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
+from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.refits import declared
-from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.planning.detectable import Detectable, detectable
-from machine_tool_calibration.planning.dominant import expected_model
+from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
+from machine_tool_calibration.planning.dominant import angular_size, expected_model
 from machine_tool_calibration.planning.forecast import Forecast
-from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = ["Outlook", "current", "outlook_of", "outlooks"]
 
+# Standard uncertainty of readings that are to say nothing of the machine, m: thousands of times that of an instrument.
+_LOOSE = 1e-3
+
 
 @dataclass(frozen=True)
 class Outlook:
-    """What is known of the machine after a measurement, if its readings scatter as declared.
+    """What is known of the machine after a measurement.
 
     Attributes:
         words: what to measure; empty for what is known now.
         session: the readings to be taken, with displacements that are none; of what is known now those that were.
-        places: (k, 3) where the readings are taken, m.
+        places: (k, 3) where the readings are taken, m; none of what is known now.
         points: (n, 3) places of the map, m.
         uncertainty: (n, 3) standard uncertainty of its position errors, m; NaN where not determined.
-        detectable: the smallest sizes of effects that would be found.
         seconds: time of motion and waiting; None where no time was recorded.
         aside: what comes on top of that time, in words.
     """
@@ -45,19 +48,14 @@ class Outlook:
     places: Array
     points: Array
     uncertainty: Array
-    detectable: Detectable
     seconds: float | None = None
     aside: str = ""
 
     @property
     def typical(self) -> float:
-        """Root mean square standard uncertainty of the map's coordinates, m; NaN where there is none.
-
-        Neither what is not determined nor what the datum fixes counts.
-        """
-        square = self.uncertainty**2
-        known = square[np.isfinite(square) & (square > 0)]
-        return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
+        """RMS length of the map's standard uncertainty, m, as it is published of a map; NaN where there is none."""
+        size = map_rms(self.uncertainty)
+        return float("nan") if size is None else size
 
 
 def outlook_of(found: Forecast, words: str) -> Outlook:
@@ -68,63 +66,69 @@ def outlook_of(found: Forecast, words: str) -> Outlook:
         words: what it is called.
     """
     observations, error_map = found.result.fit.model.observations, found.result.error_map
-    shown = Detectable(found.visible, found.absorbed, found.excluded)
     return Outlook(
         words,
         _to_be_read(observations.session, observations.readings),
         observations.position,
         error_map.points,
         error_map.uncertainty,
-        shown,
         found.seconds,
     )
 
 
-@single_blas()
-def current(chosen: FitRequest) -> Outlook:
-    """What is known now."""
-    joint, error_map = _fitted(chosen)
-    places = np.concatenate([fit.model.observations.position for fit in joint.fits])
-    shown = detectable(joint, chosen.absent)
-    return Outlook("", chosen.sessions[0], places, error_map.points, error_map.uncertainty, shown)
+def current(session: Session, published: ErrorMap) -> Outlook:
+    """What is known now: the map as it is published."""
+    return Outlook("", session, np.zeros((0, 3)), published.points, published.uncertainty)
 
 
 @single_blas()
-def outlooks(chosen: FitRequest, progress: Callable[[str, float], object] = lambda what, share: None) -> list[Outlook]:
+def outlooks(
+    chosen: FitRequest,
+    result: Result | JointResult,
+    progress: Callable[[str, float], object] = lambda what, share: None,
+) -> list[Outlook]:
     """What is known now, and what would be after each further measurement that the sessions allow.
+
+    The published uncertainty of each coordinate shrinks as the one that follows from the declared uncertainty does:
+    further readings are taken to scatter, and not to reproduce, as those did.
 
     Args:
         chosen: what was measured, and the model.
+        result: what it says of the machine.
         progress: told what is being done, and the share that is finished.
 
     Returns:
-        That of now first; those that would make the map better best first.
+        That of now first; those that would make the map better best first, of equals that with the least effort.
     """
     progress("what is known now", 0.0)
-    now, labels = current(chosen), chosen.labels
+    labels, published = chosen.labels, result.error_map
+    angular = angular_size(result.joint.assembly.models[0])
+    now = _fitted(chosen, angular)[1].uncertainty
     options = [(k, option) for k, session in enumerate(chosen.sessions) for option in further_options(session)]
-    then = []
+    then: dict[tuple[int, int, str], tuple[float, Outlook]] = {}
     for number, (k, option) in enumerate(options, 1):
         progress("what further measurements would tell", number / (len(options) + 1))
         try:
-            joint, error_map = _fitted(chosen.instead(k, option.session))
+            joint, error_map = _with(chosen, k, option, angular)
         except (CalibrationError, np.linalg.LinAlgError):
             continue
         observations = joint.fits[k].model.observations
         new = observations.readings.row >= option.first_row
-        then.append(
-            Outlook(
-                option.words if labels is None else f"{labels[k]}: {option.words}",
-                _to_be_read(option.session, observations.readings.select(new)),
-                observations.position[new],
-                error_map.points,
-                error_map.uncertainty,
-                detectable(joint, chosen.absent),
-                option.seconds,
-                option.aside,
-            )
+        found = Outlook(
+            option.words if labels is None else f"{labels[k]}: {option.words}",
+            _to_be_read(option.session, observations.readings.select(new)),
+            observations.position[new],
+            published.points,
+            # What the datum fixes is known before and after.
+            published.uncertainty * np.divide(error_map.uncertainty, now, out=np.ones_like(now), where=now != 0.0),
+            option.seconds,
+            option.aside,
         )
-    return [now, *sorted(then, key=lambda one: np.nan_to_num(one.typical, nan=np.inf))]
+        alike = k, int(new.sum()), f"{found.typical:.3g}"
+        if alike not in then or option.effort < then[alike][0]:
+            then[alike] = option.effort, found
+    best_first = sorted((one for _, one in then.values()), key=lambda one: np.nan_to_num(one.typical, nan=np.inf))
+    return [current(chosen.sessions[0], published), *best_first]
 
 
 def _to_be_read(session: Session, readings: Readings) -> Session:
@@ -132,10 +136,32 @@ def _to_be_read(session: Session, readings: Readings) -> Session:
     return session.with_readings(replace(readings, displacement=np.full(len(readings), np.nan)))
 
 
-def _fitted(chosen: FitRequest) -> tuple[JointFit, ErrorMap]:
+def _with(chosen: FitRequest, at: int, option: Option, angular: float) -> tuple[JointFit, ErrorMap]:
+    """The fit with a further measurement in one of the sessions.
+
+    Readings in a setup that is new are first those of a perfect machine with everything where it is stated: they would
+    pull the fit, and with it the geometry on which the uncertainty rests. What the present ones predict is read there.
+    """
+    session, old = option.session, chosen.sessions[at]
+    said = session.description.standard_uncertainty
+    loose = {name: said.model_copy(update={"displacement": _LOOSE}) for name in session.setup_ids[len(old.setup_ids) :]}
+    if loose:
+        hardly = said.model_copy(update={"setups": {**said.setups, **loose}})
+        description = session.description.model_copy(update={"standard_uncertainty": hardly})
+        fit = _fitted(chosen.instead(at, replace(session, description=description)), angular)[0].fits[at]
+        rows, there = session.readings.row, fit.model.observations.readings.row
+        missed = np.zeros(len(rows))
+        missed[np.searchsorted(rows, there)] = fit.residuals
+        predicted = session.readings.displacement - np.where(rows >= option.first_row, missed, 0.0)
+        session = session.with_readings(replace(session.readings, displacement=predicted))
+    return _fitted(chosen.instead(at, session), angular)
+
+
+def _fitted(chosen: FitRequest, angular: float) -> tuple[JointFit, ErrorMap]:
     """The fit, and its map with the uncertainties that follow from the declared one alone."""
     if len(chosen.sessions) > 1:
         fitted = fit_sessions(chosen)
         return fitted.joint, fitted.map_of(declared(fitted.joint))
-    joint = fit_models([add_effects(expected_model(chosen.sessions[0], chosen.model), chosen.present)])
-    return joint, joint.assembly.models[0].error_map(declared(joint).fits[0])
+    model = expected_model(chosen.sessions[0], chosen.model, angular)
+    joint = fit_models([add_effects(model, chosen.present)])
+    return joint, error_map(declared(joint).fits[0])

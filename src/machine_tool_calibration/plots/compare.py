@@ -12,6 +12,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import (
+    arrow_scale,
     color,
     draw_arrows,
     draw_residuals,
@@ -39,6 +40,8 @@ __all__ = [
 ]
 
 _PANELS = 6
+# Setups that a legend names.
+_LISTED = 24
 # Correlation above which two covariates make the same picture.
 _SAME = 0.97
 
@@ -115,7 +118,7 @@ def _draw_fit(comparison: Comparison) -> Figure:
     left.set(xlabel=f"predicted, {unit}", ylabel=f"measured, {unit}", title="Measured against predicted")
     middle.set(xlabel=f"predicted, {unit}", ylabel="measured − predicted, µm", title="What the model leaves")
     _noise_band(middle, comparison)
-    if len(ids) <= 12:
+    if len(ids) <= _LISTED:
         left.legend(title="setup", fontsize="small", markerscale=3)
     normal = np.sort(comparison.studentized[np.isfinite(comparison.studentized)])
     if len(normal):
@@ -147,9 +150,11 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
         _noise_band(panel, comparison)
     for panel in panels[len(names) :]:
         panel.set_visible(False)
-    if len(ids) <= 12:
+    if len(ids) <= _LISTED:
         handles = [Line2D([], [], ls="", marker="o", ms=5, color=color(k)) for k in range(len(ids))]
-        figure.legend(handles, ids, loc="outside upper center", ncols=len(ids), frameon=False, title="setup")
+        figure.legend(
+            handles, ids, loc="outside upper center", ncols=min(len(ids), 3 * columns), frameon=False, title="setup"
+        )
     grids(figure)
     return figure
 
@@ -176,8 +181,9 @@ def draw_map(comparison: Comparison) -> Figure:
         panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=f"residual along {'xyz'[line]}, µm")
     else:
         figure = new_figure(6.4 * len(views), 6.0)
+        scaled = arrow_scale(position, arrow, same)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
-            draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
+            draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same, scaled=scaled)
             panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     figure.suptitle("Residuals along the sensed direction (orange: more than predicted, blue: less)", fontsize=11)
     grids(figure)

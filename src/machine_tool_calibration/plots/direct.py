@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.plots.style import new_figure, numbers, round_down
+from machine_tool_calibration.plots.style import COLORS, new_figure, numbers, round_down
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_map", "draw_positioning", "draw_tables", "figures"]
+__all__ = ["draw_diagonals", "draw_map", "draw_positioning", "draw_tables", "figures", "standard_figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
@@ -28,7 +28,7 @@ _SYMBOLS = {"B_mean": "mean B", "R_up": "R↑", "R_down": "R↓"}
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """One for each run by ISO 230-2, the error motions, and the map where it fills a plane."""
     content = result["error_map"]
-    out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
+    out = standard_figures(content)
     if any("nodes" in table for table in content["tables"].values()):
         out["error_motions"] = draw_tables(content["tables"])
     points = numbers(content["points"]).reshape(-1, 3)
@@ -37,21 +37,22 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     return out
 
 
+def standard_figures(content: Mapping[str, Any]) -> dict[str, Figure]:
+    """One for each run by ISO 230-2, and one of all diagonals by ISO 230-6, of a map's content."""
+    out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2") or ()}
+    diagonals = content.get("iso230_6")
+    return out | ({"iso230_6": draw_diagonals(diagonals["runs"])} if diagonals else {})
+
+
 def draw_positioning(run: Mapping[str, Any]) -> Figure:
-    """Mean deviations in both directions with their bands of two standard deviations, and the standard's figures.
+    """The plot of ISO 230-2: single runs, their means in both directions and the limits two standard deviations off.
 
     Args:
         run: one entry of `iso230_2` in the error map.
     """
-    figure = new_figure(10, 5.5)
+    figure = new_figure(10, 4.6)
     panel = figure.subplots()
-    position = 1e3 * numbers(run["position"])
-    for name, color, arrow in (("up", "tab:blue", "↑"), ("down", "tab:red", "↓")):
-        mean, s = 1e6 * numbers(run[f"mean_{name}"]), 1e6 * numbers(run[f"s_{name}"])
-        if np.isfinite(mean).any():
-            panel.fill_between(position, mean - 2 * s, mean + 2 * s, color=color, alpha=0.15, linewidth=0)
-            panel.plot(position, mean, "o-", color=color, markersize=4, label=f"mean {arrow} (band: 2 s)")
-    panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
+    _draw_run(panel, run)
     panel.set_xlabel(f"{run['axis']}, mm")
     panel.set_ylabel("deviation, µm")
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
@@ -59,6 +60,44 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     figure.suptitle(f"ISO 230-2:2014, axis {run['axis']}, setup {run['setup']}\n{text} µm")
     panel.legend(frameon=False)
     return figure
+
+
+def draw_diagonals(runs: Sequence[Mapping[str, Any]]) -> Figure:
+    """The same of the diagonals of ISO 230-6, a panel each on one scale, along the diagonal.
+
+    Args:
+        runs: those of `iso230_6` in the error map.
+    """
+    columns = min(3, len(runs))
+    rows = -(-len(runs) // columns)
+    figure = new_figure(max(4 * columns, 7), 2.8 * rows + 0.6, "Diagonals by ISO 230-6:2002")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for panel, run in zip(panels.flat, runs, strict=False):
+        _draw_run(panel, run)
+        panel.set_title(run["axis"] if run["axis"].lower() == run["setup"] else f"{run['axis']}, {run['setup']}")
+        panel.set_xlabel("along the diagonal, mm")
+    for panel in panels.flat[len(runs) :]:
+        panel.set_visible(False)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("deviation, µm")
+    panels[0, 0].legend(frameon=False)
+    return figure
+
+
+def _draw_run(panel: Axes, run: Mapping[str, Any]) -> None:
+    """Deviations along a line, um over mm."""
+    position = 1e3 * numbers(run["position"])
+    for name, color, arrow in (("up", COLORS[0], "↑"), ("down", COLORS[1], "↓")):
+        mean, s = 1e6 * numbers(run[f"mean_{name}"]), 1e6 * numbers(run[f"s_{name}"])
+        if not np.isfinite(mean).any():
+            continue
+        for single in run[f"runs_{name}"]:
+            panel.plot(position, 1e6 * numbers(single), color=color, linewidth=0.6, alpha=0.5)
+        panel.plot(position, mean, "o-", color=color, markersize=4, label=f"mean {arrow}")
+        if np.isfinite(s).any():
+            panel.plot(position, mean - 2 * s, "--", color=color, linewidth=1, label=f"mean ± 2 s {arrow}")
+            panel.plot(position, mean + 2 * s, "--", color=color, linewidth=1)
+    panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
 
 
 def _known(value: Any) -> bool:

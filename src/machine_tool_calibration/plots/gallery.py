@@ -15,6 +15,7 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots.residuals import (
+    arrow_scale,
     axis_label,
     draw_arrows,
     draw_residuals,
@@ -94,7 +95,10 @@ def _draw_injected(injected: Injected) -> Figure:
         a, b = planes(observations.position, observations.direction)[0]
         arrow = comparison.residual[:, None] * observations.direction
         same = repeat_groups(observations)
-        draw_arrows(panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
+        scaled = arrow_scale(observations.position, arrow, same)
+        draw_arrows(
+            panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same, scaled=scaled
+        )
         panels[-1].set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     grids(figure)
     return figure

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "arrow_scale",
     "axis_label",
     "color",
     "draw_arrows",
@@ -77,7 +78,29 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
     panel.ticklabel_format(axis="x", useOffset=False)
 
 
-def draw_arrows(panel: Axes, place: Array, arrow: Array, sign: Array, same: IntArray) -> None:
+def _means(values: Array, number: IntArray) -> Array:
+    """(groups, k) means of (n, k) values by the number of their group."""
+    count = np.bincount(number)
+    return np.column_stack([np.bincount(number, column) / count for column in values.T])
+
+
+def arrow_scale(position: Array, arrow: Array, same: IntArray) -> tuple[float, float]:
+    """Extent of the places and the length of an arrow that is as long as one may be, m, for panels side by side.
+
+    Args:
+        position: (n, 3) places, m.
+        arrow: (n, 3) m.
+        same: (n,) index shared by readings that repeat each other, of which the mean is drawn.
+    """
+    means = _means(arrow, np.unique(same, return_inverse=True)[1])
+    # The scale is that of the bulk: a single outlier may leave the panel.
+    long = float(np.quantile(np.linalg.norm(means, axis=1), 0.98))
+    return max(float(np.ptp(position, axis=0).max()), 1e-6), max(long, 1e-12)
+
+
+def draw_arrows(
+    panel: Axes, place: Array, arrow: Array, sign: Array, same: IntArray, *, scaled: tuple[float, float]
+) -> None:
     """Arrows with a scale; readings that repeat each other are averaged.
 
     Args:
@@ -86,18 +109,16 @@ def draw_arrows(panel: Axes, place: Array, arrow: Array, sign: Array, same: IntA
         arrow: (n, 2) m.
         sign: (n,) positive for red, negative for blue.
         same: (n,) index shared by readings that repeat each other.
+        scaled: extent and longest arrow, as `arrow_scale` gives them.
     """
+    extent, long = scaled
     _, number = np.unique(same, return_inverse=True)
-    count = np.bincount(number)
-    place, arrow = (np.column_stack([np.bincount(number, c) / count for c in a.T]) for a in (place, arrow))
-    sign = np.asarray(np.bincount(number, sign), dtype=float)
+    place, arrow, sign = (_means(values, number) for values in (place, arrow, sign[:, None]))
+    sign = sign[:, 0]
     if len(place) > _ARROWS:
         keep = np.linspace(0, len(place) - 1, _ARROWS).astype(int)
         panel.text(0.01, 0.01, f"{_ARROWS} of {len(place)} places", transform=panel.transAxes, fontsize=8, color="0.4")
         place, arrow, sign = place[keep], arrow[keep], sign[keep]
-    extent = max(float(np.ptp(place, axis=0).max()), 1e-6)
-    # The scale is that of the bulk: a single outlier may leave the panel.
-    long = max(float(np.quantile(np.linalg.norm(arrow, axis=1), 0.98)), 1e-12)
     scale = _LENGTH * extent / long
     panel.plot(*1e3 * place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
     reach = np.clip(scale * arrow, -1.5 * _LENGTH * extent, 1.5 * _LENGTH * extent)

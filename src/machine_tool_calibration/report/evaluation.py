@@ -4,19 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from machine_tool_calibration.budget.complete import completed
 from machine_tool_calibration.budget.conformity import Conformity, conformity
-from machine_tool_calibration.budget.contributor import Contributor
+from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
-from machine_tool_calibration.diagnosis.improve import Improvement, improve
+from machine_tool_calibration.diagnosis.improve import Improvement, Step, improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
-from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.model.result import Result, map_rms
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
 from machine_tool_calibration.reports.measured import Measured
+from machine_tool_calibration.session.contributor import Contributor
 
 __all__ = ["Evaluation", "evaluate"]
 
@@ -30,7 +33,9 @@ class Evaluation:
         result: the machine's errors.
         comparisons: the model against the readings of each session.
         improvement: the diagnosis of the model, and the models with what it finds; None if it was not asked for.
-        budget: of uncertainties; None if there are no contributors.
+        conclusions: what follows from the diagnosis.
+        budget: of uncertainties, which the result and the steps state; None if there are no contributors.
+        general: whether its contributors are those of an instrument to begin with.
         conformity: with tolerances; None if there are none.
     """
 
@@ -38,7 +43,9 @@ class Evaluation:
     result: Result | JointResult
     comparisons: tuple[Comparison, ...]
     improvement: Improvement | None = None
+    conclusions: Conclusions | None = None
     budget: Budget | None = None
+    general: bool = False
     conformity: Conformity | None = None
 
     @cached_property
@@ -67,7 +74,8 @@ def evaluate(
         measured: what, and how.
         diagnosis: whether to look for what the model lacks, which takes longest.
         seed: of random draws.
-        contributors: of the uncertainty budget.
+        contributors: of the uncertainty budget; if there are none those that the sessions state, and for tolerances
+            those of their instruments to begin with.
         tolerances: by figure, as `budget.tolerances` reads them.
         progress: called with what is being done and the share that is finished.
 
@@ -77,15 +85,36 @@ def evaluate(
     progress("identifying", 0.0)
     result = identify_sessions(measured.chosen)
     held = compare(result)
-    improved = improve(measured.chosen, progress=progress) if diagnosis else None
+    improved = then = None
+    if diagnosis:
+        improved = improve(measured.chosen, progress=lambda what, share: progress(what, SEARCH * share))
+        then = conclude(improved.diagnosis, progress=progress)
     fitted = fitted_sessions(result)
     budget = None
+    general = not contributors and not all(session.description.budget for session in measured.recorded)
+    contributors = contributors or _stated(measured, decide=bool(tolerances))
     if contributors:
         progress("uncertainty budget", 0.0)
         budget = propagate(fitted, contributors, seed=seed)
+        result = completed(result, budget)
+        if improved is not None:
+            improved = replace(improved, steps=tuple(_complete(step, contributors, seed) for step in improved.steps))
     verdicts = None
     if tolerances:
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
     comparisons = (held,) if isinstance(held, Comparison) else held.sessions
-    return Evaluation(measured, result, comparisons, improved, budget, verdicts)
+    return Evaluation(measured, result, comparisons, improved, then, budget, general, verdicts)
+
+
+def _stated(measured: Measured, *, decide: bool) -> tuple[Contributor, ...]:
+    """Contributors that the sessions state, or to decide on tolerances those of their instruments to begin with."""
+    sessions = measured.recorded
+    stated = all(session.description.budget for session in sessions)
+    return known_contributors(sessions)[0] if decide or stated else ()
+
+
+def _complete(step: Step, contributors: Sequence[Contributor], seed: int) -> Step:
+    """A step whose map has the uncertainty of the budget."""
+    result = completed(step.result, propagate(fitted_sessions(step.result), contributors, seed=seed))
+    return replace(step, result=result, map_uncertainty=map_rms(result.error_map.uncertainty))

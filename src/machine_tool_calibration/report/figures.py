@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from textwrap import wrap
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.plots.compare import chosen_covariates, draw_against, draw_map, draw_setups
+from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.pictures import common_figures, figures
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -24,14 +25,14 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "translated"]
+__all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "standard_pictures", "translated"]
 
 # Width of a picture, inches, of which two stand side by side.
 _NARROW = 5.0
 # Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.
 _WIDEST, _LOWEST = 9.5, 0.8
 # Dots of an inch on paper.
-_DPI = 220
+_DPI = 150
 # Panels of residuals over covariates.
 _PANELS = 4
 
@@ -104,8 +105,10 @@ def _translate(figure: Figure, words: Words) -> None:
         text.set_text(words.phrase(text.get_text()))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         # Names of places are written anew whenever the figure is drawn.
-        if isinstance(axis.get_major_locator(), FixedLocator):
-            axis.set_ticklabels([words.phrase(label.get_text()) for label in axis.get_majorticklabels()])
+        said = [label.get_text() for label in axis.get_majorticklabels()]
+        # Of panels that share an axis one alone has them.
+        if isinstance(axis.get_major_locator(), FixedLocator) and any(said):
+            axis.set_ticklabels([words.phrase(text) for text in said])
 
 
 def _wrap_titles(figure: Figure) -> None:
@@ -119,17 +122,23 @@ def _wrap_titles(figure: Figure) -> None:
 
 
 def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
-    """The map and what the method draws besides; runs by ISO 230-2."""
+    """The map and what the method draws besides."""
     sessions = found.measured.recorded
     drawn = figures(sessions[0], found.document) if len(sessions) == 1 else common_figures(found.document)
     for name, figure in drawn.items():
         if name == "error_motions":  # one by one in motion_pictures
             continue
-        if name.startswith("iso230_2_"):
-            caption = words("figure_iso230_2", setup=name.removeprefix("iso230_2_"))
-        else:
-            caption = words(f"figure_{name}" if f"figure_{name}" in words.texts else "figure")
+        if name.startswith("iso230_"):  # with the figures of the standard
+            continue
+        caption = words(f"figure_{name}" if f"figure_{name}" in words.texts else "figure")
         yield translated(name, caption, figure, words)
+
+
+def standard_pictures(content: Mapping[str, Any], standard: str, words: Words) -> Iterator[Picture]:
+    """Runs by ISO 230-2, or the diagonals of ISO 230-6: `standard` is the entry of the error map's content."""
+    for name, figure in standard_figures(content).items():
+        if name.startswith(standard):
+            yield translated(name, words(f"figure_{standard}", setup=name.removeprefix(f"{standard}_")), figure, words)
 
 
 def motion_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +21,17 @@ if TYPE_CHECKING:
 
 __all__ = ["check_endings", "html", "save_pictures", "write_report"]
 
+# Control characters, which no text needs and a terminal obeys, become the sign for one that cannot be shown.
+_UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0)} - {0x09, 0x0A, 0x0D}, "\ufffd")
 
-def write_report(found: Evaluation, words: Words, files: Sequence[Path], figures: Path | None = None) -> list[Path]:
+
+def write_report(
+    found: Evaluation,
+    words: Words,
+    files: Sequence[Path],
+    figures: Path | None = None,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[Path]:
     """Write a report.
 
     Args:
@@ -30,6 +39,7 @@ def write_report(found: Evaluation, words: Words, files: Sequence[Path], figures
         words: of its language.
         files: each by its ending an HTML page or a PDF.
         figures: folder for the pictures as SVG files of their own.
+        progress: called with what is being done and the share that is finished.
 
     Returns:
         The files.
@@ -38,9 +48,11 @@ def write_report(found: Evaluation, words: Words, files: Sequence[Path], figures
         CalibrationError: another ending, a file that cannot be written, or no Pango for PDF.
     """
     check_endings(files)
+    progress("drawing", 0.0)
     content = sections(found, words)
     try:
-        for file in files:
+        for k, file in enumerate(files, start=1):
+            progress(f"writing {file.name}", k / (len(files) + 1))
             file.parent.mkdir(parents=True, exist_ok=True)
             if file.suffix.lower() == ".pdf":
                 file.write_bytes(_pdf(html(found, content, words, for_paper=True)))
@@ -80,8 +92,10 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
     origin = found.result.provenance
     drawings = [block.drawing for section in content for block in section.blocks if isinstance(block, Turnable)]
     interactive = bool(drawings) and not for_paper
+    if for_paper:  # where nothing can be turned
+        content = [own for own in content if not all(isinstance(block, Turnable) for block in own.blocks)]
     machines = [name_of_machine(one.about) for one in origin.sessions]
-    return environment.get_template("report.html").render(
+    page = environment.get_template("report.html").render(
         words=words,
         sections=content,
         origin=origin,
@@ -93,6 +107,7 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         drawings=json.dumps(drawings).replace("</", "<\\/") if interactive else "",
         library=library() if interactive else "",
     )
+    return page.translate(_UNPRINTABLE)
 
 
 def _numbers(table: TextTable) -> list[int]:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -20,25 +19,30 @@ from machine_tool_calibration.report.figures import (
     map_pictures,
     motion_pictures,
     residual_pictures,
+    standard_pictures,
     translated,
 )
 from machine_tool_calibration.report.turnable import turnable
 from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.budget import budget_tables
-from machine_tool_calibration.reports.conformity import conformity_table
-from machine_tool_calibration.reports.diagnosis_document import screened_sizes
+from machine_tool_calibration.reports.conformity import conformity_table, decision_words
+from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.direct_deviations import direct_tables
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.identification import (
     datum_words,
+    goodness_of_fit,
     group_by_reason,
-    motion_row,
     readings_set_aside,
     summary_rows,
 )
 from machine_tool_calibration.reports.information import setup_place
 from machine_tool_calibration.reports.quantities import (
+    NOT_DETERMINED,
+    decimals,
+    fixed,
     micrometres,
-    p_value,
+    plus_minus,
     probability,
     quantity,
     rounded,
@@ -46,18 +50,19 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.signs import negative_words
+from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.reports.verdict import good_enough, left_words
+from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
 
 __all__ = ["Section", "Turnable", "sections"]
 
-# p-values at which the fit is called bad, nearly good, or too good.
-_BAD, _NEARLY, _TOO_GOOD = 1e-3, 0.05, 1 - 1e-3
-# Candidates and setups that are listed.
-_CANDIDATES, _SETUPS = 8, 20
+# Setups that are listed.
+_SETUPS = 20
+# Between two sentences.
+_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
 _ENVIRONMENT = ("temperature", "air_pressure", "relative_humidity")
 
 
@@ -93,6 +98,7 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
     parts = {
         "summary": _summary(found, words),
         "measurement": _measurement(found, words),
+        **{name: _standard(found, name, words) for name in STANDARDS},
         "map": _map(found, words),
         "motions": _motions(found, words),
         "reproducibility": _reproducibility(found, words),
@@ -128,12 +134,20 @@ def _translated(block: str | TextTable | Picture | Turnable, words: Words) -> st
 
 def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     document = found.document
-    ratio, p = document["reduced_chi_square"], document["p_value"]
-    if ratio is not None and p is not None:
-        fit = "bad" if p < _BAD else "nearly" if p < _NEARLY else "small" if p > _TOO_GOOD else "good"
-        yield words(f"fit_{fit}", ratio=rounded(ratio**0.5), p=p_value(p))
-    rows = summary_rows({**document, "not_determined": []})
-    yield TextTable("", ("", ""), tuple(rows))
+    if "agreement" in document:
+        yield words.phrase(document["agreement"]["statement"])
+    if found.conformity is not None:
+        yield words.phrase(decision_words(found.conformity))
+    yield words.phrase(goodness_of_fit(document))
+    if fits(document["p_value"]) == "bad" and "one_direction" not in (document["error_map"].get("scatter") or {}):
+        yield words("only_if_right")
+    complete = "u_is_general" if found.general else "u_is_complete"
+    yield words(complete if document["uncertainty"] == "budget" else "u_is_incomplete")
+    yield words("model_is", model=", ".join([words.phrase(found.result.model_name), *document["effects"]]))
+    yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
+    if document["effects"]:
+        yield _effects(found, words)
+        yield from map(words.phrase, negative_words(found.result.joint, document["effects"]))
     for text in document["suspicious"]:
         yield words("suspicious", what=words.phrase(text))
 
@@ -201,28 +215,29 @@ def _environment(session: Session, words: Words) -> TextTable:
 
 
 def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture | Turnable]:
-    document = found.document
-    yield words("model_is", model=", ".join([words.phrase(found.result.model_name), *document["effects"]]))
-    if document["effects"]:
-        yield _effects(found, words)
-        yield from map(words.phrase, negative_words(found.result.joint, document["effects"]))
-    if "agreement" in document:
-        yield words.phrase(document["agreement"]["statement"])
     yield from map_pictures(found, words)
     drawing = turnable(found.result, words)
     if drawing is not None:
         yield Turnable(drawing)
-    for part in direct_tables(document["error_map"]):
-        if isinstance(part, str):
-            yield words.phrase(part)
-        else:
-            yield part
+    for part in direct_tables(found.document["error_map"]):
+        yield words.phrase(part) if isinstance(part, str) else part
+
+
+def _standard(found: Evaluation, name: str, words: Words) -> Iterator[str | TextTable | Picture]:
+    """Figures of a standard and its plot, of ISO 230-2 one run after the other."""
+    content = found.document["error_map"]
+    entry = content.get(name) or ()
+    for one in [[run] for run in entry] if name == "iso230_2" else [entry]:
+        own = {**content, name: one}
+        for part in standard_tables(own, name):
+            yield words.phrase(part) if isinstance(part, str) else part
+        yield from standard_pictures(own, name, words)
 
 
 def _effects(found: Evaluation, words: Words) -> TextTable:
     """Effects in the model, with what was found of them."""
     rows = [
-        (_title(name, found, words), name, sizes_in_words(effect_estimates(found.result.joint, [name])))
+        (_title(name, found, words), name, sizes_in_words([p for p in found.result.parameters if p.owner == name]))
         for name in found.document["effects"]
     ]
     return TextTable(words("effects_in_model"), (words("effect"), "id", words("size_u")), tuple(rows))
@@ -235,23 +250,15 @@ def _title(name: str, found: Evaluation, words: Words) -> str:
 def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
     table = error_motions(found.result)
     known = table[table["determined"].astype(bool)]
-    rows, single = [], []
-    for name, own in known.groupby("motion", sort=False):
-        unit = "µrad" if own["unit"].iloc[0] == "rad" else "µm"
-        if own["position"].notna().all():
-            count = int((table["motion"] == name).sum())
-            rows.append(motion_row(str(name), own["value"].to_numpy(), own["u"].to_numpy(), count, own["unit"].iloc[0]))
-        else:
-            single.append(
-                (str(name), micrometres(float(own["value"].iloc[0])), micrometres(2 * float(own["u"].iloc[0])), unit)
-            )
+    single = tuple(
+        (str(row["motion"]), plus_minus(row["value"], row["u"], 1e6), f"µ{row['unit']}")
+        for row in known[known["position"].isna()].to_dict("records")
+    )
     if not len(table):
         yield words("no_motions")
-    heads = (words("motion"), words("values"), words("smallest"), words("largest"), words("u_at_most"), words("unit"))
-    if rows:
-        yield TextTable(words("motions"), heads, tuple(rows))
+    yield from value_tables(found.result)
     if single:
-        yield TextTable(words("squareness"), ("", words("value"), "U (k = 2)", words("unit")), tuple(single))
+        yield TextTable(words("squareness"), ("", words("value_u"), words("unit")), single)
     yield from motion_pictures(found, words)
 
 
@@ -287,49 +294,29 @@ def _residuals(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pi
 
 
 def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
-    if found.improvement is None:
+    """As `mtcal diagnose` tells it."""
+    if found.improvement is None or found.conclusions is None:
         return
-    diagnosis = found.improvement.diagnosis
-    named = ", ".join(f"{_title(name, found, words)} ({name})" for name in diagnosis.accepted)
-    small = "_good_enough" if good_enough(diagnosis) else ""
-    yield words(f"verdict_{diagnosis.verdict}{small}", effects=named, count=len(diagnosis.outliers))
-    yield from map(words.phrase, left_words(diagnosis))
-    yield from map(words.phrase, negative_words(diagnosis.fits[-1], diagnosis.accepted))
-    ranked = [one for one in diagnosis.ranked if one.rank][:_CANDIDATES]
-    rows = tuple(
-        (
-            _title(one.name, found, words),
-            one.name,
-            probability(one.probability),
-            sizes_in_words(screened_sizes(one)),
-        )
-        for one in ranked
-    )
-    heads = (words("effect"), "id", words("probability"), words("size_u"))
-    yield TextTable(words("candidates"), heads, rows, words("candidates_note"))
-    left = tuple(
-        (words.phrase(s.covariate), words.phrase(s.shape), probability(s.p_value), f"{100 * s.share:.0f} %")
-        for s in diagnosis.search.left[:_CANDIDATES]
-    )
-    heads = (words("covariate"), words("shape"), words("p_value"), words("share"))
-    if left:
-        yield TextTable(words("still_depends"), heads, left)
+    told = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
+    for paragraph in told.words:
+        yield " ".join(map(words.phrase, _SENTENCES.split(paragraph)))
+    yield from told.tables
 
 
 def _improvement(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
-    heads = (words("step"), words("residual_um"), "χ²/ν", words("map_um"), words("map_u_um"))
+    heads = (words("step"), words("readings"), words("residual_um"), "χ²/ν", words("map_um"), words("map_u_um"))
     if found.measured.history:
         rows = [
-            (f"{entry.number}: {_change(entry.change, words)}", entry.rms_residual, entry.reduced_chi_square,
-             entry.map_rms, entry.map_uncertainty_rms)
+            (f"{entry.number}: {_change(entry.change, words)}", entry.used, entry.rms_residual,
+             entry.reduced_chi_square, entry.map_rms, None if found.budget else entry.map_uncertainty_rms)
             for entry in found.measured.history
         ]  # fmt: skip
         yield TextTable(words("steps_history"), heads, tuple(map(_step, rows)))
     done = found.improvement
     if done is not None and len(done.steps) > 1:
         rows = [
-            (_change(step.change, words), step.result.rms_residual, step.reduced_chi_square, step.map_rms,
-             step.map_uncertainty)
+            (_change(step.change, words), step.result.joint.assembly.problem.n_readings, step.result.rms_residual,
+             step.reduced_chi_square, step.map_rms, step.map_uncertainty)
             for step in done.steps
         ]  # fmt: skip
         yield TextTable(words("steps"), heads, tuple(map(_step, rows)))
@@ -340,15 +327,16 @@ def _change(change: str, words: Words) -> str:
     return words.phrase(change) if change else words("first_model")
 
 
-def _step(row: tuple[str, float, float | None, float | None, float | None]) -> tuple[str, ...]:
-    name, residual, chi, size, u = row
-    return (
-        name,
-        micrometres(residual),
-        rounded(chi),
-        micrometres(size),
-        micrometres(None if u is None else 2 * u),
-    )
+def _step(row: tuple[str, int, float, float | None, float | None, float | None]) -> tuple[str, ...]:
+    name, readings, residual, chi, size, u = row
+    error, expanded = (micrometres(size), NOT_DETERMINED) if u is None or size is None else _with_digits(size, 2 * u)
+    return (name, str(readings), micrometres(residual), rounded(chi), error, expanded)
+
+
+def _with_digits(size: float, expanded: float) -> tuple[str, str]:
+    """An error and its expanded uncertainty in µm, with as many decimals as leave this two figures."""
+    places = decimals(1e6 * expanded) if expanded > 0.0 else 3
+    return fixed(1e6 * size, places), fixed(1e6 * expanded, places)
 
 
 def _budget(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
@@ -360,8 +348,8 @@ def _budget(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pictu
 
 def _conformity(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     if found.conformity is not None:
+        yield words.phrase(decision_words(found.conformity))
         yield conformity_table(found.conformity)
-        yield words("all_together", decision=words.phrase(found.conformity.decision))
 
 
 def _undetermined(found: Evaluation, words: Words) -> Iterator[str | TextTable]:

@@ -31,6 +31,8 @@ _ENTERS = {
 }
 _VARIES = {"angle": "beam direction", "never": "none"}
 _LEAST_NAMED = 1.0  # %
+# Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
+_USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")
 # Degrees of freedom above which k is 2 to three figures.
 _MANY = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
@@ -40,7 +42,7 @@ _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 def default_names(budget: Budget) -> list[str]:
     """Quantities that are told if none is asked for: position error, error motions, squareness, ISO 230-2."""
     usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
-    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name)]
+    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name) in _USUAL]
     return sorted(names, key=lambda name: name != POSITION_ERROR)
 
 
@@ -61,7 +63,8 @@ def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
 def sum_title(one: Sum) -> str:
     """Name of a column: the quantity, which of its numbers, and the unit."""
     which = ", RMS" if one.index is None else ", largest" if one.quantity.count > 1 else ""
-    return f"{_quantity_name(one)}{which} / {_unit(one)[1]}"
+    name = "position error per axis" if one.quantity.name == POSITION_ERROR else one.quantity.name
+    return f"{name}{which} / {_unit(one)[1]}"
 
 
 def _quantity_name(one: Sum) -> str:
@@ -140,7 +143,7 @@ def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         ("effective degrees of freedom", *(_freedom(one.degrees_of_freedom) for one in sums)),
         ("coverage factor k (95.45 %)", *(f"{one.k:.2f}" for one in sums)),
         ("expanded uncertainty U = k u", *(_shown(one, one.expanded) for one in sums)),
-        ("U that the readings show (k = 2)", *(_shown(one, 2.0 * one.stated) for one in sums)),
+        ("u that the readings show", *(_shown(one, one.stated) for one in sums)),
     ]
     return TextTable(
         "what they contribute: standard uncertainty, and its square's share of the sum of squares",
@@ -184,13 +187,13 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
                 _shown(one, one.u).strip(),
                 f"{one.k:.2f}",
                 _shown(one, one.expanded).strip(),
-                _shown(one, 2.0 * one.stated).strip(),
+                _shown(one, one.stated).strip(),
                 most,
             )
         )
     return TextTable(
-        "further quantities (U of the readings: what the identification states, k = 2)",
-        ("quantity", "u", "k", "U", "U of the readings", "most from"),
+        "further quantities (u of the readings: what these show, without instrument and temperature)",
+        ("quantity", "u", "k", "U", "u of the readings", "most from"),
         tuple(rows),
     )
 
@@ -222,6 +225,12 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
     places = [f"{_quantity_name(one)} {one.where}" for one in sums if one.where and one.index is not None]
     if places:
         yield f"Largest: {'; '.join(places)}."
+    more = list(dict.fromkeys(_quantity_name(one) for one in sums if one.stated > one.expanded / 2.0))
+    if more:
+        yield (
+            f"The readings show more than these contributors give to {', '.join(more)}: results and verdicts state U "
+            "= 2 u of the readings there."
+        )
     taken = [line.name for line in budget.lines if line.how == "draws"]
     if taken:
         yield (

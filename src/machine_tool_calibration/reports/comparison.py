@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
-__all__ = ["comparison_columns", "comparison_document", "in_words"]
+__all__ = ["comparison_columns", "comparison_document", "in_words", "stand_out"]
 
 
-# p-values at which the fit is called worse, or better, than declared, and repeats speak against the model.
-_LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
-# p-value below which it fits only nearly.
-_NEARLY = 0.05
+# p-value at which repeats speak against the model.
+_LACK = 0.003
 # Share of the misfit that repeats must show to be called as large.
 _NOISE = 0.7
 # How much worse than all readings together a setup must be to be named.
@@ -33,15 +32,16 @@ def in_words(comparison: Comparison | JointComparison) -> str:
 def _own_in_words(comparison: Comparison) -> str:
     overall = comparison.overall
     ratio, p, declared = overall.ratio, overall.p_value, quantity(overall.noise.declared, "m")
-    if p > _TOO_GOOD:
+    how = fits(p)
+    if how == "too well":
         first = f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large"
-    elif p >= _LEVEL:
-        nearly = "nearly " if p < _NEARLY else ""
+    elif how != "bad":
+        nearly = "nearly " if how == "nearly" else ""
         first = f"the model fits {nearly}within the declared uncertainty ({declared}; {p_value(p)})"
     else:
         first = f"the readings scatter {rounded(ratio)} times the declared uncertainty; {_where(comparison)}"
-    apart = _stand_out(len(comparison.outliers))
-    cause = " What the cause is, `mtcal diagnose` says." if p < _LEVEL else ""
+    apart = f" {stand_out(len(comparison.outliers))}." if comparison.outliers else ""
+    cause = " What the cause is, a diagnosis says." if how == "bad" else ""
     return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
 
 
@@ -49,11 +49,13 @@ def _joint_in_words(comparison: JointComparison) -> str:
     """Whether the common model fits all sessions, and if not, which it fits worst."""
     joint = comparison.joint
     ratio, p = joint.reduced_chi_square**0.5, joint.p_value
-    apart = _stand_out(sum(len(one.outliers) for one in comparison.sessions))
-    if p > _TOO_GOOD:
+    count = sum(len(one.outliers) for one in comparison.sessions)
+    apart = f" {stand_out(count)}." if count else ""
+    how = fits(p)
+    if how == "too well":
         return f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large.{apart}"
-    if p >= _LEVEL:
-        nearly = "nearly " if p < _NEARLY else ""
+    if how != "bad":
+        nearly = "nearly " if how == "nearly" else ""
         return f"the model fits all sessions {nearly}within the declared uncertainty ({p_value(p)}).{apart}"
     label, worst = comparison.parts[0]
     where = "the same in all sessions"
@@ -61,7 +63,7 @@ def _joint_in_words(comparison: JointComparison) -> str:
         where = f"worst is session {label} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)"
     return (
         f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}.{apart} Whether the sessions "
-        "contradict each other, `mtcal identify` says."
+        "contradict each other, the result of all together says."
     )
 
 
@@ -85,7 +87,7 @@ def _repeats(overall: Overall, apart: bool) -> str:
     lack = noise.lack_of_fit_p
     if lack is not None and lack < _LACK:
         return f"{scatter}, and places differ by more than that: the model lacks something, or setups do not reproduce."
-    if overall.p_value >= _LEVEL or apart:
+    if fits(overall.p_value) != "bad" or apart:
         return f"{scatter}."
     if noise.from_repeats < _NOISE * overall.ratio * noise.declared:
         return (
@@ -97,10 +99,9 @@ def _repeats(overall: Overall, apart: bool) -> str:
     )
 
 
-def _stand_out(count: int) -> str:
-    if not count:
-        return ""
-    return f" {count} reading{'s do' if count > 1 else ' does'} not belong to the rest: `mtcal identify` names them."
+def stand_out(count: int) -> str:
+    """That so many readings do not belong to the rest."""
+    return f"{count} reading{'s do' if count > 1 else ' does'} not belong to the rest"
 
 
 def comparison_document(comparison: Comparison | JointComparison) -> dict[str, Any]:

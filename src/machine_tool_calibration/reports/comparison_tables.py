@@ -120,7 +120,7 @@ def _note(comparison: Comparison, shown: list[list[Trend]]) -> str:
         notes.append(f"fully correlated with the model's own unknowns: {', '.join(hidden)}")
     notes.append(
         f"{tried} tried: the smallest of so many p-values is about {1 / (tried + 1):.1g} where the model is right; "
-        "`mtcal diagnose` allows for that"
+        "a diagnosis allows for that"
     )
     return "; ".join(notes)
 
@@ -193,10 +193,14 @@ def _overall(comparison: Comparison) -> TextTable:
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{rounded(overall.reduced_chi_square)}, {overall.degrees_of_freedom} degrees of freedom",
         ),
-        ("p-value of the fit", probability(overall.p_value)),
+        (
+            "p-value of the fit: chance of as much scatter about a right model with the declared uncertainty",
+            probability(overall.p_value),
+        ),
     ]
     if overall.noise.lack_of_fit_p is not None:
-        rows.append(("p-value of the lack of fit", probability(overall.noise.lack_of_fit_p)))
+        asked = "p-value of the lack of fit: chance that places differ so much more than repeats at one place do"
+        rows.append((asked, probability(overall.noise.lack_of_fit_p)))
     note = "every ± below is an expanded uncertainty (k = 2)"
     return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.budget.conformity import Conformity, Verdict
+from machine_tool_calibration.budget.conformity import INCOMPLETE, VOLUMETRIC, Conformity, Verdict
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, quantity
 from machine_tool_calibration.reports.tables import TextTable, show_table
@@ -14,7 +15,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["conformity_document", "conformity_table", "show_conformity"]
+__all__ = ["conformity_document", "conformity_table", "decision_words", "show_conformity"]
 
 _RULES = {
     "guarded": "pass and fail with a probability of {level} each, else undecided (ISO 14253-1)",
@@ -26,9 +27,14 @@ _RULES = {
 
 def show_conformity(screen: Console, found: Conformity) -> None:
     """Print the verdicts."""
+    screen.print(decision_words(found))
     show_table(screen, conformity_table(found))
-    screen.print()
-    screen.print(f"All together: {found.decision}.")
+
+
+def decision_words(found: Conformity) -> str:
+    """Of all tolerances together, in a sentence."""
+    why = "" if found.uncertainty == "budget" else f": {INCOMPLETE}"
+    return f"All together: {found.decision}{why}."
 
 
 def conformity_table(found: Conformity) -> TextTable:
@@ -39,20 +45,29 @@ def conformity_table(found: Conformity) -> TextTable:
         f"conformity: {rule}",
         ("figure", "tolerance", "measured ± U (k = 2)", "probability", "decision", "why"),
         tuple(rows),
-        f"U of the {found.uncertainty}; probability that the true value lies within the tolerance",
+        "U by the budget; probability that the true value lies within the tolerance"
+        if found.uncertainty == "budget"
+        else f"nothing passes or fails: {INCOMPLETE}",
     )
 
 
 def _row(verdict: Verdict) -> tuple[str, ...]:
     measured = quantity(verdict.value, verdict.unit, verdict.u) if math.isfinite(verdict.value) else NOT_DETERMINED
     return (
-        verdict.name,
+        f"{verdict.name}{_kind(verdict.name)}",
         quantity(verdict.tolerance, verdict.unit),
         measured,
         _percent(verdict.probability),
         verdict.decision,
         verdict.why,
     )
+
+
+def _kind(name: str) -> str:
+    """What of a name a tolerance is for, which is not its values along the axis."""
+    if name in ERROR_MOTIONS:
+        return ", range" if parse_motion(name).is_rotation or name[1] == name[2] else ", about its straight line"
+    return " error, largest" if name == VOLUMETRIC else ""
 
 
 def _percent(probability: float) -> str:

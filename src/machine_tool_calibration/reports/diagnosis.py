@@ -27,8 +27,9 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
-from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,11 +45,14 @@ __all__ = [
 
 
 def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed."""
+    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
+
+    In shares: what U is, the map says, and the sizes assumed here are no part of that.
+    """
     if found.cause == "readings":
         yield (
-            f"the readings' own scatter dominates the map's uncertainty, U = {quantity(2 * found.uncertainty, 'm')} "
-            f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats help"
+            f"the readings' own scatter dominates the map's uncertainty: {100 * found.shares['readings']:.0f} % of its "
+            "variance; more repeats help"
         )
         return
     share = f"{100 * found.shares[found.cause]:.0f} % of its variance"
@@ -56,14 +60,13 @@ def dominant_words(found: Dominant) -> Iterator[str]:
     if found.cause == "time":
         assumed = f"a drift of {quantity(found.drift, 'm/s')}"
     yield (
-        f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty, "
-        f"U = {quantity(2 * found.uncertainty, 'm')} (k = 2) on the average: {share}, for {assumed}"
+        f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty: {share}, for {assumed}"
     )
     for remedy in found.remedies:
         besides = f", and {remedy.aside}" if remedy.aside else ""
         time = f" ({duration(remedy.seconds)}{besides})" if remedy.seconds is not None else ""
-        again = "" if found.again is None else f"; the same once more: {quantity(2 * found.again, 'm')}"
-        yield f"  {remedy.measure}{time}: U = {quantity(2 * remedy.uncertainty, 'm')}{again}"
+        again = "" if found.again is None else f", the same once more {100 * found.again / found.uncertainty:.0f} %"
+        yield f"  {remedy.measure}{time} leaves {100 * remedy.uncertainty / found.uncertainty:.0f} % of U{again}"
     if not found.remedies:
         yield "  none of the further measurements that were considered does clearly better than the same once more"
 
@@ -110,7 +113,7 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
-    known, surface = _effects(diagnosis), diagnosis.chosen.sessions[0].spec.probes_surface
+    known, surface = _effects(diagnosis), spec_of(diagnosis.chosen.sessions[0]).probes_surface
     return [a for a in diagnosis.search.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
 
 
@@ -129,7 +132,7 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
     if absorbed.effect in absorbed.families:
         return "unknowns of this model themselves"
     chosen = [unknown for unknown in absorbed.by if unknown.in_map or not of_map]
-    if chosen == [POINTS] and diagnosis.chosen.sessions[0].spec.probes_surface:
+    if chosen == [POINTS] and spec_of(diagnosis.chosen.sessions[0]).probes_surface:
         return "form of the workpiece: each probed point has an error of its own"
     return unknowns_in_words(chosen) or "the model"
 
@@ -140,6 +143,7 @@ def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
 
 
 _SHOWN = 8
+_FEW = 3
 _MANY = 3
 
 
@@ -150,10 +154,14 @@ class Report:
     Attributes:
         words: paragraphs, the verdict first.
         tables: the numbers; empty ones are left out.
+        forecast: sentences on what dominates the map's uncertainty, and what makes it smaller.
+        details: what to measure next, what this measurement could not show, and what was not looked for.
     """
 
     words: tuple[str, ...]
     tables: tuple[TextTable, ...]
+    forecast: tuple[str, ...]
+    details: tuple[TextTable, ...]
 
 
 def diagnosis_report(
@@ -172,6 +180,8 @@ def diagnosis_report(
         _coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
+    ]
+    details = [
         _confounded(diagnosis, advice),
         _next(advice),
         _hidden_table(diagnosis),
@@ -179,10 +189,13 @@ def diagnosis_report(
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
-    words = list(verdict_words(diagnosis, changes, advice))
-    if advice.dominant is not None and advice.dominant.cause != "readings":
-        words += dominant_words(advice.dominant)
-    return Report(tuple(words), tuple(table for table in tables if table.rows))
+    dominant = advice.dominant
+    return Report(
+        words=tuple(verdict_words(diagnosis, changes, advice)),
+        tables=tuple(table for table in tables if table.rows),
+        forecast=() if dominant is None or dominant.cause == "readings" else tuple(dominant_words(dominant)),
+        details=tuple(table for table in details if table.rows),
+    )
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
@@ -306,8 +319,7 @@ def _detectable(diagnosis: Diagnosis) -> TextTable:
             rows.append((found.name, *_smallest(found, sizes)))
     rows.sort()
     title = "Smallest size that this measurement would have found (80 % power)"
-    note = "what each coefficient is, `mtcal effects ID` says" if rows else ""
-    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows), note)
+    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows))
 
 
 def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, str]:
@@ -334,17 +346,52 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     return TextTable("Effects that were not looked for", ("effect", "why"), rows)
 
 
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN) -> None:
-    """In words first, then the tables.
+def show_diagnosis(
+    screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN, *, details: bool = False
+) -> None:
+    """The verdict, the effects and the next step; with details all words and all tables.
 
     Args:
         screen: where.
         found: the diagnosis.
         then: what follows from it.
-        shown: how many candidates beside the accepted ones; 0 for all.
+        shown: of the details, how many candidates beside the accepted ones; 0 for all.
+        details: whether they are wanted.
     """
+    if not details:
+        for paragraph in verdict_words(found, then.changes, then.advice, brief=True):
+            screen.print(paragraph)
+        show_table(screen, _brief(found, then.changes))
+        screen.print(next_step(found, then.advice))
+        screen.print(
+            "--details: how sure, what is confounded or would not show, smallest sizes, all that was looked for"
+        )
+        return
     report = diagnosis_report(found, then.advice, then.changes, shown)
-    for paragraph in report.words:
-        screen.print(paragraph, markup=False)
-    for table in report.tables:
+    for paragraph in (*report.words, *report.forecast):
+        screen.print(paragraph)
+    for table in (*report.tables, *report.details):
         show_table(screen, table)
+
+
+def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
+    """The effects found and what may be there instead, or the most probable ones where none is sure."""
+    ranked = [finding for finding in diagnosis.ranked if finding.rank]
+    own = [finding for finding in ranked if finding.name in diagnosis.accepted]
+    others = [finding for finding in ranked if finding not in own][:_FEW]
+    likely = [finding for finding in others if finding.probability > AS_GOOD]
+    rows = tuple(_sized(diagnosis, finding, changes) for finding in ([*own, *likely] if own else others))
+    title = "Found (✓), and what else is probable" if likely else "Found"
+    return TextTable(
+        title if own else "Looked for, the most probable first",
+        ("effect", "probability", "size ± U (k = 2)", "residual then / µm"),
+        rows,
+    )
+
+
+def _sized(diagnosis: Diagnosis, finding: Finding, changes: Mapping[str, Consequence]) -> tuple[str, ...]:
+    change = changes.get(finding.name)
+    sizes = sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
+    _, after = before_and_after(diagnosis, finding, changes)
+    name = f"{'✓ ' if finding.name in diagnosis.accepted else ''}{finding.name}"
+    return name, probability(finding.probability), sizes, micrometres(after)

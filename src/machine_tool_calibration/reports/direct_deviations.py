@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deviations that were read directly: the steps of the model, and the figures of ISO 230-2."""
+"""Deviations that were read directly: their scatter, and the steps of the model of a plate."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
 
@@ -13,19 +14,6 @@ __all__ = ["direct_tables", "scatter_words"]
 
 # p-value below which a step or a parameter counts as significant.
 _SIGNIFICANT = 0.01
-# p-value of the fit below which the readings do not lie within their declared uncertainty.
-_MISFIT = 1e-3
-# Runs in each direction that ISO 230-2:2014 asks for.
-_RUNS = 5
-# Figures of ISO 230-2:2014 in the order of a test report; up and down, then both.
-_FIGURES = (
-    ("B", "reversal error B", ("", "", "B")),
-    ("B_mean", "mean reversal error", ("", "", "B_mean")),
-    ("R", "repeatability R", ("R_up", "R_down", "R")),
-    ("E", "systematic deviation E", ("E_up", "E_down", "E")),
-    ("M", "mean deviation, range M", ("", "", "M")),
-    ("A", "accuracy A", ("A_up", "A_down", "A")),
-)
 
 
 def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
@@ -36,13 +24,19 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
     found, declared = scatter["found"], scatter["declared"]
     both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
     more = f"The readings scatter {rounded(found / declared)} times their declared uncertainty about the model ({both})"
-    ask = "Whether something is missing in the model, `mtcal diagnose` says."
+    if fits(p_value) == "bad" and fits(scatter.get("one_direction_p_value", 0.0)) != "bad":
+        alone = f"{quantity(scatter['one_direction'], 'm')}, declared {quantity(declared, 'm')}"
+        return (
+            f"The readings of one direction agree within their declared uncertainty (scatter {alone}); both directions "
+            "differ by the reversal error, which is part of the result (ISO 230-2). Uncertainties of the map contain "
+            "it, as the map has one value for both."
+        )
     if scatter["uncertainties_from"] == "scatter":
-        return f"{more}: standard uncertainties use the scatter. {ask}"
-    if p_value is not None and p_value < _MISFIT:
+        return f"{more}: standard uncertainties use the scatter."
+    if fits(p_value) == "bad":
         # What differs from run to run takes it up, so that the scatter beside that is as declared.
-        return f"{more}: runs differ among themselves, which standard uncertainties contain. {ask}"
-    if p_value is not None and p_value > 1 - _MISFIT:
+        return f"{more}: runs differ among themselves, which standard uncertainties contain."
+    if fits(p_value) == "too well":
         return (
             f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
             f"declared; from the scatter alone they would be {rounded(found / declared)} times as large."
@@ -56,8 +50,6 @@ def direct_tables(content: Mapping[str, Any]) -> Iterator[TextTable | str]:
     if plate:
         yield _plate_table(plate)
         yield from _plate_words(plate)
-    for run in content.get("iso230_2") or ():
-        yield _run_table(run)
 
 
 def _plate_table(plate: Mapping[str, Any]) -> TextTable:
@@ -95,26 +87,6 @@ def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
         fell = steps[2]["scatter"] - steps[3]["scatter"]
         words.append(f"Curves beyond that are {more}" + (f" (they take {quantity(fell, 'm')})." if fell > 0 else "."))
     yield " ".join(words)
-
-
-def _run_table(run: Mapping[str, Any]) -> TextTable:
-    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
-    rows = []
-    for key, title, names in _FIGURES:
-        texts = [micrometres(run.get(name)) if name else "" for name in names]
-        if any(text not in ("", "–") for text in texts):
-            rows.append((title, *texts, micrometres(run.get(f"{key}_U"))))
-    title = (
-        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
-        f"{counts[1]} down (µm)"
-    )
-    notes = [run["note"].removesuffix(".")] if run.get("note") else []
-    if min(counts) < _RUNS:
-        notes.append(
-            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
-            + ("repeatability and accuracy are not determined" if max(counts) < 2 else "repeatability is uncertain")
-        )
-    return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
 
 
 def _is(parameter: Mapping[str, Any]) -> bool:

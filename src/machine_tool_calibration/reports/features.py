@@ -33,7 +33,7 @@ def show_features(screen: Console, found: Features, drawn: MonteCarlo | None) ->
     """Print the features, their frame, and what gives none."""
     show_table(screen, _features_table(found, drawn))
     for name, why in found.left_out.items():
-        screen.print(f"Not a feature: {name}: {why}.", markup=False)
+        screen.print(f"Not a feature: {name}: {why}.")
 
 
 def _features_table(found: Features, drawn: MonteCarlo | None) -> TextTable:

@@ -3,21 +3,19 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (
-    NOT_DETERMINED,
-    decimals,
+    as_exact,
     declared_words,
-    fixed,
     micrometres,
     not_ruled_out,
     p_value,
@@ -27,21 +25,24 @@ from machine_tool_calibration.reports.quantities import (
     value_and_uncertainties,
 )
 from machine_tool_calibration.reports.signs import negative_words
+from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
+from machine_tool_calibration.reports.values import value_tables
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.fit import JointFit
-    from machine_tool_calibration.model.model import Parameter
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "datum_words",
     "goodness_of_fit",
     "group_by_reason",
-    "motion_row",
     "readings_set_aside",
     "session_headline",
     "show_profiles",
@@ -50,10 +51,6 @@ __all__ = [
 ]
 
 
-# p-value of the residuals below which the model is in doubt.
-_DOUBTFUL = 0.01
-# U, µm or µrad, below which nothing but the datum gave a value.
-_DATUM = 1e-6
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 
 
@@ -71,23 +68,27 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     if error.size:
         rows.append(("points of the map", _points(error_map.get("points"), len(error))))
         text = "not determined"
+        known = np.isfinite(uncertainty).any()
+        expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
-            text = f"{quantity(_rms(error), 'm')} RMS, {quantity(_largest(error), 'm')} at most{_lost(error)}"
+            shown = [as_exact(size, "m", u) for size, u in zip((_rms(error), _largest(error)), expanded, strict=True)]
+            text = f"{shown[0]} RMS, {shown[1]} at most{_lost(error)}"
         rows.append(("position error", text))
-    if np.isfinite(uncertainty).any():
-        rows.append(
-            (
-                "its uncertainty U (k = 2)",
-                f"{quantity(2 * _rms(uncertainty), 'm')} RMS, {quantity(2 * _largest(uncertainty), 'm')} at most"
-                f"{_if_right(document)}",
-            )
-        )
+        if known:
+            mean, most = (as_exact(u, "m", u) for u in expanded if u is not None)
+            text = f"{mean} RMS, {most} at most{_without(document)}{_if_right(document)}"
+            rows.append(("its uncertainty U (k = 2)", text))
     rows += _motions(error_map)
     missing = document.get("not_determined") or []
     if missing:
         names = ", ".join(entry["name"] for entry in missing[:6])
         rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
     return rows
+
+
+def _without(document: Mapping[str, Any]) -> str:
+    """What U lacks."""
+    return "" if document.get("uncertainty") == "budget" else ", without instrument and temperature"
 
 
 def _lost(error: np.ndarray) -> str:
@@ -106,8 +107,7 @@ def _points(points: Any, count: int) -> str:
     if places == count:
         return str(count)
     return (
-        f"{count}, at {places} places: a place counts once for each direction of approach, temperature … at which "
-        "effects move it otherwise"
+        f"{count} at {places} places: one for each direction of approach (or temperature) in which a place was reached"
     )
 
 
@@ -125,7 +125,8 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
             out.append((title, "not determined"))
             continue
         unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
-        most, expanded = (quantity(float(size), unit) for size in (np.abs(found[good]).max(), 2 * u[good].max()))
+        largest = 2 * float(u[good].max())
+        most, expanded = (as_exact(size, unit, largest) for size in (float(np.abs(found[good]).max()), largest))
         text = f"{most} at most, U (k = 2) at most {expanded}"
         out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
     return out
@@ -133,8 +134,9 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _if_right(document: dict[str, Any]) -> str:
     """A warning where the readings speak against the model on which the uncertainty rests."""
-    p = document.get("p_value")
-    return ", if the model were right" if p is not None and p < _DOUBTFUL else ""
+    if "one_direction" in ((document.get("error_map") or {}).get("scatter") or {}):
+        return ""  # only the reversal, which is part of the result, is in it beside the scatter
+    return ", if the model were right" if fits(document.get("p_value")) == "bad" else ""
 
 
 def _array(value: Any) -> np.ndarray:
@@ -153,25 +155,31 @@ def _largest(vectors: np.ndarray) -> float:
 
 
 _MOST_ROWS = 40
+_MOST_PLACES = 24
 _MOST_NAMES = 8
 
 
-def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[Session], fit: JointFit) -> None:
-    """Print a result document."""
+def show_result(
+    screen: Console, document: Mapping[str, Any], opened: Sequence[Session], result: Result | JointResult
+) -> None:
+    """Print a result: its document, with the sessions and the fit that it is of."""
+    fit = result.joint
     for session in opened:
         screen.print(session_headline(session))
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
-    screen.print(goodness_of_fit(document))
+    ask = " `mtcal diagnose` looks for what is missing." if fits(document["p_value"]) in ("bad", "nearly") else ""
+    screen.print(goodness_of_fit(document) + ask)
     show_suspicions(screen, document["suspicious"])
     for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
         screen.print(words)
     show_table(screen, TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []}))))
-    for shown_of_direct in direct_tables(document["error_map"]):
-        if isinstance(shown_of_direct, TextTable):
-            show_table(screen, shown_of_direct)
+    of_standards = (standard_tables(document["error_map"], name, _MOST_PLACES) for name in STANDARDS)
+    for part in chain(direct_tables(document["error_map"]), *of_standards, value_tables(result, _MOST_PLACES)):
+        if isinstance(part, TextTable):
+            show_table(screen, part)
         else:
-            screen.print(shown_of_direct)
+            screen.print(part)
     if "agreement" in document:
         screen.print(document["agreement"]["statement"])
     for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
@@ -263,7 +271,7 @@ def session_headline(session: Session) -> str:
     """What was measured, in one line."""
     ids = session.setup_ids
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
-    words = session.spec.words
+    words = spec_of(session).words
     kind = session.method.replace("_", " ") if words is None else words(session.description)
     repeats = len(np.unique(session.readings.repeat))
     return (
@@ -279,18 +287,18 @@ def goodness_of_fit(document: Mapping[str, Any]) -> str:
     direct = scatter_words(document.get("error_map") or {}, p)
     if direct is not None:
         return direct
-    ratio = chi**0.5
-    if p < 1e-3:
+    how, ratio = fits(p), rounded(chi**0.5)
+    if how == "bad":
         return (
-            f"The readings scatter {rounded(ratio)} times their declared uncertainty about the model ({p_value(p)}): "
-            "something is missing in it, or the declared uncertainty is too small. `mtcal diagnose` looks for it."
+            f"The readings scatter {ratio} times their declared uncertainty about the model ({p_value(p)}): "
+            "something is missing in it, or the declared uncertainty is too small."
         )
-    if p > 1 - 1e-3:
-        return f"The readings scatter only {rounded(ratio)} times their declared uncertainty: it is stated too large."
-    if p < 0.05:
+    if how == "too well":
+        return f"The readings scatter only {ratio} times their declared uncertainty: it is stated too large."
+    if how == "nearly":
         return (
             f"The model fits the readings nearly within their declared uncertainty ({p_value(p)}): something small may "
-            "be missing in it. `mtcal diagnose` looks for it."
+            "be missing in it."
         )
     return f"The model fits the readings within their declared uncertainty ({p_value(p)})."
 
@@ -328,49 +336,3 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         notes = [f"{left} more; --json gives all of them"] if left else []
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
         show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join(notes)))
-    _show_tables(screen, document, unknowns, _namesakes(fit))
-
-
-def motion_row(name: str, value: Array, u: Array, count: int, unit: str) -> tuple[str, ...]:
-    """An error motion in a row: how many of its values are determined, the smallest, the largest, the largest U.
-
-    Args:
-        name: of the error motion.
-        value: (n,) of what is determined, in `unit`.
-        u: (n,) standard uncertainties.
-        count: of all its values.
-        unit: m or rad.
-    """
-    shown = "µrad" if unit == "rad" else "µm"
-    many = str(count) if len(value) == count else f"{len(value)} of {count}"
-    most = 2e6 * float(u.max())
-    if len(value) < count and most < _DATUM:
-        return (name, many, *[NOT_DETERMINED] * 3, shown)
-    places = decimals(most) if _DATUM < most < 1e9 else 2
-    return (name, many, *(fixed(1e6 * float(number), places) for number in (value.min(), value.max())),
-            fixed(most, places), shown)  # fmt: skip
-
-
-def _show_tables(
-    screen: Console,
-    document: Mapping[str, Any],
-    unknowns: Mapping[str, Parameter],
-    namesakes: Set[str],
-) -> None:
-    """Each table of an error motion in one row; none of what is not determined."""
-    lost = {entry["name"] for entry in document["not_determined"]} - namesakes
-    tables: dict[str, list[Mapping[str, Any]]] = {}
-    for entry in document["parameters"]:
-        unknown = unknowns[entry["name"]]
-        if unknown.kind is Kind.MOTION and unknown.owner not in lost:
-            tables.setdefault(unknown.family, []).append(entry)
-    without = Counter(unknowns[name].family for name in lost if name in unknowns)
-    rows = []
-    for name, own in tables.items():
-        value, u = (np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
-        rows.append(motion_row(name, value, u, len(own) + without[name], own[0]["unit"]))
-    if rows:
-        heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
-        empty = ["–: no value but the datum's"] if any(row[2] == NOT_DETERMINED for row in rows) else []
-        note = "; ".join(["--json gives every value", *empty])
-        show_table(screen, TextTable("Error motions", heads, tuple(rows), note))

@@ -63,10 +63,10 @@ def step_document(step: Step) -> dict[str, Any]:
 
 def show_improvement(screen: Console, done: Improvement) -> None:
     """In words first, then a row for every step and before and after side by side."""
-    screen.print(_words(done), markup=False)
+    screen.print(_words(done))
     last = done.steps[-1].result
     for words in negative_words(last.joint, last.effects):
-        screen.print(words, markup=False)
+        screen.print(words)
     show_suspicions(screen, suspicions(done.diagnosis.chosen.sessions, done.diagnosis.chosen.labels))
     show_table(screen, _steps(done))
     if len(done.steps) > 1:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration
-from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_head, show_suspicions, show_table
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,7 +52,7 @@ def measurement_document(
     if session is not None and summary is not None:
         document["measurement"] = {
             **plain(summary),
-            "models": dict(session.spec.models),
+            "models": dict(spec_of(session).models),
             "description": session.description.model_dump(mode="json", exclude_none=True),
         }
     else:
@@ -86,7 +87,7 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
     except (ValueError, OverflowError, OSError):
         start = f"{bag.first} ns"
     files = f"{len(bag.files)} file" + ("s" if len(bag.files) != 1 else "")
-    out.print(f"[bold]{bag.path}[/]: recording, {files}, {size / 1e6:.2f} MB")
+    show_head(out, str(bag.path), f": recording, {files}, {size / 1e6:.2f} MB")
     out.print(f"{bag.messages_in_all} messages in {bag.duration:.1f} s, from {start}")
     rows = []
     for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
@@ -101,7 +102,7 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
 def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
     """Setups and columns of a session."""
     method = summary.method.replace("_", " ")
-    out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
+    show_head(out, session.source, f": {method}, machine {session.description.machine.chain}")
     out.print(counts_in_words(session, summary))
     for table in session_tables(session, summary):
         show_table(out, table)
@@ -138,8 +139,8 @@ def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTa
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     yield TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note)
-    if len(session.spec.models) > 1:
-        yield TextTable("Models (--model)", ("name", "when"), tuple(session.spec.models.items()))
+    if len(spec_of(session).models) > 1:
+        yield TextTable("Models (--model)", ("name", "when"), tuple(spec_of(session).models.items()))
 
 
 def setup_place(setup: Any) -> str:

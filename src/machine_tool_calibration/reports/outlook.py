@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What further measurements would tell, as tables."""
+"""What further measurements would tell, as a table."""
 
 from __future__ import annotations
 
@@ -11,10 +11,7 @@ from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, duration, quantity
 from machine_tool_calibration.reports.tables import TextTable
 
-__all__ = ["outlook_table", "sizes_table"]
-
-# Change of a smallest size that is worth a row where not all are shown.
-_SAME = 0.02
+__all__ = ["outlook_table"]
 
 
 def outlook_table(every: Sequence[Outlook]) -> TextTable:
@@ -30,32 +27,12 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
         )
         for one in every
     )
-    heads = ("measure", "readings", "time", "besides", "U of the map", "at most")
-    note = "U (k = 2) of each coordinate, root mean square and largest, if the readings scatter as declared"
+    heads = ("measure", "readings", "time", "besides", "U of the map, RMS", "of one coordinate at most")
+    note = (
+        "U (k = 2), if further readings scatter as those did; of a procedure by itself, if its readings scatter as "
+        "declared"
+    )
     return TextTable("What the next measurement would tell", heads, rows, note)
-
-
-def sizes_table(now: Outlook, then: Outlook) -> TextTable:
-    """The smallest detectable sizes of effects that change, or that only one of two measurements shows."""
-    before, after = ({v.effect: v for v in one.detectable.visible if v.occurs} for one in (now, then))
-    rows = []
-    for name in dict.fromkeys([*before, *after]):
-        sizes = [known.get(name) for known in (before, after)]
-        values = [np.nan if v is None or v.size is None else v.size for v in sizes]
-        one = sizes[0] or sizes[1]
-        assert one is not None
-        alike = sizes[0] is not None and sizes[1] is not None and sizes[0].coefficient == sizes[1].coefficient
-        if alike and abs(values[1] / values[0] - 1.0) < _SAME:
-            continue
-        texts = [
-            NOT_DETERMINED if v is None or v.size is None else f"{v.coefficient} = {quantity(v.size, v.unit)}"
-            for v in sizes
-        ]
-        change = f"{values[1] / values[0] - 1.0:+.0%}".replace("-", "−") if alike else ""
-        rows.append((name, *texts, change))
-    title = "Smallest detectable sizes of effects (power 80 %, significance level 5 %)"
-    note = "–: not in any size that occurs" if rows else "the same as now"
-    return TextTable(title, ("effect", "now", "with it", "change"), tuple(rows), note)
 
 
 def _largest(one: Outlook) -> float:

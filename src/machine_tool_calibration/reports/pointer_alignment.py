@@ -38,7 +38,7 @@ def show_alignment(screen: Console, centre: Centre | None, zero: ZeroAngle | Non
         )
     screen.print()
     for line in _alignment_lines(centre, zero, setup):
-        screen.print(line, markup=False, soft_wrap=True)
+        screen.print(line, soft_wrap=True)
 
 
 def _centre_table(centre: Centre) -> TextTable:

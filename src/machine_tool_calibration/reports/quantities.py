@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "NOT_DETERMINED",
+    "as_exact",
     "decimals",
     "declared_words",
     "duration",
     "fixed",
     "micrometres",
+    "millimetres",
     "not_ruled_out",
     "p_value",
     "plus_minus",
@@ -81,6 +83,20 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     return f"{fixed(number, places)} ± {fixed(expanded, places)}{after}"
 
 
+def as_exact(value: float, unit: str, expanded: float | None) -> str:
+    """A value with its unit and as many digits as its expanded uncertainty allows; three without one.
+
+    Args:
+        value: in the unit.
+        unit: SI.
+        expanded: uncertainty in the unit, of which two figures count; None where it is not known.
+    """
+    factor, shown = _scale(unit, abs(value))
+    places = 10 if not expanded else decimals(expanded * factor)
+    after = f" {shown}" if shown else ""
+    return f"{rounded(value * factor)}{after}" if places > 9 else f"{fixed(value * factor, places)}{after}"
+
+
 def _scale(unit: str, size: float) -> tuple[float, str]:
     """Factor from SI to the unit that people use for a value of that size, and that unit."""
     factor, shown = next(((f, u) for low, f, u in _SCALES.get(unit, ()) if size >= low), (1.0, unit))
@@ -104,6 +120,14 @@ def micrometres(metres: float | None, *, signed: bool = False) -> str:
     if abs(metres) < _NOTHING:
         return "0"
     return f"{'+' if signed and metres > 0 else ''}{rounded(1e6 * metres)}"
+
+
+def millimetres(metres: float, places: int = 6) -> str:
+    """A long distance in millimetres down to the nanometre, in groups of three digits; a dash if it is not known."""
+    if not math.isfinite(metres):
+        return NOT_DETERMINED
+    whole, rest = f"{1e3 * metres:,.{places}f}".split(".")
+    return f"{whole}.{','.join(rest[k : k + 3] for k in range(0, places, 3))}".replace(",", "\u202f")
 
 
 def probability(value: float | None) -> str:

@@ -18,10 +18,17 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.reports.quantities import decimals
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.folder import readings_frame
 
-__all__ = ["error_map", "error_motions", "parameters", "residuals", "tidy", "workpiece"]
+__all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "residuals", "tidy", "workpiece"]
+
+
+# Decimals of a place, mm or degrees, and of what has no uncertainty; U below which it has none, um or urad.
+_PLACES = 6
+_NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ def error_map(result: Result | JointResult) -> pd.DataFrame:
         `x y z` (m) the place, `ex ey ez` (m) the error there, `ux uy uz` (m) its standard uncertainty,
         `determined_x` … whether the data determines it; where not, error and uncertainty are NaN. First come what the
         method has besides: the `axis` along which a step diagonal gives them, `target` and angle (`c`, rad) of a
-        rotary axis.
+        rotary axis, the direction of `approach` (`x+ y-`) of deviations that depend on it.
     """
     found = result.error_map
     columns: dict[str, Any] = {}
@@ -59,12 +66,17 @@ def error_map(result: Result | JointResult) -> pd.DataFrame:
 def _places(result: Result) -> dict[str, Any]:
     """What a method says of the places of its map besides where they are."""
     content, session = result.error_map.content, result.fit.model.observations.session
-    if session.spec.profiles:
+    if spec_of(session).profiles:
         return {"axis": np.repeat(list("xyz"), [len(content[axis]) for axis in "xyz"])}
-    if session.spec.turns_one_axis:
+    if spec_of(session).turns_one_axis:
         axis = (session.description.machine.axis or "C").lower()
         targets = content["target_ids"]
         return {"target": targets * len(content[axis]), axis: np.repeat(content[axis], len(targets))}
+    points, approach = result.error_map.points, content.get("approach")
+    if approach is not None and len(np.unique(points, axis=0)) < len(points):
+        differ = np.flatnonzero(np.ptp(approach, axis=0))
+        said = [" ".join(f"{'xyz'[j]}{'-0+'[int(row[j]) + 1]}" for j in differ) for row in approach]
+        return {"approach": said}
     return {}
 
 
@@ -107,11 +119,11 @@ def _single(result: Result) -> Iterator[_Value]:
     content, session = result.error_map.content, result.fit.model.observations.session
     if "tables" in content:
         yield from _tables(content["tables"])
-    elif session.spec.turns_one_axis:
+    elif spec_of(session).turns_one_axis:
         axis = (session.description.machine.axis or "C").upper()
         for name in (f"E{component}{axis}" for component in "XYZABC"):
             yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
-    elif session.spec.profiles:
+    elif spec_of(session).profiles:
         yield from _profiles(content)
     else:
         yield from _unknowns(result)
@@ -255,7 +267,7 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
         (k = 2) in `unit`; `determined`: where False, they are NaN.
     """
     places = error_map(result)
-    own = [name for name in map(str, places) if name in ("axis", "target", "a", "b", "c")]
+    own = [name for name in map(str, places) if name in ("axis", "target", "approach", "a", "b", "c")]
     frames = [error_motions(result).rename(columns={"motion": "error"})]
     for axis in "xyz":
         known = {"value": places[f"e{axis}"], "u": places[f"u{axis}"], "determined": places[f"determined_{axis}"]}
@@ -268,3 +280,25 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
     whole["U"] = 2.0 * whole["u"]
     more = [name for name in whole if name not in _TIDY]
     return whole.reindex(columns=[_TIDY[0], *more, *_TIDY[1:]])
+
+
+def in_shop_units(table: pd.DataFrame) -> pd.DataFrame:
+    """A table of `tidy` with places in mm and degrees, errors in um and urad, rounded to what U allows.
+
+    U keeps two figures and the value as many decimals; `u` one more.
+    """
+    out = table.astype({name: object for name in ("position", "value", "u", "U")})
+    turned = table["position_unit"] == "rad"
+    out["position"] = np.where(turned, np.degrees(table["position"]), 1e3 * table["position"])
+    out["position_unit"] = table["position_unit"].replace({"rad": "deg", "m": "mm"})
+    for name in (name for name in ("x", "y", "z") if name in table):
+        out[name] = (1e3 * table[name]).round(_PLACES)
+    for name in (name for name in ("a", "b", "c") if name in table):
+        out[name] = np.degrees(table[name]).round(_PLACES)
+    out["position"] = out["position"].astype(float).round(_PLACES)
+    for k, U in enumerate(1e6 * table["U"]):
+        places = decimals(U) if U > _NOTHING else _PLACES
+        for name, more in (("value", 0), ("u", 1), ("U", 0)):
+            out.loc[out.index[k], name] = round(1e6 * table[name].iloc[k], places + more)
+    out["unit"] = "u" + table["unit"]
+    return out

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "is_number", "show_suspicions", "show_table"]
+__all__ = ["TextTable", "is_number", "shortened", "show_head", "show_suspicions", "show_table"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -22,7 +22,7 @@ _EASE = 24
 # How narrow a heading becomes before any is broken at every word.
 _HEAD = 10
 # A column of nothing else stands to the right, so that places stand below each other.
-_NUMBER = re.compile(r"[-+−]?[\d.:]+(e[-+]\d+)?( ?%)?|< ?[\d.e-]+|–")
+_NUMBER = re.compile(r"[-+−]?[\d.:]+(e[-+]\d+)?( ± [\d.]+)?( ?%)?|< ?[\d.e-]+|–|…")
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,25 @@ def is_number(text: str) -> bool:
     return _NUMBER.fullmatch(text) is not None
 
 
+def shortened(rows: Sequence[tuple[str, ...]], most: int | None) -> tuple[tuple[str, ...], ...]:
+    """The first and the last rows of many, with dots between; all of them where `most` is None."""
+    if most is None or len(rows) <= most:
+        return tuple(rows)
+    half = most // 2
+    return (*rows[:half], tuple("…" if k == 0 else "" for k in range(len(rows[0]))), *rows[-half:])
+
+
 def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
     """Print what is suspicious in the sessions that were read (`suspicions`), a line each."""
+    for words in suspicious:
+        screen.print(f"suspicious: {words}")
+
+
+def show_head(screen: Console, head: str, words: str = "") -> None:
+    """Print a line that begins with what it is about."""
     from rich.text import Text
 
-    for words in suspicious:
-        screen.print(Text(f"suspicious: {words}"))
+    screen.print(Text.assemble((head, "bold"), words))
 
 
 def show_table(screen: Console, table: TextTable) -> None:

@@ -13,6 +13,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.planning.advice import Advice, Separation
+from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (
     p_value,
     probability,
@@ -24,33 +25,55 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["good_enough", "left_words", "mounted_more_than_once", "verdict_words"]
+__all__ = [
+    "AS_GOOD",
+    "good_enough",
+    "left_words",
+    "mounted_more_than_once",
+    "next_step",
+    "only_reversal",
+    "verdict_words",
+]
 
-# Chance below which residuals count as larger than declared.
-_TOO_LARGE = 0.01
 _MANY = 3
 # Standard uncertainties between confounded effects from which the readings distinguish them all the same.
 _APART = 6.0
+AS_GOOD = 0.1
+"""Probability of another effect from which it is told beside those found."""
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 
 
-def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
-    """Paragraphs: the verdict, every effect found, and what the data does not determine."""
+def verdict_words(
+    diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice, *, brief: bool = False
+) -> Iterator[str]:
+    """Paragraphs: the verdict, every effect found, and what the data does not determine.
+
+    Args:
+        diagnosis: what was found.
+        changes: what candidates change, by id.
+        advice: what to measure next.
+        brief: whether only what decides is wanted; the effects are then in a table.
+    """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
     yield from (f"Suspicious: {words}" for words in suspicions(diagnosis.chosen.sessions, diagnosis.chosen.labels))
-    for name in diagnosis.accepted:
-        yield _found(diagnosis, name, changes.get(name), advice)
+    if not brief:
+        for name in diagnosis.accepted:
+            yield _found(diagnosis, name, changes.get(name), advice)
     yield from negative_words(diagnosis.fits[-1], diagnosis.accepted)
     for name, why in diagnosis.refused.items():
         p = probability(diagnosis.search.of(name).probability)
         yield f"{_title(diagnosis, name)} is probable ({p}) and not added: {why}."
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
+    if brief:
+        yield from _noise(diagnosis)
+        return
     if diagnosis.outliers and diagnosis.verdict != "outliers":
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
@@ -81,6 +104,10 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
         what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
+        if only_reversal(diagnosis):
+            return (
+                f"The axis has a reversal error: {what}. It is part of the result (ISO 230-2), no fault of the model."
+            )
         return f"The model lacks {what}."
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
         return (
@@ -98,7 +125,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.likely:
         return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
-    if diagnosis.chosen.sessions[0].spec.reads_machine and look.fit.p_value < _TOO_LARGE:
+    if spec_of(diagnosis.chosen.sessions[0]).reads_machine and fits(look.fit.p_value) == "bad":
         return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
     if good_enough(diagnosis):
         return f"Nothing is missing that matters: the residual is {residual}."
@@ -106,6 +133,40 @@ def _verdict(diagnosis: Diagnosis) -> str:
         f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
         f"is {residual}."
     )
+
+
+def only_reversal(diagnosis: Diagnosis) -> bool:
+    """Whether nothing is missing but the reversal of axes that were run both ways by ISO 230-2, which reports it."""
+    axes = {str(run["axis"]).lower() for run in diagnosis.fitted[0].error_map.content.get("iso230_2", ())}
+    return set(diagnosis.accepted) <= {f"{kind}_{axis}" for kind in ("backlash", "lost_motion") for axis in axes}
+
+
+def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
+    """What to do next: one sentence or two."""
+    told = next((s for s in advice.separations if s.kind is not None), None)
+    if diagnosis.accepted or diagnosis.verdict == "outliers":
+        what = " and ".join(diagnosis.accepted) if diagnosis.accepted else "what does not belong to the rest"
+        text = f"Next: `mtcal improve` {'adds' if diagnosis.accepted else 'sets aside'} {what} and looks again."
+        mine = next((s for s in advice.separations if s.effects[0] in diagnosis.accepted), None)
+        rival = mine is not None and (
+            mine.apart_before < _APART
+            or max(diagnosis.search.of(name).probability for name in mine.effects[1:]) > AS_GOOD
+        )
+        if mine is not None and rival:
+            sure = mine.measure if mine.kind is not None else "no further measurement that was considered does"
+            text += f" To distinguish it from {' or '.join(mine.effects[1:])}: {sure}."
+        return text
+    if diagnosis.likely and told is not None:
+        return f"Next, to distinguish {' and '.join(told.effects)}: {told.measure}."
+    if diagnosis.verdict == "unexplained":
+        return (
+            "Next: `mtcal compare -o FOLDER` draws where the residuals are; a law of your own can be tried as a "
+            "formula (--effects-file)."
+        )
+    best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
+    if best is None:
+        return "Next: nothing is needed; more repeats make the uncertainty smaller."
+    return f"Next, for a smaller uncertainty of the map: {best.measure}."
 
 
 def _likeliest(diagnosis: Diagnosis) -> str:
@@ -189,10 +250,10 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, joint = diagnosis.noise, diagnosis.fits[-1]
     ratio = float(np.sqrt(joint.reduced_chi_square))
     again = mounted_more_than_once(diagnosis.chosen.sessions[0])
-    if diagnosis.chosen.sessions[0].spec.reads_machine:
+    if spec_of(diagnosis.chosen.sessions[0]).reads_machine:
         yield from _scatter(diagnosis)
         return
-    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
+    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fits(joint.p_value) == "bad":
         text = f"The readings scatter {rounded(ratio)} times as much as declared, which noise does not explain."
         if noise.from_repeats is not None and diagnosis.noisy:
             repeats = quantity(noise.from_repeats, "m")
@@ -213,9 +274,9 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     declared = noise.declared
     found = float(np.sqrt(fit.reduced_chi_square)) * declared
     both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
-    if fit.p_value < _TOO_LARGE:
+    if fits(fit.p_value) == "bad":
         yield f"The deviations scatter more about the model than was declared ({both}): sizes and tests use it."
-    elif fit.p_value > 1.0 - _TOO_LARGE:
+    elif fits(fit.p_value) == "too well":
         yield f"The deviations scatter less about the model than was declared ({both}): tests use what they scatter."
     else:
         yield f"The deviations scatter about the model as was declared ({both})."

@@ -69,7 +69,7 @@ def noise_of(size: Array, redundancy: float, explained: BoolArray | None = None)
         redundancy: degrees of freedom of their scatter.
         explained: which are no gross errors, however large.
     """
-    if not len(size):
+    if not len(size) or not np.isfinite(size).all():
         return Noise(np.inf, priors.WIDTH, np.inf, np.inf)
     single = size if explained is None else size[~explained]
     inside = np.ones(len(size), dtype=bool)

@@ -10,24 +10,23 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.contributor import Contributors
 from machine_tool_calibration.session.record import Record
+from machine_tool_calibration.session.values import Finite, Identifier, Instrument, Positive, Sign, Vector2, Vector3
 
 __all__ = [
     "DESCRIPTION_FILE",
-    "LARGEST",
     "OBSERVATIONS_FILE",
-    "SMALLEST",
     "Description",
     "DiagonalSetup",
     "Direct",
     "DirectSetup",
     "IndexSetup",
-    "Instrument",
     "KnownLength",
     "Machine",
     "Place",
@@ -71,61 +70,6 @@ def rotary_column(description: RotaryAxis) -> str:
     """The column of the rotary axis under test: the one that the machine names, else the chain's, else `c`."""
     rotary = Chain.parse(description.machine.chain).rotary
     return (description.machine.axis or (rotary[0] if len(rotary) == 1 else "C")).lower()
-
-
-def _check_identifier(text: str) -> str:
-    """Only what comes back from a CSV field as it was."""
-    if not text or len(text) > 256 or text != text.strip() or not text.isprintable() or text.lower() == "nan":
-        raise ValueError(f"{text[:40]!r} cannot be an id: printable text without spaces at its ends, and not nan")
-    return text
-
-
-Identifier = Annotated[
-    str,
-    BeforeValidator(lambda v: str(v) if isinstance(v, int) and not isinstance(v, bool) else v),
-    AfterValidator(_check_identifier),
-]
-LARGEST, SMALLEST = 1e12, 1e-100
-"""Sizes between which numbers are in any SI unit here, if they are not 0: squares and cubes stay finite."""
-_FEMTOMETRE = 1e-15
-
-
-def _check_size(value: float) -> float:
-    """Only what can have been measured."""
-    if abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
-        raise ValueError(f"{value:g} is too {'large' if abs(value) > 1.0 else 'small'} to be anything of a machine")
-    return value
-
-
-def _check_sign(value: float) -> float:
-    if value not in (-1.0, 0.0, 1.0):
-        raise ValueError(f"{value:g} is no sign: -1, 0 or +1")
-    return value
-
-
-Finite = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_check_size)]
-Positive = Annotated[Finite, Field(gt=0), Field(ge=_FEMTOMETRE)]
-"""A length or its uncertainty; no instrument resolves a femtometre."""
-Sign = Annotated[Finite, AfterValidator(_check_sign)]
-Vector3 = tuple[Finite, Finite, Finite]
-Vector2 = tuple[Finite, Finite]
-
-
-Instrument = Literal[
-    "laser_interferometer",
-    "tracking_interferometer",
-    "laser_tracker",
-    "ball_bar",
-    "grid_encoder",
-    "linear_encoder",
-    "straightedge",
-    "indicator",
-    "autocollimator",
-    "cmm",
-    "touch_probe",
-    "micro_switch",
-]
-"""What can read deviations directly."""
 
 
 def _check_about(value: Any, where: str = "about") -> Any:
@@ -283,7 +227,13 @@ class Description(Record):
     Attributes:
         trust_units: whether sizes, units and places are taken as they are, however implausible.
         about: who, what, when: machine, serial numbers, instruments, certificates, operator, place, date, …
+        budget: contributors to the uncertainty of the readings, beside their own scatter.
+        reads: the instrument, unless the session says it.
+        turns: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
     """
+
+    reads: ClassVar[str | None] = None
+    turns: ClassVar[int] = 1
 
     if TYPE_CHECKING:
         method: str
@@ -295,6 +245,7 @@ class Description(Record):
     standard_uncertainty: StandardUncertainty
     trust_units: bool = False
     about: About = Field(default_factory=dict)
+    budget: Contributors = ()
 
     @model_validator(mode="after")
     def _check_ids(self) -> Any:
@@ -313,6 +264,8 @@ class Description(Record):
 class StepDiagonal(Description):
     """Laser step diagonal measurement, Ibaraki and Hata 2010."""
 
+    reads: ClassVar[str | None] = "laser_interferometer"
+
     method: Literal["step_diagonal"]
     step: tuple[Positive, Positive, Positive]
     blocks: Annotated[int, Field(ge=1)]
@@ -321,6 +274,8 @@ class StepDiagonal(Description):
 
 class TrackingInterferometer(Description):
     """Tracking interferometer, open-loop or with a beam that follows the target, Ibaraki et al. 2014."""
+
+    reads: ClassVar[str | None] = "tracking_interferometer"
 
     method: Literal["tracking_interferometer"]
     dimension: Literal[2, 3]
@@ -331,6 +286,8 @@ class TrackingInterferometer(Description):
 class RotaryAxis(Description):
     """Rotary axis by sequential multilateration, Zhang et al. 2015."""
 
+    reads: ClassVar[str | None] = "laser_tracker"
+
     method: Literal["rotary_axis"]
     targets: Annotated[tuple[Target, ...], Field(min_length=1)]
     setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
@@ -339,6 +296,9 @@ class RotaryAxis(Description):
 
 class Probing(Description):
     """Probing self-calibration of a free-form part on a rotary table."""
+
+    reads: ClassVar[str | None] = "touch_probe"
+    turns: ClassVar[int] = -1
 
     method: Literal["probing"]
     workpiece: Annotated[tuple[WorkpiecePoint, ...], Field(min_length=1)]

@@ -11,20 +11,18 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.arrays import BoolArray
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.session.checks.mistakes import Judgement
-    from machine_tool_calibration.session.description import Description, Place
-    from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.description import Description, Place
+from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.session import Session
 
 __all__ = ["MethodSpec", "load"]
 
 
-def _nothing(*_: object) -> Iterator[Judgement]:
-    """No judgement."""
+def _nothing(*_: object) -> Iterator[Any]:
+    """No judgement, and nothing held against anything."""
     return iter(())
 
 
@@ -39,14 +37,15 @@ class MethodSpec:
         enough: of a session, which of its readings (n,) are there, and the names for messages: raises a SessionError
             if no model of the method can make anything of it.
         model: module with `build(session, variant)`, which gives the model.
+        map: module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent.
         models: names of the model's variants, the default first; for each when it is the right one.
         magnitudes: of a session and the names for messages: raises a SessionError for values of the method's own keys
             and columns that can only be a wrong unit.
         nominal: of a session and the names for messages: judgements by the nominal geometry, by which common mistakes
             are found.
+        held: of a session, places, beams and displacements held against the geometry that it states.
+        suspicious: of a session, what in it hardly can be, in words, a sentence each.
         any_axis: whether some column of an axis's position is needed, of whichever axis.
-        instrument: what reads, unless the session says it.
-        rotation_sign: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
         words: of a description, what is measured, in words.
         setup_word: what people call a setup.
         mounted: of a description, what has to be mounted again for further readings in a setup, whose unknowns then are
@@ -72,8 +71,6 @@ class MethodSpec:
         by_axes: variants in which nothing but the axes' errors moves the tool point.
         with_tables: variant with tables of error motions, where the default has none.
         no_tables: why a model has no tables of error motions, and what to do.
-        implausible: of a session, its error map, an error that no machine has (m) and by how many of its uncertainties
-            it must be known: raises a ModelError where the method's own unknowns cannot be.
 
         steps: of a procedure, its steps one reading each.
         path_from_session: whether a procedure's targets follow from the session.
@@ -93,9 +90,10 @@ class MethodSpec:
     models: Mapping[str, str]
     magnitudes: Callable[[Session, Place], object] = _nothing
     nominal: Callable[[Session, Place], Iterator[Judgement]] = _nothing
+    map: str | None = None
+    held: Callable[[Session], Iterator[Held]] = _nothing
+    suspicious: Callable[[Session], Iterator[str]] = _nothing
     any_axis: bool = False
-    instrument: str | None = None
-    rotation_sign: int = 1
     words: Callable[[Any], str] | None = None
     setup_word: str = "setup"
     mounted: Callable[[Any], str] = lambda description: "the instrument"
@@ -118,7 +116,6 @@ class MethodSpec:
     by_axes: tuple[str, ...] = ()
     with_tables: str | None = None
     no_tables: str = ""
-    implausible: str | None = None
 
     steps: str | None = None
     path_from_session: bool = False

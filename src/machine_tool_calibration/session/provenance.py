@@ -16,6 +16,7 @@ from machine_tool_calibration.session.parse import description_yaml
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.version import __version__
 
 __all__ = ["Origin", "Provenance", "data_hash", "flattened", "provenance"]
 
@@ -144,8 +145,6 @@ def provenance(
         model: variant of the method's model; of several sessions each one once.
         effects: ids of the effects in it.
     """
-    from machine_tool_calibration import __version__
-
     named = labels if labels is not None and len(sessions) > 1 else [""] * len(sessions)
     origins = tuple(
         Origin(label, session.description.about, _text(session.description.about.get("date")), data_hash(session))

@@ -99,7 +99,7 @@ def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
     blank: list[IntArray] = []
     for number, block in enumerate(blocks):
         if number == 0:
-            reject_foreign_encoding(block, source)
+            reject_foreign_encoding(block, source, table=True)
             block = block.removeprefix(b"\xef\xbb\xbf")
         _check_bytes(source, block, line)
         while columns is None and block:

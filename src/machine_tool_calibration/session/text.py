@@ -21,11 +21,12 @@ _FOREIGN = {
 }
 
 
-def reject_foreign_encoding(head: bytes, source: str) -> None:
-    """Raise a SessionError when a file's first bytes are the mark of UTF-16 or UTF-32."""
+def reject_foreign_encoding(head: bytes, source: str, *, table: bool = False) -> None:
+    """Raise a SessionError when a file begins with the mark of UTF-16 or UTF-32; of a table it says what helps."""
     for mark, name in _FOREIGN.items():
         if head.startswith(mark):
-            raise SessionError(f"{source}: the text is {name}; save the file as UTF-8")
+            read = "; `mtcal convert FOLDER NEW --encoding utf-16` reads it" if table and name == "UTF-16" else ""
+            raise SessionError(f"{source}: the text is {name}; save the file as UTF-8{read}")
 
 
 def read_bytes(path: Path, limit: int) -> bytes:

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.session.description import Instrument
 from machine_tool_calibration.session.record import Finite, Positive
+from machine_tool_calibration.session.values import Instrument
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine

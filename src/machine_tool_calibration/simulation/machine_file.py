@@ -13,9 +13,9 @@ from pydantic import Field
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.defects import AnyRecord, validated
-from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table

@@ -3,26 +3,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from html import escape
 
 import numpy as np
 import panel as pn
-from bokeh.models import FactorRange, Span
+from bokeh.models import AllIndices, BoxAnnotation, CDSView, FactorRange, IndexFilter, Span
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables
+from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (
+    BUTTON,
+    DIM,
     bar_button,
     beside,
     controls,
+    folded,
     new_figure,
     paragraphs,
+    sentence,
     tables,
     text,
     when_changed,
@@ -40,14 +45,16 @@ _HOVER = [
 ]  # fmt: skip
 # Readings of a table.
 _LISTED = 14
-_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
+# Setups up to which each has a button that hides it.
+_BUTTONS = 24
 
 
 class ComparePage:
     """Residuals against covariates, by setup and as arrows, with one selection."""
 
     title = "Compare"
-    blocks = 6
+    about = "Where the model misses its readings; those that are selected in one plot light up in all."
+    blocks = 7
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
@@ -57,46 +64,61 @@ class ComparePage:
         )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
-        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=400) for k in (1, 2)]
-        self._plane = pn.widgets.Select(name="Map in the plane", width=120)
+        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=300) for k in (1, 2)]
+        self._plane = pn.widgets.Select(name="Map in the plane", width=100)
+        self._legend = pn.widgets.CheckButtonGroup(margin=(3, 4))
+        self._shown = pn.Row(pn.pane.HTML("<label>Setups shown</label>", margin=(8, 4)), self._legend)
+        self._view = CDSView(filter=AllIndices())
+        self._band = [
+            BoxAnnotation(fill_color="#009e73", fill_alpha=0.1, line_color=None, level="underlay") for _ in range(3)
+        ]
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
         for k, plot in enumerate(self._plots):
             x = f"against{k}"
-            plot.scatter(x, "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
-            plot.scatter(x, "aside", source=source, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
+            plot.scatter(x, "residual", source=source, view=self._view, size=4, color="color", alpha=0.7, **DIM)
+            plot.scatter(
+                x, "aside", source=source, view=self._view, size=8, marker="x", color="#b00020", nonselection_alpha=0.3
+            )
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
+            plot.add_layout(self._band[k])
         self._map = new_figure("Residuals as arrows", "", "", hover=_HOVER, match_aspect=True)
-        self._map.scatter("across", "up", source=source, size=3, color="#999999", nonselection_alpha=0.3)
+        self._map.scatter(
+            "across", "up", source=source, view=self._view, size=3, color="#999999", nonselection_alpha=0.3
+        )
         self._map.segment(
-            "across", "up", "u", "v", source=source, color="arrow", line_width=1.3,
+            "across", "up", "u", "v", source=source, view=self._view, color="arrow", line_width=1.3,
             nonselection_alpha=0.12, nonselection_line_color="#888888",
         )  # fmt: skip
         self._strip = new_figure("Residuals by setup, worst on top", "residual, µm", "",
                                  hover=_HOVER, y_range=FactorRange())  # fmt: skip
-        self._strip.scatter("residual", "setup", source=source, size=4, color="color", alpha=0.5, **_DIM)
+        self._strip.scatter(
+            "residual", "setup", source=source, view=self._view, size=4, color="color", alpha=0.5, **DIM
+        )
+        self._strip.add_layout(self._band[2])
         for k, choice in enumerate(self._against):
             when_changed(choice, partial(self._draw_against, k))
         when_changed(self._plane, lambda _: self._draw_plane())
+        when_changed(self._legend, lambda _: self._show_setups())
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
-        self._rows = pn.widgets.TextInput(name="Select rows", placeholder="264, 470-476", width=150)
+        self._rows = pn.widgets.TextInput(name="Select rows", placeholder="264, 470-476", width=120)
         when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
         self._back = bar_button("Put back", self._put_back, disabled=True)
         self._look = bar_button("Select those set aside", self._select_aside, visible=False)
         self._cleared = bar_button("Clear the selection", self._clear)
         self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
-        self._table, self._left = text(), text()
+        self._table = text()
         self.view = pn.Column(
             self._words,
             controls(
                 *self._against, self._plane, self._rows, self._aside, self._back, self._look, self._cleared,
-                self._suggest, self._count,
+                self._suggest,
             ),
+            pn.Row(self._shown, self._count, sizing_mode="stretch_width"),
             beside(*self._plots),
             beside(self._map, self._strip),
-            beside(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"), least=560),
-            pn.Card(self._more, title="By repeat, region, direction of approach and covariate", collapsed=True,
-                    sizing_mode="stretch_width"),
+            beside(self._setups, self._table, least=560),
+            folded("By repeat, region, direction of approach and covariate", self._more),
             sizing_mode="stretch_width",
         )  # fmt: skip
 
@@ -104,12 +126,18 @@ class ComparePage:
         """Show the model in use."""
         model = self._state.model
         found = model.comparison
-        words, every = in_words(found), list(comparison_tables(found))
+        every = list(comparison_tables(found))
         if isinstance(found, Comparison):
             setups = [share.name for share in found.setups]
         else:
             setups = [f"{label}/{share.name}" for label, share in found.setups]
-        self._words.object = paragraphs([words[:1].upper() + words[1:]])
+        self._words.object = paragraphs([sentence(in_words(found))])
+        wide = 2e6 * rms(np.concatenate([one.fit.model.sigma for one in model.each]))
+        for band in self._band:
+            band.update(bottom=-wide, top=wide)
+        self._band[2].update(bottom=None, top=None, left=-wide, right=wide)
+        for plot in self._plots:
+            plot.title.text = f"Residuals (band: ±2 u as declared, {quantity(1e-6 * wide, 'm')})"
         self._choices()
         for k in range(len(self._against)):
             self._draw_against(k, self._against[k].value)
@@ -119,12 +147,20 @@ class ComparePage:
         self._back.disabled = not model.aside
         self._look.visible = bool(model.aside)
         self._suggest.visible = bool(self._state.found.keys() - model.aside - model.kept)
-        self._left.object = tables(self._set_aside_or_kept())
         self._draw_plane()
         self._say_selected()
 
     def _choices(self) -> None:
         """What can be drawn, where another measurement was opened."""
+        setups = dict(zip(self._readings.data["setup"], self._readings.data["color"].tolist(), strict=True))
+        if self._legend.options != list(setups)[:_BUTTONS]:
+            colors = enumerate(list(setups.values())[:_BUTTONS], 1)
+            edges = [
+                f".bk-btn:nth-child({k}) {{ border-bottom: 4px solid #{c >> 8:06x} !important; }}" for k, c in colors
+            ]
+            self._legend.param.update(options=list(setups)[:_BUTTONS], value=list(setups)[:_BUTTONS])
+            self._legend.stylesheets = [BUTTON, ".bk-btn:not(.bk-active) { opacity: 0.4; }", *edges]
+            self._shown.visible = 1 < len(setups) <= _BUTTONS
         options = {self._readings.labels[name]: name for name in self._readings.ranked}
         if self._against[0].options == options and self._plane.options == self._readings.planes:
             return
@@ -149,6 +185,11 @@ class ComparePage:
             f"{self._readings.arrows}, {spaced(larger)} times magnified; orange: +" if larger else "Places"
         )
 
+    def _show_setups(self) -> None:
+        hidden = set(self._legend.options) - set(self._legend.value)
+        shown = [k for k, name in enumerate(self._readings.data["setup"]) if name not in hidden]
+        self._view.filter = IndexFilter(shown) if hidden else AllIndices()
+
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model
         aside = model.aside
@@ -171,41 +212,28 @@ class ComparePage:
                 data["row"][k],
                 f"{data['setup'][k]}, {data['repeat'][k]}",
                 ", ".join(f"{float(data[axis][k]):.1f}" for axis in "xyz"),
-                _number(data["measured"][k]),
+                millimetres(1e-6 * data["measured"][k]),
                 _number(data["residual"][k]),
                 _number(data["studentized"][k]),
-                "" if np.isnan(data["aside"][k]) else f"set aside, was {_number(data['aside'][k])}",
+                self._told(k),
             )
             for k in first
         )
         title = "Readings selected" if chosen else "Readings that fit worst"
-        heads = ("row", "setup, repeat", "x, y, z / mm", "measured / µm", "residual / µm", "studentized", " ")
+        heads = ("row", "setup, repeat", "x, y, z / mm", "measured / mm", "residual / µm", "studentized", "set aside")
         left = len(among) - len(first)
         return TextTable(title, heads, rows, f"and {left} more" if chosen and left else "")
 
-    def _set_aside_or_kept(self) -> Iterator[TextTable]:
-        """The readings that are set aside and those that are kept though a search had set them aside, if there are."""
-        state = self._state
-        data = self._readings.data
-        names = {name: k for k, name in enumerate(data["row"])}
-        for title, numbers, note in (
-            ("Set aside", state.model.aside, "select some to put them back alone; none is selected: all come back"),
-            ("Kept: put back, so that no search sets them aside again", state.model.kept, ""),
-        ):
-            rows = []
-            for number in sorted(numbers)[:_LISTED]:
-                name = state.subject.name(number)
-                k = names.get(name)
-                setup = "" if k is None else f"{data['setup'][k]}, {data['repeat'][k]}"
-                place = [] if k is None else [f"{float(data[axis][k]):.1f}" for axis in "xyz"]
-                away = state.found.get(number)
-                by = "by you" if away is None else f"a search: {1e6 * away:.3g} µm from what all others predict"
-                rows.append((name, setup, ", ".join(place), by))
-            if rows:
-                left = len(numbers) - len(rows)
-                more = f"and {left} more; " if left else ""
-                heads = ("row", "setup, repeat", "x, y, z / mm", "set aside by")
-                yield TextTable(title, heads, tuple(rows), (more + note).removesuffix("; "))
+    def _told(self, k: int) -> str:
+        """Whether a reading is set aside, by whom, or kept though a search had set it aside."""
+        number, state = self._readings.number(k), self._state
+        if number in state.model.kept:
+            return "kept: no search sets it aside"
+        if number not in state.model.aside:
+            return ""
+        away = state.found.get(number)
+        by = "by you" if away is None else f"by a search: {quantity(away, 'm')} from what all others predict"
+        return f"{by}; its residual was {_number(self._readings.data['aside'][k])} µm"
 
     def _set_aside(self) -> None:
         self._use_without("fitting without them", self._state.model.aside | set(self._readings.selected))

@@ -12,12 +12,14 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
+from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.workbench.look import (
+    DIM,
     bar_button,
     beside,
     controls,
+    folded,
     legend_above,
     new_figure,
     paragraphs,
@@ -37,7 +39,6 @@ _HOVER = [
     ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
     ("pattern", "@pattern{0.000} µm"),
 ]  # fmt: skip
-_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
 # The pattern lies over residuals in all colours of setups.
 _PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 # Effects of the bars.
@@ -48,12 +49,13 @@ class DiagnosePage:
     """Which effect is missing."""
 
     title = "Diagnose"
-    blocks = 6
+    about = "Which physical effect the model lacks, and how the residuals show it."
+    blocks = 7
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
         self._trial: Model | None = None
-        self._words, self._more, self._said = text(), text(), text()
+        self._words, self._more, self._said, self._tables = text(), text(), text(), text()
         self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
         self._ranking = new_figure(
             "Probability that it is missing", "", "", height=330, y_range=FactorRange(),
@@ -70,7 +72,7 @@ class DiagnosePage:
         )  # fmt: skip
         self._over = new_figure("Residuals, and what it would take out", "", "µm", height=330, hover=_HOVER)
         self._over.scatter(
-            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM
+            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **DIM
         )
         self._over.scatter(
             "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
@@ -78,7 +80,7 @@ class DiagnosePage:
         )  # fmt: skip
         self._added = new_figure("Do the residuals follow it? (line: slope 1)", "pattern, µm", "residual, µm",
                                  height=330, hover=_HOVER)  # fmt: skip
-        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
+        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **DIM)
         self._line = ColumnDataSource({"x": [], "y": []})
         self._added.line("x", "y", source=self._line, color="#555555")
         legend_above(self._over)
@@ -88,7 +90,7 @@ class DiagnosePage:
         when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)
-        self._add = bar_button("Add it to the model", self._use, "success", disabled=True)
+        self._add = bar_button("Add it to the model", self._use, "primary", disabled=True)
         self._all = bar_button("Add all that the diagnosis names", self._improve, disabled=True)
         self._own = OwnEffect(state, self._new_effect)
         self.view = pn.Column(
@@ -102,8 +104,13 @@ class DiagnosePage:
             self._words,
             self._said,
             beside(self._ranking, self._over, self._added, least=400),
-            self._own.view,
             self._more,
+            self._own.view,
+            folded(
+                "All that was looked for: sizes, confounded effects, what to measure next, smallest sizes, and why "
+                "some were not looked for",
+                self._tables,
+            ),
             sizing_mode="stretch_width",
         )
 
@@ -121,14 +128,14 @@ class DiagnosePage:
         if state.diagnosis is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
             self._words.object = paragraphs([said])
-            self._more.object = ""
+            self._more.object = self._tables.object = ""
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
         found, then = state.diagnosis
-        sizes = [size.document() for size in state.model.fit.result.joint.marginal.sizes]
         report = diagnosis_report(found, then.advice, then.changes)
-        self._words.object = paragraphs([*report.words[:1], *reproducibility_words(sizes)])
-        self._more.object = paragraphs(report.words[1:]) + tables(report.tables)
+        self._words.object = f"<b>{paragraphs(report.words[:1])}</b>"
+        self._more.object = paragraphs((*report.words[1:], *report.forecast))
+        self._tables.object = tables((*report.tables, *report.details))
         ranked = [finding for finding in found.ranked if finding.rank][:_SHOWN]
         names = [finding.name for finding in ranked]
         self._ranking.y_range.factors = names[::-1]
@@ -176,11 +183,7 @@ class DiagnosePage:
         name = trial.step.change
         sizes = sizes_in_words(effect_estimates(trial.fit.result.joint, [name]))
         moved = trial.step.map_change
-        words = (
-            f"With {name}: {sizes} (k = 2); residual {quantity(now.rms_residual, 'm')} → "
-            f"{quantity(then.rms_residual, 'm')} RMS, reduced chi-square {now.reduced_chi_square:.3g} → "
-            f"{then.reduced_chi_square:.3g}"
-        )
+        words = f"With {name}: {sizes} (k = 2); {residual_change(now.rms_residual, then.rms_residual)}"
         words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
         self._said.object = escape(" ".join([f"{words}.", *negative_words(trial.fit.result.joint, [name])]))
 

@@ -11,7 +11,7 @@ import panel as pn
 from machine_tool_calibration.export import FORMATS
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.report.words import LANGUAGES
-from machine_tool_calibration.reports.compensation import absent_words, left_table
+from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
 from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
 from machine_tool_calibration.workbench.look import bar_button, controls, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings
@@ -38,6 +38,7 @@ class ExportPage:
     """Report, tables and controller files of the model in use."""
 
     title = "Export"
+    about = "Report, tables and files for a controller, all of the model in use."
     blocks = 10
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
@@ -105,7 +106,8 @@ class ExportPage:
         def take(found: tuple[Exported, bytes]) -> None:
             self._left, self._keep.disabled = (form, *found), False
             exported, picture = found
-            worse = '<p class="error">The errors would grow: do not load these files.</p>' if exported.worse else ""
+            harm = escape(harm_words(exported))
+            worse = f'<p class="error">{harm[0].upper()}{harm[1:]}.</p>' if harm else ""
             self._preview.object = (
                 f"{worse}<p>Files: {escape(', '.join(exported.files))}</p>{tables([left_table(exported)])}"
                 f"<p>{escape(absent_words(exported))}</p>"

@@ -42,6 +42,7 @@ class ImprovePage:
     """Add, take away, undo, and see what becomes of it."""
 
     title = "Improve"
+    about = "Add effects to the model or take them away, and see what becomes of the error; every model is kept."
     blocks = 6
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
@@ -143,6 +144,9 @@ class ImprovePage:
         if plane is None or k is None or k >= len(state.models):
             return
         pair = {"before": state.models[k], "after": state.model}
+        changed = len(state.models) > 1
+        for before in (self._residuals["before"], self._maps["before"].plot, self._table):
+            before.visible = changed
         every = state.entries()
         self._table.object = tables([compared_models(every[k], every[-1])])
         larger = self._readings.show_side_by_side(*pair.values())
@@ -160,11 +164,12 @@ class ImprovePage:
             plot = self._residuals[name]
             self._readings.draw(**{f"{name}_{end}": f"{name}:{plane}:{end}" for end in "uv"})
             rms = quantity(model.step.result.rms_residual, "m")
-            plot.title.text = f"Residuals {name}: {rms}"
+            when = f" {name}" if changed else ""
+            plot.title.text = f"Residuals{when}: {rms}"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
             size = model.step.map_rms
             what = "no position errors" if size is None else quantity(size, "m")
-            self._maps[name].show(maps[name], plane, factor, f"Map {name}: {what}")
+            self._maps[name].show(maps[name], plane, factor, f"Map{when}: {what}")
 
     def _changed(self, add: str = "", take: str = "") -> None:
         if add or take:

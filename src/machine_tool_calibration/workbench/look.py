@@ -20,15 +20,19 @@ from machine_tool_calibration.plots.style import COLORS
 from machine_tool_calibration.reports.tables import TextTable
 
 __all__ = [
+    "BUTTON",
     "CSS",
+    "DIM",
     "bar_button",
     "beside",
     "controls",
+    "folded",
     "in_order",
     "legend_above",
     "new_figure",
     "packed",
     "paragraphs",
+    "sentence",
     "setup_color",
     "tables",
     "tell_faults",
@@ -49,11 +53,18 @@ table { border-collapse: collapse; font-size: 12px; margin-bottom: 4px; }
 th { text-align: left; border-bottom: 1px solid #888; padding: 1px 10px 1px 0; vertical-align: bottom; }
 td { padding: 1px 10px 1px 0; border-bottom: 1px solid #e8e8e8; vertical-align: top; }
 .short { white-space: nowrap; }
+h2 { font-size: 16px; margin: 0; display: inline; } code { font-size: 12px; }
 .note { color: #555; font-size: 11px; } .error { color: #b00020; font-weight: 600; }
 """
+DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
+"""How points look that are not selected."""
 _SHORT = 24  # characters of a table's cell that are not broken
 _TOOLS = "box_select,lasso_select,tap,pan,wheel_zoom,box_zoom,reset"
-_BUTTON = ".bk-btn { font-size: 13px; padding: 4px 8px; }"
+BUTTON = """
+.bk-btn { font-size: 13px; padding: 4px 8px; }
+.bk-btn[disabled] { color: #9a9a9a !important; background: #f4f4f4 !important; border: 1px dashed #c4c4c4 !important;
+  opacity: 1 !important; cursor: not-allowed !important; }
+"""
 
 
 def setup_color(index: int) -> str:
@@ -83,6 +94,11 @@ def text(html: str = "", **style: Any) -> Any:
 def paragraphs(words: Iterable[str]) -> str:
     """Each text as a paragraph; what stands between backticks is what one types."""
     return "".join("<p>" + re.sub("`([^`]*)`", r"<code>\1</code>", escape(one)) + "</p>" for one in words)
+
+
+def sentence(words: str) -> str:
+    """Words that begin a paragraph."""
+    return words[:1].upper() + words[1:]
 
 
 def typed_out(words: str) -> str:
@@ -149,7 +165,7 @@ def new_figure(
 
 def bar_button(name: str, act: Callable[[], object], kind: str = "default", **more: Any) -> Any:
     """A button that does something."""
-    button = pn.widgets.Button(name=name, button_type=kind, margin=(3, 4), stylesheets=[_BUTTON], **more)
+    button = pn.widgets.Button(name=name, button_type=kind, margin=(3, 4), stylesheets=[BUTTON], **more)
     button.on_click(lambda event: _locked(act))
     return button
 
@@ -164,6 +180,15 @@ def beside(*items: Any, least: int = 420) -> Any:
     styles = {"display": "grid", "grid-template-columns": f"repeat(auto-fit, minmax(min({least}px, 100%), 1fr))"}
     # In a column, which can be hidden: the style of the row would show it all the same.
     return pn.Column(pn.Row(*items, sizing_mode="stretch_width", styles=styles), sizing_mode="stretch_width")
+
+
+def folded(title: str, *items: Any) -> Any:
+    """What is shown when it is asked for."""
+    styles = {"box-shadow": "none", "border": "1px solid #ddd"}
+    return pn.Card(
+        *items, title=title, collapsed=True, sizing_mode="stretch_width", margin=(6, 6), styles=styles,
+        header_background="#f4f4f4",
+    )  # fmt: skip
 
 
 def legend_above(plot: Any) -> None:

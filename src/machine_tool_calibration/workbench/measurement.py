@@ -12,12 +12,15 @@ import panel as pn
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.reports.comparison import in_words, stand_out
 from machine_tool_calibration.reports.information import counts_in_words, session_tables
 from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.workbench.look import (
+    DIM,
     beside,
     new_figure,
     paragraphs,
+    sentence,
     setup_color,
     tables,
     text,
@@ -30,7 +33,6 @@ from machine_tool_calibration.workbench.work import Work
 __all__ = ["MeasurementPage", "seen_from"]
 
 _HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
-_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
 
 
 def seen_from(position: Array, turn: float, tilt: float) -> Array:
@@ -51,7 +53,8 @@ class MeasurementPage:
     """What is there."""
 
     title = "Measurement"
-    blocks = 4
+    about = "What was measured, and whether the model fits it."
+    blocks = 3
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings = state, readings
@@ -66,7 +69,6 @@ class MeasurementPage:
             "Places of readings and stations",
             "",
             "",
-            height=420,
             hover=_HOVER,
             match_aspect=True,
         )
@@ -81,18 +83,16 @@ class MeasurementPage:
         source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", "3d:u", "3d:v")
         for name, plot in self._plots.items():
             across, upwards = ("3d:u", "3d:v") if name == "3d" else tuple(name)
-            plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **DIM)
             ends = ("u", "v") if name == "3d" else tuple(name)
             plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
             plot.text(
                 *ends, text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
             )
+        self._space = pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width")
         self.view = pn.Column(
             self._words,
-            beside(
-                pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width"), self._setups, least=480
-            ),
-            beside(*(self._plots[view] for view in VIEWS), least=320),
+            beside(self._space, *(self._plots[view] for view in VIEWS), self._setups),
             self._more,
             sizing_mode="stretch_width",
         )
@@ -114,13 +114,21 @@ class MeasurementPage:
         if state.found:
             rows = ", ".join(state.subject.name(number) for number in sorted(state.found)[:12])
             rows += " …" if len(state.found) > 12 else ""
-            suspicious.append(f"{len(state.found)} readings do not belong to the rest (rows {rows}): see Compare")
+            suspicious.append(
+                f"{stand_out(len(state.found))} (row {rows}): Compare shows, and puts back, what is set aside"
+            )
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
-        self._words.object = f"<p>{escape(measurement.headline)}</p>{said or '<p>Nothing is suspicious.</p>'}"
+        fits = paragraphs([sentence(in_words(state.model.comparison))])
+        self._words.object = fits + (said or "<p>In the recording itself nothing is suspicious.</p>")
         self._setups.object, self._more.object = placed, more
         setups = [setup for session in measurement.sessions for setup in session.description.setups]
         at = [(s.id, s.position, setup_color(k)) for k, s in enumerate(setups) if hasattr(s, "position")]
         place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
+        read = np.column_stack([self._readings.data[axis] for axis in "xyz"])
+        extent = np.nanmax([*place, *read], axis=0) > np.nanmin([*place, *read], axis=0)
+        self._space.visible = bool(extent.all())
+        for view, across in VIEWS.items():
+            self._plots[view].visible = bool(extent[list(across)].all())
         self._stations.data = {
             "id": [name for name, _, _ in at],
             "color": [color for _, _, color in at],

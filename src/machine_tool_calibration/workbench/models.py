@@ -244,10 +244,7 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     if not models:
         models.append(subject.tried(None, "", first, frozenset(), frozenset()))
         if found:
-            words = words_set_aside(len(found))
-            aside = frozenset(found)
-            models.append(subject.tried(models[0], words, first, aside, frozenset()))
-            remark = remark or f"{words}, which do not belong to the rest: Compare shows them, and puts them back."
+            models.append(subject.tried(models[0], words_set_aside(len(found)), first, frozenset(found), frozenset()))
     return Opened(subject, prints, models, found, history, remark)
 
 
@@ -285,7 +282,7 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
 
 def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:
     """What is known with a model, and what would be after each further measurement."""
-    return outlooks(subject.chosen(model), progress)
+    return outlooks(subject.chosen(model), model.fit.result, progress)
 
 
 def planned(
@@ -309,6 +306,6 @@ def planned(
         progress: told what is being done.
     """
     found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
-    now = None if model is None else current(subject.chosen(model))
+    now = None if model is None else current(subject.measurement.sessions[0], model.fit.result.error_map)
     words = f"procedure {procedure.name}, by itself"
     return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))

@@ -13,7 +13,7 @@ import panel as pn
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import FormulaEffect, formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.workbench.look import bar_button, controls, text, when_changed
+from machine_tool_calibration.workbench.look import bar_button, controls, folded, text, when_changed
 from machine_tool_calibration.workbench.state import State
 
 __all__ = ["OwnEffect", "addable", "unknowns_of"]
@@ -68,13 +68,8 @@ class OwnEffect:
         for field in self._typed:
             when_changed(field, partial(self._type, field), "value_input")
         when_changed(self._enters, lambda _: self._check())
-        self.view = pn.Card(
-            controls(self._name, self._enters, self._formula, self._linear, self._shape, self._look),
-            self._said,
-            title="An effect of your own by its formula",
-            collapsed=True,
-            sizing_mode="stretch_width",
-        )  # fmt: skip
+        fields = controls(self._name, self._enters, self._formula, self._linear, self._shape, self._look)
+        self.view = folded("An effect of your own by its formula", fields, self._said)
 
     def effect(self) -> FormulaEffect:
         """What the form says.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import panel as pn
 
@@ -29,27 +29,8 @@ from machine_tool_calibration.workbench.work import Work
 __all__ = ["window"]
 
 
-class Page(Protocol):
-    """A page of the window.
-
-    Attributes:
-        title: what it is called.
-        blocks: how many.
-        view: the blocks that are shown, one below the other.
-    """
-
-    title: str
-    blocks: int
-    view: Any
-
-    def __init__(self, state: State, readings: Readings, work: Work) -> None:
-        """An empty one."""
-
-    def refresh(self) -> None:
-        """Show the model in use."""
-
-
-_PAGES: tuple[type[Page], ...] = (
+# Each has a title, what it is about, how many blocks it has, these as `view`, and shows the model in use on `refresh`.
+_PAGES: tuple[Any, ...] = (
     MeasurementPage,
     ComparePage,
     DiagnosePage,
@@ -112,18 +93,19 @@ class _Window:
         self._state.watch(self._changed)
         # A page is made when it is first looked at, and filled when it is looked at and stale: what a browser does not
         # show costs it nearly as much as what it shows.
-        pages: tuple[type[Page] | type[LivePage], ...] = (*_PAGES, LivePage)
-        self._makers: dict[str, Callable[[], Page]] = {
+        pages: tuple[Any, ...] = (*_PAGES, LivePage)
+        self._makers: dict[str, Callable[[], Any]] = {
             page.title: partial(page, self._state, self._readings, self._work) for page in _PAGES
         }
         self._makers[LivePage.title] = partial(LivePage, self._state, self._work, feed)
-        self._pages: dict[str, Page] = {}
+        self._pages: dict[str, Any] = {}
         self._places = {
             page.title: [pn.Column(sizing_mode="stretch_width") for _ in range(page.blocks)] for page in pages
         }
         self._stale: set[str] = set()
+        self._shown = ""
         self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._places}
-        self._head = text()
+        self._head, self._about = text(), text()
         self._show(LivePage.title if live else _PAGES[0].title)
         found = [path for target in targets for path in measurements_in(target)]
         names = distinct_labels([path.name or str(path) for path in found])
@@ -134,7 +116,10 @@ class _Window:
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=width, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
         bar = controls(*self._buttons.values(), self._choice, self._work.view)
-        self.roots = [bar, self._head, *(place for places in self._places.values() for place in places)]
+        stays = {"position": "sticky", "top": "0", "z-index": "100", "background": "#fff"}
+        stays["border-bottom"] = "1px solid #ccc"
+        top = pn.Column(bar, self._head, self._about, sizing_mode="stretch_width", styles=stays)
+        self.roots = [top, *(place for places in self._places.values() for place in places)]
         if found:
             pn.state.onload(self._open)
         elif targets:
@@ -153,13 +138,12 @@ class _Window:
 
     def _changed(self) -> None:
         """Another model is in use, or another measurement."""
-        state, model = self._state, self._state.model
+        state = self._state
         self._stale = set(self._places)
-        number = "" if model.number is None else f" (model {model.number} of the history)"
-        named = " + ".join(str(path) for path in state.paths)
-        aside = f"; {len(model.aside)} readings set aside" if model.aside else ""
-        aside += f"; kept: {', '.join(map(state.subject.name, sorted(model.kept)))}" if model.kept else ""
-        self._head.object = f"<b>{escape(named)}</b>{number}: {escape(model.fit.headline + aside)}"
+        named = " + ".join(path.absolute().name for path in state.paths)
+        where = escape(", ".join(str(path.absolute()) for path in state.paths), quote=True)
+        warned = f' <span class="error">{escape(state.warning)}</span>' if state.warning else ""
+        self._head.object = f'<b title="{where}">{escape(named)}</b>: {escape(state.headline)}.{warned}'
         with self._readings.at_once():
             self._readings.refresh()
             self._show(self._shown)
@@ -168,9 +152,13 @@ class _Window:
             state.remark = ""
 
     def _show(self, title: str) -> None:
+        if title != self._shown:
+            self._work.turn_over()
         self._shown = title
         for name, button in self._buttons.items():
             button.button_type = "primary" if name == title else "default"
+        # What is heard of a graph is not the measurement that is open.
+        self._head.visible = title != LivePage.title
         new = title not in self._pages
         if new:
             self._pages[title] = self._makers[title]()
@@ -184,6 +172,7 @@ class _Window:
             with self._document.models.freeze():
                 for place, block in zip(self._places[title], self._pages[title].view, strict=True):
                     place.append(block)
+        self._about.object = f"<h2>{title}</h2> &nbsp; {escape(self._pages[title].about)}"
         for name, page in self._pages.items():
             for block in page.view:
                 block.visible = name == title

@@ -11,10 +11,11 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource
 
+from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.dominant import ANGULAR
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.style import round_down, spaced
-from machine_tool_calibration.reports.outlook import outlook_table, sizes_table
+from machine_tool_calibration.reports.outlook import outlook_table
 from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
@@ -23,6 +24,7 @@ from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
     controls,
+    folded,
     legend_above,
     new_figure,
     setup_color,
@@ -31,6 +33,7 @@ from machine_tool_calibration.workbench.look import (
     typed_out,
     when_changed,
 )
+from machine_tool_calibration.workbench.map_plot import map_arrows
 from machine_tool_calibration.workbench.models import looked_ahead, planned
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
@@ -51,17 +54,18 @@ class PlanPage:
     """What to measure next, and what that would tell."""
 
     title = "Plan"
-    blocks = 7
+    about = "What the next measurement would tell of the map, how long it takes, and where its readings are."
+    blocks = 6
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
         self._every: list[Outlook] = []
         # The text of a procedure's file, where an outlook is that of a procedure.
         self._procedures: dict[int, str] = {}
-        self._words, self._table, self._sizes, self._plan = text(), text(), text(), text()
-        self._choice = pn.widgets.Select(name="Measurement that is shown", options={"": 0}, width=560)
-        self._plane = pn.widgets.Select(name="Drawn in the plane", width=120)
-        self._saved = Saved("Save its plan into the folder")
+        self._words, self._table, self._plan = text(), text(), text()
+        self._choice = pn.widgets.Select(name="Measurement that is shown", options={"": 0}, width=500)
+        self._plane = pn.widgets.Select(name="Drawn in the plane", width=110)
+        self._saved = Saved("Save its plan into the folder", width=380)
         self._save = bar_button("Save the plan", self._write, disabled=True)
         for choice in (self._choice, self._plane):
             when_changed(choice, lambda _: self._draw())
@@ -106,16 +110,13 @@ class PlanPage:
             ),
             self._saved.list,
             self._words,
-            pn.Card(
-                controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
-                self._plan,
-                title="Another measurement, by a procedure (as mtcal plan forecasts it)",
-                collapsed=True,
-                sizing_mode="stretch_width",
-            ),
             self._table,
             beside(self._where, self._map),
-            self._sizes,
+            folded(
+                "Another measurement, by a procedure",
+                controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
+                self._plan,
+            ),
             sizing_mode="stretch_width",
         )  # fmt: skip
 
@@ -126,9 +127,9 @@ class PlanPage:
         self._plane.param.update(options=self._readings.planes, value=self._readings.planes[0])
         self._show([])
         self._words.object = (
-            "<p>Look ahead tries on paper what can be measured next: the same again, backwards, warmer, from another "
-            "station, and says how much smaller the uncertainty of the map and the smallest detectable effects would "
-            "be. What would tell confounded effects apart, Diagnose says.</p>"
+            "<p>Look ahead tries on paper what can be measured next: the same again, from another station, along "
+            "another diagonal, and says how much smaller the uncertainty of the map would be. What would distinguish "
+            "confounded effects, and show those that hardly show, Diagnose says.</p>"
         )
 
     def _show(self, every: list[Outlook], chosen: int = 0) -> None:
@@ -186,7 +187,6 @@ class PlanPage:
         if not there:
             for source in (self._new, self._stations, *(source for source, _ in self._maps.values())):
                 source.data = {name: [] for name in source.data}
-            self._sizes.object = ""
             return
         now, then = self._every[0], self._every[k]
         self._draw_places(then)
@@ -194,10 +194,9 @@ class PlanPage:
         extent = float(np.ptp(now.points, axis=0).max()) if len(now.points) else 0.0
         factor = round_down(_LENGTH * extent / (2 * largest)) if largest > 0 and extent > 0 else 0.0
         for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
-            source.data = _ellipses(one, factor)
+            source.data = map_arrows(ErrorMap({}, one.points, np.zeros_like(one.points), one.uncertainty), factor)
         self._where.title.text = f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
         self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
-        self._sizes.object = tables([sizes_table(now, then)])
 
     def _draw_places(self, then: Outlook) -> None:
         session = then.session
@@ -229,14 +228,3 @@ class PlanPage:
         self._saved.claim(paths)
         write_session(then.session, folder, overwrite=True)
         self._saved.offer(paths)
-
-
-def _ellipses(one: Outlook, factor: float) -> dict[str, np.ndarray]:
-    """Expanded uncertainties at the places of a map as columns of a plot, mm, and in µm for what is said."""
-    wide = 2.0 * one.uncertainty
-    out = {}
-    for k, axis in enumerate("xyz"):
-        out[axis] = 1e3 * one.points[:, k]
-        out[f"w{axis}"] = 2e3 * factor * np.nan_to_num(wide[:, k])
-        out[f"u{axis}"] = 1e6 * wide[:, k]
-    return out

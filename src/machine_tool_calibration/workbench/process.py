@@ -23,7 +23,7 @@ __all__ = ["Calculation", "FaultError", "warm_up"]
 # Processes are forked off one that has loaded what calculates and does nothing else: they are there in a few
 # milliseconds, and no thread of the page's process was in the middle of anything. Nothing of the page is loaded there.
 _PROCESSES = multiprocessing.get_context("forkserver")
-_PRELOADED = [f"{__package__}.{name}" for name in ("process", "state", "ahead", "handed_over")]
+_PRELOADED = [f"{__package__}.{name}" for name in ("process", "handed_over")]
 # Bytes beyond which a process is not kept for the next calculation.
 _LEAN = 0.6e9
 

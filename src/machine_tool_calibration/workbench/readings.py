@@ -104,7 +104,11 @@ class Readings:
     @property
     def selected(self) -> list[int]:
         """Numbers of the readings that are selected."""
-        return [int(self._number[k]) for k in self._chosen]
+        return [self.number(k) for k in self._chosen]
+
+    def number(self, k: int) -> int:
+        """Of the reading at a place in the columns."""
+        return int(self._number[k])
 
     @property
     def chosen(self) -> list[int]:

@@ -45,8 +45,8 @@ class Saved:
         list: the files with their links.
     """
 
-    def __init__(self, name: str) -> None:
-        self.folder = pn.widgets.TextInput(name=name, width=480)
+    def __init__(self, name: str, width: int = 480) -> None:
+        self.folder = pn.widgets.TextInput(name=name, width=width)
         self.list = text()
         self._mine: set[Path] = set()
 

@@ -8,10 +8,13 @@ import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from traceback import extract_tb
+from typing import Any
 
 import panel as pn
 from bokeh.server import connection
 from panel.io.server import get_server
+from tornado.httputil import HTTPHeaders
+from tornado.web import ErrorHandler, OutputTransform
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.live_feed import Feed
@@ -25,6 +28,15 @@ __all__ = ["quieten", "serve"]
 _HERE = "127.0.0.1"
 # Panel keeps a page that was closed for a while; a window's work is not needed after a lost connection's time.
 _KEPT = 60_000  # ms
+_HEADERS = {
+    # Scripts stand in Bokeh's page, and Panel makes functions of texts; all comes from here, and into no other's frame.
+    "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",  # the token is in the address
+}
 
 
 def quieten() -> None:
@@ -83,19 +95,45 @@ def serve(
         {"workbench": lambda: window(targets, own, variant, feed=feed, live=live)},
         port=port,
         address=_HERE,
-        title="mtcal workbench",
+        title=" · ".join([*(target.absolute().name for target in targets), "mtcal workbench"]),
         prefix=token,
         unused_session_lifetime_milliseconds=_KEPT,
         use_index=False,
         extra_patterns=PATTERNS,
         ico_path="none",
     )
-    # Only pages of this very address may open the websocket; its port is not known before.
-    server._tornado.websocket_origins.clear()
-    server._tornado.websocket_origins.add(f"{_HERE}:{server.port}")
+    _guard(server._tornado, f"{_HERE}:{server.port}")  # the port is not known before
     server.start()
     ready(f"http://{_HERE}:{server.port}/{token}/workbench")
     # Panel's own handler of Ctrl-C ends the loop.
     server.io_loop.start()
     server.stop()
     feed.close()
+
+
+class _Headers(OutputTransform):
+    """What every answer tells the browser to refuse."""
+
+    def transform_first_chunk(
+        self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
+    ) -> tuple[int, HTTPHeaders, bytes]:
+        headers.update(_HEADERS)
+        return status_code, headers, chunk
+
+
+def _guard(application: Any, host: str) -> None:
+    """Answer only what asks for this very address, which another name that leads here (DNS rebinding) is not.
+
+    Only its pages may open the websocket.
+    """
+    find = application.find_handler
+
+    def found(request: Any, **more: Any) -> Any:
+        if request.host == host:
+            return find(request, **more)
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+
+    application.find_handler = found
+    application.add_transform(_Headers)
+    application.websocket_origins.clear()
+    application.websocket_origins.add(host)

@@ -16,6 +16,7 @@ from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.reports.history_file import history_path, update_history
+from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.workbench.models import (
     Model,
@@ -81,6 +82,7 @@ class State:
         self.found: dict[int, float] = {}
         self.remark = ""
         self.history = History()
+        self._kept = True
         self._given = tuple(own)
         self._subject: Subject | None = None
         self._prints: tuple[str, ...] = ()
@@ -116,6 +118,30 @@ class State:
         if not self.models:
             raise CalibrationError("no measurement is open")
         return self.models[-1]
+
+    @property
+    def headline(self) -> str:
+        """The model in use, and whether it is saved."""
+        model = self.model
+        words = [model.fit.headline]
+        words += [f"{len(model.aside)} readings set aside"] if model.aside else []
+        words += [f"kept: {', '.join(map(self.subject.name, sorted(model.kept)))}"] if model.kept else []
+        if model.number is None:
+            words.append("not saved, as nothing was changed yet")
+        else:
+            words.append(f"{'saved as' if self._kept else 'not saved:'} model {model.number} of the history")
+        return "; ".join(words)
+
+    @property
+    def warning(self) -> str:
+        """That the history has a model that fits better; empty if it has none."""
+        better = self.history.better
+        if better is None:
+            return ""
+        return (
+            f"Model {better.number} ({better.change or 'first model'}) fits better, with a reduced chi-square of "
+            f"{rounded(better.reduced_chi_square)}: Improve goes to it."
+        )
 
     @property
     def own(self) -> dict[str, PhysicalEffect]:
@@ -245,10 +271,12 @@ class State:
 
     def _keep(self, change: Callable[[History], History]) -> None:
         """Change the history; where its file cannot be written this window's own."""
+        self._kept = True
         try:
             self.history = update_history(history_path(*self.paths), change)
         except SessionError as error:
             self.history = change(self.history)
+            self._kept = False
             self.remark = f"{error}; the models are kept in this window only"
 
 

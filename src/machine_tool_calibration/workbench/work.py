@@ -42,6 +42,11 @@ class Work:
         """A remark, in place of the last one."""
         self._words.object = escape(words)
 
+    def turn_over(self) -> None:
+        """Another page is looked at: what went wrong on the last one is no longer said."""
+        if "error" in self._words.object:
+            self.say("")
+
     def fail(self, error: BaseException) -> None:
         """Say what went wrong, in one line."""
         if isinstance(error, OSError) and error.filename:

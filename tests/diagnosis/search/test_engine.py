@@ -12,6 +12,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
@@ -186,7 +187,7 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
 
     How fast it may plausibly drift keeps the map determined; here no growth of its uncertainty is allowed at all.
     """
-    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose._SPOILT", 0.5)
+    monkeypatch.setattr("machine_tool_calibration.estimation.priors.SPOILT", 0.5)
     session = simulated("rotary_axis_one_way", 4, [FlawSpec(id="station_drift", amplitude=6e-6)])
     # Of its look-alikes, some of which the data determines, none is looked for.
     only = {"station_drift": catalogue()["station_drift"]}
@@ -203,7 +204,7 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
     # The model stays as it was, and so does what it determines.
     assert len(found.fits) == 1
     own = found.fits[0].fits[0]
-    assert np.isfinite(np.asarray(own.model.error_map(own).content["EZC"], dtype=float)).all()
+    assert np.isfinite(np.asarray(error_map(own).content["EZC"], dtype=float)).all()
 
 
 def test_of_lost_motion_beside_backlash_only_what_varies_is_told() -> None:

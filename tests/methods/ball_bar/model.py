@@ -49,24 +49,25 @@ class CircleModel(MethodModel):
             dense_index=dense_index,
         )
 
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """Position errors by squareness and scale mismatch; nothing is read along Z."""
-        points = self.observations.position[distinct_places(self.observations.position)[0]]
-        field = np.concatenate([map_field(self.tables, points), mismatch(points)])
-        own = len(self.own)
-        mine = slice(own, own + len(field))
-        covariance = np.einsum("knd,kl,lne->nde", field, fit.covariance[mine, mine], field)
-        error = np.einsum("k,knd->nd", fit.theta[mine], field)
-        uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
-        error[:, 2], uncertainty[:, 2] = np.nan, np.nan
-        value, u = fit.theta[own], np.sqrt(fit.covariance[own, own])
-        content: dict[str, Any] = {
-            "points": points,
-            "position_error": error,
-            "position_error_u": uncertainty,
-            "tables": {"C0Y": {"value": value, "value_u": u}},
-        }
-        return ErrorMap(content, points, error, uncertainty)
+
+def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
+    """Position errors by squareness and scale mismatch; nothing is read along Z."""
+    points = model.observations.position[distinct_places(model.observations.position)[0]]
+    field = np.concatenate([map_field(model.tables, points), mismatch(points)])
+    own = len(model.own)
+    mine = slice(own, own + len(field))
+    covariance = np.einsum("knd,kl,lne->nde", field, fit.covariance[mine, mine], field)
+    error = np.einsum("k,knd->nd", fit.theta[mine], field)
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
+    error[:, 2], uncertainty[:, 2] = np.nan, np.nan
+    value, u = fit.theta[own], np.sqrt(fit.covariance[own, own])
+    content: dict[str, Any] = {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "tables": {"C0Y": {"value": value, "value_u": u}},
+    }
+    return ErrorMap(content, points, error, uncertainty)
 
 
 def mismatch(position: Array) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of ISO 230-2:2014, against numbers worked out by hand."""
+"""The figures of ISO 230-2:2014 and ISO 230-6:2002, against numbers worked out by hand."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.direct.iso230_2 import positioning
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning
+from machine_tool_calibration.reports.identification import goodness_of_fit
 
 # Two positions, three runs up and three down, um.
 POSITION = np.repeat([0.0, 0.1], 6)
@@ -111,3 +112,52 @@ def test_uncertainty_of_the_figures_is_that_of_repeated_tests(plates: ModuleType
 def test_single_runs_have_no_uncertainty(plates: ModuleType) -> None:
     (run,) = identify(plates.axis(1, runs=1)).document()["error_map"]["iso230_2"]
     assert "B_U" not in run and run["B"] is not None
+
+
+def test_every_figure_has_an_uncertainty_and_the_single_runs_are_kept(plates: ModuleType) -> None:
+    session = plates.axis(1)
+    (run,) = identify(session).document()["error_map"]["iso230_2"]
+    assert all(run[f"{name}_U"] > 0.0 for name in FIGURES)
+    up = np.array(run["runs_up"], float)
+    assert up.shape == (5, 11)
+    np.testing.assert_allclose(up.mean(axis=0), run["mean_up"], atol=1e-15)
+    np.testing.assert_allclose(up.std(axis=0, ddof=1), run["s_up"], atol=1e-15)
+
+
+def test_a_reversal_is_no_fault_of_the_model(direct: SimpleNamespace) -> None:
+    session = direct.measured("iso230_2", repeats=5, effects=[{"id": "backlash_x", "size": 3e-6}]).session
+    document = identify(session).document()
+    assert document["p_value"] < 1e-6
+    assert "which is part of the result (ISO 230-2)" in goodness_of_fit(document)
+    # A drift is no reversal.
+    drifting = direct.measured("iso230_2", repeats=5, effects=[{"id": "linear_drift", "size": 2e-8}]).session
+    assert "part of the result" not in goodness_of_fit(identify(drifting).document())
+
+
+# Two runs there and back along two face diagonals, um: the first as along an axis, the second with half of it.
+FORTH = np.array([[0.0, 1.0, 4.0], [0.0, 3.0, 4.0]])
+BACK = np.array([[-1.0, 1.0, 2.0], [-3.0, 1.0, 4.0]])
+
+
+def test_diagonals_by_hand(direct: SimpleNamespace) -> None:
+    line, back = np.array([0.0, 0.1, 0.2]), [2, 1, 0]
+    place = np.tile(np.r_[line, line[back]], 4)
+    sense = np.repeat([1.0, -1.0], 12)
+    at = np.column_stack([np.where(sense > 0, place, 0.2 - place), place, np.zeros(24)])
+    g = np.column_stack([sense, np.ones(24), np.zeros(24)])
+    one = 1e-6 * np.concatenate([part for k in range(2) for part in (FORTH[k], BACK[k][back])])
+    session = direct.written(
+        at, g, np.r_[one, 0.5 * one], setup=np.repeat([0, 1], 12), setups=("A", "B"), terms=("EXX", "EYY"),
+        columns={"dir_x": sense * np.tile(np.repeat([1, -1], 3), 4), "dir_y": np.tile(np.repeat([1, -1], 3), 4)},
+    )  # fmt: skip
+    found = identify(session, keep_all=True).error_map.content
+    assert "iso230_2" not in found
+    first, second = found["iso230_6"]["runs"]
+    assert (first["axis"], second["axis"]) == ("PP0", "NP0")
+    np.testing.assert_allclose(first["position"], np.sqrt(2.0) * line)
+    # Means: up 0, 2, 4, down -2, 1, 3
+    (test,) = found["iso230_6"]["tests"]
+    assert (test["diagonals"], test["measured"], test["of"]) == ("XY", 2, 2)
+    expected = {"E_D": 6e-6, "E_D_up": 4e-6, "E_D_down": 5e-6, "B_D": 2e-6}
+    assert {name: test[name] for name in expected} == pytest.approx(expected)
+    assert second["E"] == pytest.approx(3e-6)

@@ -34,6 +34,12 @@ def test_published_motions_are_in_the_stated_datum(rotary: SimpleNamespace) -> N
     content = identify(rotary.measured(4).session).error_map.content
     value, _ = rotary.found(content)
     np.testing.assert_allclose(rotary.without_datum(value, np.asarray(content["c"])), value, atol=1e-15)
+    kinds = ["radial", "radial", "axial", "tilt", "tilt", "angular positioning"]
+    assert [one["kind"] for one in content["iso230_7"]] == kinds
+    for one, motion, u in zip(content["iso230_7"], value, rotary.found(content)[1], strict=True):
+        assert one["value"] == pytest.approx(np.ptp(motion)) and one["angles"] == len(motion)
+        # The two ends share the datum's uncertainty, and nothing else of weight.
+        assert one["U"] == pytest.approx(2.0 * np.hypot(u[motion.argmax()], u[motion.argmin()]), rel=0.3)
 
 
 def test_axis_average_line_within_what_the_stations_allow(rotary: SimpleNamespace, many: Any) -> None:

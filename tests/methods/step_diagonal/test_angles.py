@@ -7,6 +7,7 @@ from papers.study_step_diagonal import paper_angular_uncertainty
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
@@ -72,7 +73,7 @@ def test_a_mirror_set_anew_leaves_three_slopes_open_and_says_so(exact):
     assert any(entry.name.startswith("3 slopes of ") for entry in model.left_out)
     fit = fit_models([model]).fits[0]
     assert fit.undetermined.shape[1] == 0
-    assert np.isfinite(model.error_map(fit).error).all()
+    assert np.isfinite(error_map(fit).error).all()
 
 
 def test_one_mirror_is_refuted_by_chi_square_where_it_was_touched(exact):

@@ -35,7 +35,14 @@ def compared_once(found, monkeypatch):
 def test_table_for_people(capsys):
     assert run(["compare-formulations", str(EXAMPLE)]) == 0
     out = capsys.readouterr().out
-    for text in ("EXX over 120 mm", "EYX straightness", "C0Y squareness X-Y", "Eqs. (6)-(19)", "from the new one"):
+    for text in (
+        "EXX over 120 mm",
+        "EYX straightness",
+        "C0Y squareness X-Y",
+        "Eqs. (6)",
+        "from the new one",
+        "µrad in ppp",
+    ):
         assert text in out
 
 

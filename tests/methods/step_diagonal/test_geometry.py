@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs, their orders and block positions."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, runs_of, step_diagonal_of
+from machine_tool_calibration.simulation import Simulated
 
 
 def _setup(name: str, direction: list[float], start: list[float], kind: str = "diagonal") -> dict[str, object]:
@@ -105,3 +108,20 @@ def test_another_method_is_refused(exact):
     other = simulate(SimulationSpec(plan=TrackingPlan(dimension=2))).session
     with pytest.raises(ModelError, match="tracking_interferometer session has no step diagonals"):
         step_diagonal_of(other)
+
+
+def test_diagonals_by_iso_230_6_are_those_of_the_machine(exact: Callable[..., Simulated]) -> None:
+    simulated = exact(position=1e-6, squareness=3e-5, repeats=2)
+    found = identify(simulated.session).error_map.content["iso230_6"]
+    (test,) = found["tests"]
+    assert (test["measured"], test["of"]) == (3, 4)
+    assert np.isnan(test["E_D"]) and np.isnan(test["B_D"])  # the runs went one way
+    extents = []
+    for run, sign in zip(found["runs"], ([1, 1, 1], [-1, 1, 1], [1, -1, 1]), strict=True):
+        assert run["axis"] == "".join("N P"[part + 1] for part in sign)
+        assert (len(run["runs_up"]), len(run["runs_down"])) == (2, 0)
+        path = np.linspace(0.0, 0.12, 13)[:, None] * sign + 0.06 * (1 - np.array(sign))
+        along = simulated.truth.machine.position_error(path) @ sign / np.sqrt(3.0)
+        np.testing.assert_allclose(run["mean_up"], along - along[0], atol=3e-8)
+        extents.append(np.ptp(along))
+    assert test["E_D_up"] == pytest.approx(max(extents), abs=3e-8)

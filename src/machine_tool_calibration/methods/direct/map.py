@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.methods.direct.datum import SetupDatum
-from machine_tool_calibration.methods.direct.iso230_2 import positioning, positioning_uncertainty
+from machine_tool_calibration.methods.direct.model import DirectModel
 from machine_tool_calibration.methods.direct.plate import plate_steps
+from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
@@ -24,85 +25,12 @@ from machine_tool_calibration.model.rigid_body import (
     tables_content,
 )
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.direct.model import DirectModel
-
-__all__ = ["direct_map", "positioning_runs", "sensed_axes"]
-
-
-_ALONG = 0.9999  # cosine between the direction that is read and the axis
-_STILL = 1e-6  # m
-_SAME = 1e-5  # m: commanded positions that are one target
-
-
-def positioning_runs(observations: Observations, *, uncertain: bool = True) -> list[dict[str, Any]]:
-    """Figures of every setup in which one linear axis was read along itself, in both directions or repeatedly.
-
-    Args:
-        observations: the readings.
-        uncertain: whether the uncertainties of the figures are wanted, which take most of the time.
-
-    Returns:
-        For each such setup its id, the axis, the fields of `iso230_2.Positioning`, and the expanded
-        uncertainties (k = 2) of its figures, `B_U` and so on, as far as the runs determine them.
-    """
-    out = []
-    for index, name in enumerate(observations.session.setup_ids):
-        mine = np.flatnonzero(observations.readings.setup == index)
-        axis = _axis_read(observations, mine)
-        if axis is None:
-            continue
-        position, direction = _approach(observations, mine, axis)
-        if len(np.unique(position)) < 2 or (abs(direction.sum()) == len(mine) and _single(position)):
-            continue
-        sense = observations.direction[mine, axis]
-        deviation = observations.readings.displacement[mine] * np.sign(sense)
-        figures = positioning(position, direction, deviation)
-        uncertainties = positioning_uncertainty(figures) if uncertain else {}
-        expanded = {f"{key}_U": value for key, value in uncertainties.items()}
-        told = {"setup": name, "axis": "XYZ"[axis], **asdict(figures), **expanded}
-        if expanded:
-            told["note"] = "U is from the repeatability of the runs alone; that of the instrument comes on top."
-        out.append(told)
-    return out
-
-
-def _axis_read(observations: Observations, mine: IntArray) -> int | None:
-    """The axis along which all readings sense, if it alone moves."""
-    if len(mine) < 4:
-        return None
-    moved = np.ptp(observations.position[mine], axis=0) > _STILL
-    along = np.abs(observations.direction[mine]).min(axis=0) > _ALONG
-    if moved.sum() != 1 or not along[int(np.argmax(moved))]:
-        return None
-    return int(np.argmax(moved))
-
-
-def _approach(observations: Observations, mine: IntArray, axis: int) -> tuple[Array, Array]:
-    """Target positions, those within a hair made equal, and signs of approach."""
-    place = observations.position[mine, axis]
-    order = np.argsort(place, kind="stable")
-    step = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME)]
-    group = np.empty(len(place), dtype=np.int64)
-    group[order] = step
-    target = (np.bincount(group, place) / np.bincount(group))[group]
-    recorded = observations.readings.columns.get(f"dir_{'xyz'[axis]}")
-    if recorded is not None and np.isin(recorded[mine], (-1.0, 1.0)).all():
-        return target, recorded[mine]
-    # Without it: the sign of the move to the reading; the second reading at a turning point comes from beyond.
-    move = np.sign(np.diff(group, prepend=group[0] - 1))
-    for k in np.flatnonzero(move == 0):
-        following = np.flatnonzero(np.diff(group[k:]) != 0)
-        move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
-    return target, move.astype(float)
-
-
-def _single(position: Array) -> bool:
-    """Whether no position was read twice."""
-    return bool(np.unique(position, return_counts=True)[1].max() < 2)
+__all__ = ["error_map", "sensed_axes"]
 
 
 _LOOSE = 1e-9
+# Share of the sum of squares from which scatter and reversal are all of it.
+_ALL = 0.95
 # Component of a unit direction below which a reading does not sense an axis: a beam that is a little off it.
 _ACROSS = 1e-2
 
@@ -112,7 +40,7 @@ def sensed_axes(direction: Array) -> BoolArray:
     return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
 
 
-def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
+def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """The contract's content for `direct`.
 
     What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
@@ -132,6 +60,7 @@ def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
     field = np.concatenate(fields)
     first = _states(observations.position, np.concatenate([np.zeros((0, n, 3)), *fields[1:]]))
     points, field = observations.position[first], field[:, first]
+    told = observations.readings.columns
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
     common = _common(flat[: len(fields[0])].T @ model.fixed[own:], setups, points, observations.direction)
@@ -145,29 +74,52 @@ def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "points": points,
         "position_error": error,
         "position_error_u": uncertainty,
+        "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
         "tables": _tables(tables, fit, own),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
-        "scatter": _scatter(observations, fit),
         "datum": _words(setups, bool(common.shape[1])),
     }
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
         runs, steps = positioning_runs(observations), plate_steps(observations, setups)
-        content |= {"iso230_2": runs} if runs else {}
+        content["scatter"] = _scatter(observations, fit, runs)
+        content |= ({"iso230_2": runs} if runs else {}) | diagonal_tests(observations)
         content |= {} if steps is None else {"plate": steps}
     return ErrorMap(content, points, error, uncertainty, covariance)
 
 
-def _scatter(observations: Observations, fit: Fit) -> dict[str, Any]:
-    """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest."""
+def _scatter(observations: Observations, fit: Fit, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest.
+
+    Where beside the scatter only the reversal of runs by ISO 230-2 is in it, also what readings of one position and
+    direction scatter about their mean, with the p-value of as much with the declared uncertainty.
+    """
     sigma, ratio = fit.model.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
     declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
+    own: dict[str, Any] = {}
+    if len(runs) == len(observations.session.setup_ids) and all(np.isfinite(run["B"]) for run in runs):
+        squares, freedom, reversal = _by_direction(runs)
+        if freedom and squares + reversal > _ALL * float(np.sum(fit.residuals**2)):
+            p_value = float(stats.chi2.sf(squares / declared**2, freedom))
+            own = {"one_direction": float(np.sqrt(squares / freedom)), "one_direction_p_value": p_value}
     return {
+        **own,
         "declared": declared,
         "found": ratio * declared,
         "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 else "declared",
         "factor": fit.scatter_factor,
     }
+
+
+def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]:
+    """Sum of squares about the means of a position and direction, its degrees of freedom, and that of the reversal."""
+    squares, freedom, reversal = 0.0, 0, 0.0
+    for run in runs:
+        up, down = run["count_up"], run["count_down"]
+        freedom += int((up - 1).clip(0).sum() + (down - 1).clip(0).sum())
+        squares += float(np.nansum((up - 1) * run["s_up"] ** 2) + np.nansum((down - 1) * run["s_down"] ** 2))
+        reversal += float(np.sum(up * down / (up + down) * run["reversal"] ** 2))
+    return squares, freedom, reversal
 
 
 def _words(setups: SetupDatum, reduced: bool) -> str:

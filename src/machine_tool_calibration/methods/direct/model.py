@@ -27,11 +27,8 @@ from machine_tool_calibration.methods.direct.datum import (
     setup_datum,
     silent_directions,
 )
-from machine_tool_calibration.methods.direct.map import direct_map
-from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, distinct_nodes, table_datum, thinned
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session
@@ -125,10 +122,6 @@ class DirectModel(MethodModel):
             block_index=own_index.reshape(count, len(self.setups.columns)),
             dense_index=dense_index,
         )
-
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """Position error of the fitted machine errors and effects at every point that was read."""
-        return direct_map(self, fit)
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:

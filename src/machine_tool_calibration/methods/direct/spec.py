@@ -17,6 +17,7 @@ SPEC = MethodSpec(
     enough=enough_in_a_setup,
     magnitudes=direction_units,
     model="machine_tool_calibration.methods.direct.model",
+    map="machine_tool_calibration.methods.direct.map",
     models={
         "rigid_body": "the only one: the axes are rigid bodies, their errors tables over their positions",
     },

@@ -4,28 +4,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.methods.probing.geometry import nominal_points, point_means, rigid_motion
+from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.description import Probing
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.probing.model import ProbingModel
-
 __all__ = [
     "Combined",
     "Errors",
     "Responses",
     "common_motions",
+    "error_map",
     "points_of_form",
-    "probing_map",
     "responses",
     "workpiece_errors",
     "workpiece_form",
@@ -115,10 +113,10 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
         n_points: N.
     """
     stated = fit.joint.marginal
-    columns = stated.columns(fit)
+    columns = fit.marginal_columns
     mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
     touched = total > 0
-    values, vectors = np.linalg.eigh(stated.scatter**2 * stated.covariance(fit))
+    values, vectors = np.linalg.eigh(stated.scatter**2 * fit.marginal_covariance)
     half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     free = np.zeros((len(columns), fit.undetermined.shape[1]))
     free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
@@ -190,7 +188,7 @@ def _orthonormal(columns: Array) -> Array:
 _LOOSE = 1e-6
 
 
-def probing_map(model: ProbingModel, fit: Fit) -> ErrorMap:
+def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
     """Collect the errors with their standard uncertainties; NaN where the touches do not determine them.
 
     The content holds, in the order of the session's lists: `workpiece_error`, along the outward normal, in the

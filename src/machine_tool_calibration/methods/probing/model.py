@@ -32,8 +32,7 @@ from machine_tool_calibration.methods.probing.datum import (
     null_space,
 )
 from machine_tool_calibration.methods.probing.geometry import Touches, plane_tables, table_nodes, touches
-from machine_tool_calibration.methods.probing.map import probing_map
-from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import (
     Constraint,
     MethodModel,
@@ -43,10 +42,10 @@ from machine_tool_calibration.model.model import (
     motion_value,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable
-from machine_tool_calibration.session.checks.mistakes import UNITS, Judgement, explanation, scaled
+from machine_tool_calibration.session.checks.mistakes import UNITS, explanation, scaled
 from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.judgements import Judgement
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["ProbingModel", "build"]
@@ -123,10 +122,6 @@ class ProbingModel(MethodModel):
             return None
         there = np.any(self.observations.readings.setup == self.observations.session.setup_ids.index(at))
         return None if there else "no touch was read at this angle of C"
-
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """Errors of the workpiece, of the linear axes on their grid, and of C at each index."""
-        return probing_map(self, fit)
 
 
 def build(session: Session, model: str = "rigid_body") -> ProbingModel:

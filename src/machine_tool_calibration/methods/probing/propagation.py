@@ -110,7 +110,7 @@ def _gains(fit: Fit, rows: Array) -> _Gains:
         raise ModelError("draws are for one session; this fit is of several")
     stated, problem = fit.joint.marginal, fit.joint.assembly.problem
     point, n_points = model.touches.point, len(model.description.workpiece)
-    columns = stated.columns(fit)
+    columns = fit.marginal_columns
     m = len(fit.theta)
     kept = np.r_[np.ones(m, dtype=bool), stated.ratios > 0]
     columns = columns[kept]

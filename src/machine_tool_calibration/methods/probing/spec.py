@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The probing of a part on a rotary table as a record."""
 
+from machine_tool_calibration.methods.probing.nominal import held_probing, nominal_probing
 from machine_tool_calibration.session.checks.enough import enough_probing
-from machine_tool_calibration.session.checks.nominal_geometry import nominal_probing
 from machine_tool_calibration.session.checks.units import probing_units
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.method import MethodSpec
@@ -16,12 +16,12 @@ SPEC = MethodSpec(
     enough=enough_probing,
     magnitudes=probing_units,
     nominal=nominal_probing,
+    held=held_probing,
     model="machine_tool_calibration.methods.probing.model",
+    map="machine_tool_calibration.methods.probing.map",
     models={
         "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
     },
-    instrument="touch_probe",
-    rotation_sign=-1,
     setup_word="angle of C",
     mounted=lambda description: "",
     turned_part=("the probe", ("probe_pretravel",)),

@@ -3,21 +3,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array, best_motion, rigid_motions
+from machine_tool_calibration.arrays import Array, rigid_motions
 from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
+from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.checks.places import off_stated
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
-
-__all__ = ["average_line", "line_names", "rotary_map"]
+__all__ = ["average_line", "error_map", "line_names"]
 
 
 _STEPS = 20
@@ -71,11 +70,9 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
 _MOVED = 1e-3
 # Uncertainties by which a station is off its stated position from which on it says nothing of where the axis stands.
 _MISPLACED = 20.0
-# Stations that fix the motion between the frame of the axis and the machine's; more of them show which is wrong.
-_FRAME = 3
 
 
-def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
+def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
     """The contract's content for `rotary_axis`."""
     table, stations, targets = model.table, model.stations, model.targets
     k, own = len(table.nodes), len(model.own)
@@ -103,8 +100,31 @@ def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
         "axis_average_line": line,
         "datum": ROTARY_DATUM,
     }
+    content["iso230_7"] = _error_motion_values(model, fit)
     untold = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()
     return ErrorMap(content, points, error, uncertainty, cov, untold)
+
+
+def _error_motion_values(model: RotaryAxisModel, fit: Fit) -> list[dict[str, Any]]:
+    """Error motion values of ISO 230-7:2015, Clause 3: the range of each error motion over the angles that tell it.
+
+    The motions are relative to the axis average line, sensed in the machine's fixed directions as a tool at rest does,
+    and of all revolutions together: the synchronous ones. U (k = 2) is that of the difference of the two ends.
+    """
+    table, out = model.table, []
+    for j, name in enumerate(table.motions):
+        mine = len(model.own) + j * len(table.nodes) + np.arange(len(table.nodes))
+        mine = mine[fit.determined[mine]]
+        along, value, u = name[1] in (table.axis, "XYZ"["ABC".index(table.axis)]), np.nan, np.nan
+        kind = ("tilt", "angular positioning") if name[1] in "ABC" else ("radial", "axial")
+        if len(mine) > 1:
+            high, low = mine[np.argmax(fit.theta[mine])], mine[np.argmin(fit.theta[mine])]
+            value = float(fit.theta[high] - fit.theta[low])
+            between = fit.covariance[high, high] + fit.covariance[low, low] - 2.0 * fit.covariance[high, low]
+            u = float(np.sqrt(max(between, 0.0)))
+        told = {"kind": kind[along], "motion": name, "angles": len(mine), "value": value, "U": 2.0 * u}
+        out.append({**told, "unit": "rad" if name[1] in "ABC" else "m"})
+    return out
 
 
 def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Array]:
@@ -146,7 +166,7 @@ def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
         )
         stated = np.array([setups[s].position for s in known])
         uncertainty = np.array([setups[s].position_uncertainty for s in known])
-        off = _off_stated(found, stated)
+        off = np.linalg.norm(off_stated(found, stated), axis=1)
         u = np.sqrt(uncertainty**2 + np.diag(covariance).reshape(-1, 3).sum(axis=1))
         worst = int(np.argmax(off / u))
         if off[worst] > _MISPLACED * u[worst]:
@@ -159,13 +179,3 @@ def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
         out[name] = None if result is None else float(result[0][j])
         out[f"{name}_u"] = None if result is None else float(np.sqrt(result[1][j, j]))
     return out, why
-
-
-def _off_stated(found: Array, stated: Array) -> Array:
-    """(k,) how far stations are from where they are stated to be, by the motion in which all but one agree best, m."""
-    if len(found) <= _FRAME:
-        return np.zeros(len(found))
-    others = [np.arange(len(found)) != k for k in range(len(found))]
-    motions = [best_motion(found[keep], stated[keep]) for keep in others]
-    off = [np.linalg.norm(found @ turn.T + shift - stated, axis=1) for turn, shift in motions]
-    return np.asarray(min(zip(others, off, strict=True), key=lambda pair: float(np.linalg.norm(pair[1][pair[0]])))[1])

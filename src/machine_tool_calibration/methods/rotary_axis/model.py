@@ -20,10 +20,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
-from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes
+from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.datum import (
     HELD_WITHIN,
     ROTARY_DATUM,
@@ -36,9 +36,7 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_axis.map import rotary_map
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
-from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import (
     MethodModel,
     Parameter,
@@ -49,7 +47,7 @@ from machine_tool_calibration.model.model import (
     place_of,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -59,6 +57,8 @@ __all__ = ["RotaryAxisModel", "build"]
 # of that, over the declared uncertainty, that says that stations and targets were not found.
 _DOUBTFUL = 3e-5
 _LOST = 30.0
+# The same below which single runs can be judged by it, m.
+_ROUGH = 2e-4
 
 # Turn above which the readings fix the stations well, rad.
 _LARGE_TURN = 1.9
@@ -181,10 +181,6 @@ class RotaryAxisModel(MethodModel):
         stations = [self.description.setups[s].id for s in np.unique(table.readings.setup[here])]
         return _why_loose(seen, stations)
 
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """Six error motions at every angle, the targets' position errors, and where the axis average line stands."""
-        return rotary_map(self, fit)
-
 
 def _why_loose(seen: list[str], stations: list[str]) -> str:
     if not seen:
@@ -240,6 +236,11 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     first = _model(session, table, start)
     if start.misfit > _DOUBTFUL:
         _check_places(first)
+    if not session.description.trust_units:
+        with suspected():
+            refuse_misplaced(session, {"stations": start.stations, "targets": start.targets})
+        if start.misfit < _ROUGH:
+            refuse_wrong_rows(session, start)
     if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
         return first
     held = _held(first)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rotary axis by multilateration as a record."""
 
+from machine_tool_calibration.methods.rotary_axis.nominal import nominal_rotary
 from machine_tool_calibration.session.checks.enough import enough_rotary
-from machine_tool_calibration.session.checks.nominal_geometry import nominal_rotary
 from machine_tool_calibration.session.description import RotaryAxis, rotary_column
 from machine_tool_calibration.session.method import MethodSpec
 
@@ -15,10 +15,10 @@ SPEC = MethodSpec(
     enough=enough_rotary,
     nominal=nominal_rotary,
     model="machine_tool_calibration.methods.rotary_axis.model",
+    map="machine_tool_calibration.methods.rotary_axis.map",
     models={
         "free": "the only one: six error motions at every angle, targets and stations unknown",
     },
-    instrument="laser_tracker",
     setup_word="station",
     mounted=lambda description: "the instrument",
     beam_from_pointer=True,

@@ -24,6 +24,7 @@ from machine_tool_calibration.methods.step_diagonal.formulations import (
 from machine_tool_calibration.methods.step_diagonal.geometry import step_diagonal_of
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["FORMULATIONS", "Comparison", "compare_formulations", "identify_by_formulation"]
@@ -132,11 +133,14 @@ class Comparison:
         profiles: by name, from all repeats together.
         by_repeat: by name, from each repeat alone.
         refused: by name, why a formulation cannot be used here.
+        tilts: of the mirror in each diagonal against its beam as the readings show it, rad; the conventional
+            formulation takes them to be zero.
     """
 
     profiles: Mapping[str, Profiles]
     by_repeat: Mapping[str, tuple[Profiles, ...]]
     refused: Mapping[str, str]
+    tilts: Mapping[str, float]
 
 
 def compare_formulations(session: Session) -> Comparison:
@@ -161,4 +165,13 @@ def compare_formulations(session: Session) -> Comparison:
                 refused[name] = str(error)
     if not profiles:
         raise ModelError(f"{session.source}: no formulation can be used: {next(iter(refused.values()))}")
-    return Comparison(profiles, by_repeat, refused)
+    return Comparison(profiles, by_repeat, refused, _tilts(session) if "least_squares" in profiles else {})
+
+
+def _tilts(session: Session) -> dict[str, float]:
+    fit = fit_models([build(session, _MODELS["least_squares"])]).fits[0]
+    squares: dict[str, float] = {}
+    for parameter, value, known in zip(fit.model.parameters, fit.theta, fit.determined, strict=True):
+        if parameter.kind is Kind.TILT and known:
+            squares[parameter.owner] = squares.get(parameter.owner, 0.0) + float(value) ** 2
+    return {name: square**0.5 for name, square in squares.items()}

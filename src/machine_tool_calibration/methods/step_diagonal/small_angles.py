@@ -45,8 +45,8 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation.normal import solve_normal
-from machine_tool_calibration.model.marginal_fit import RandomPosterior
 from machine_tool_calibration.model.model import Prior
+from machine_tool_calibration.model.random_unknowns import RandomPosterior
 
 __all__ = [
     "LARGEST",

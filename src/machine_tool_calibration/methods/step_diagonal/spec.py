@@ -3,8 +3,8 @@
 
 from functools import partial
 
+from machine_tool_calibration.methods.step_diagonal.nominal import held_diagonal, nominal_diagonal, suspicious_diagonal
 from machine_tool_calibration.session.checks.enough import enough_in_a_setup
-from machine_tool_calibration.session.checks.nominal_geometry import nominal_diagonal
 from machine_tool_calibration.session.checks.units import diagonal_units
 from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.method import MethodSpec
@@ -18,7 +18,10 @@ SPEC = MethodSpec(
     enough=partial(enough_in_a_setup, needed=2),
     magnitudes=diagonal_units,
     nominal=nominal_diagonal,
+    held=held_diagonal,
+    suspicious=suspicious_diagonal,
     model="machine_tool_calibration.methods.step_diagonal.build",
+    map="machine_tool_calibration.methods.step_diagonal.map",
     models={
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
         "functions, of a size that the readings determine as far as they can",
@@ -29,7 +32,6 @@ SPEC = MethodSpec(
         "aligned_mirror": "no angular errors, and mirrors exactly square to their beams, as the conventional "
         "formulation assumes: only to compare with it",
     },
-    instrument="laser_interferometer",
     setup_word="run",
     mounted=lambda description: "the mirror",
     profiles=True,

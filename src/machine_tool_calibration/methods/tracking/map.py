@@ -4,34 +4,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, turned_back
+from machine_tool_calibration.methods.tracking.model import TrackingModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
-from machine_tool_calibration.session.description import TrackingInterferometer
-from machine_tool_calibration.session.session import Session
 
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.tracking.model import TrackingModel
-
-__all__ = ["free_map", "refuse_moved_stations", "table_map"]
+__all__ = ["error_map"]
 
 
 # Standard uncertainty above which a position error counts as not determined, m.
 _VAGUE = 1e-4
 # Stations lie in a plane or on a line where their least extent is below this share of the largest.
 _FLAT = 0.05
-# A station may be off by so many of its stated uncertainties, and by this where none is stated, m.
-_STATED = 10.0
-_UNSTATED = 0.1
 
 
 @dataclass(frozen=True)
@@ -55,7 +46,12 @@ class _Network:
     why: dict[int, str]
 
 
-def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+    """Position error of every target in the datum in which they have no common motion."""
+    return _free_map(model, fit) if model.tables is None else _table_map(model, fit, model.tables)
+
+
+def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     """Every target's position error, from its own unknowns."""
     d, own = model.dimension, fit.places[: len(model.own)]
     stated = fit.joint.marginal
@@ -102,7 +98,7 @@ def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
     return f"it was read from {names} only, and {needed}" if names else f"it was not read, and {needed}"
 
 
-def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
+def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
     """Every target's position error from the machine's error motions."""
     d, n = model.dimension, len(model.targets)
     field = map_field(tables, model.targets)[:, :, :d]
@@ -184,32 +180,3 @@ def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
 
 def _place(position: Array) -> str:
     return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"
-
-
-def refuse_moved_stations(session: Session, error_map: ErrorMap, impossible: float, known: float) -> None:
-    """Refuse stations that are found far from where they are stated to be.
-
-    Args:
-        session: the measurement.
-        error_map: what was identified.
-        impossible: smaller distances are accepted, m.
-        known: by how many of its uncertainties the distance must be known.
-
-    Raises:
-        ModelError: such a station.
-    """
-    description = session.description
-    assert isinstance(description, TrackingInterferometer)
-    if "stations" not in error_map.content:
-        return
-    found, uncertainties = error_map.content["stations"], error_map.content["stations_u"]
-    for setup, position, uncertainty in zip(description.setups, found, uncertainties, strict=True):
-        off = np.abs(position - np.asarray(setup.position))[: description.dimension]
-        limit = _STATED * setup.position_uncertainty if setup.position_uncertainty else _UNSTATED
-        bad = (off > limit) & (off > impossible) & (off > known * uncertainty[: description.dimension])
-        if bad.any():
-            j = int(np.argmax(np.where(bad, off, 0.0)))
-            raise ModelError(
-                f"{session.source}: station {setup.id!r} is found {1e3 * off[j]:.3g} mm off its stated position along "
-                f"{'xyz'[j]}: check its position and position_uncertainty, and the columns x, y and z"
-            )

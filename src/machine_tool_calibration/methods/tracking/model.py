@@ -16,12 +16,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
 from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
-from machine_tool_calibration.methods.tracking.map import free_map, table_map
 from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
-from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, dead_path_of, place_of
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import (
     RIGID_BODY_DATUM,
     MachineTable,
@@ -154,10 +151,6 @@ class TrackingModel(MethodModel):
             group_rows(readings.setup), self.sigma, linearise, block_index, dense_index, not self.follows
         )
 
-    def error_map(self, fit: Fit) -> ErrorMap:
-        """Position error of every target in the datum in which they have no common motion."""
-        return free_map(self, fit) if self.tables is None else table_map(self, fit, self.tables)
-
 
 def _linearised(
     path: Array, nominal: Array, dense: Array, setup: IntArray, beam: Array | None, own: Array, shared: Array
@@ -203,7 +196,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     line = position - stations[readings.setup]
     line[:, d:] = 0.0
     length = np.sqrt(np.einsum("nj,nj->n", line, line))
-    direction = line / length[:, None]
+    direction = line / np.maximum(length, 1e-9)[:, None]
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = unit_vectors(readings.column("azimuth"), elevation)

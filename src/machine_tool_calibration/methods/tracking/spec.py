@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracking interferometer as a record."""
 
+from machine_tool_calibration.methods.tracking.nominal import held_tracking, nominal_tracking, suspicious_tracking
 from machine_tool_calibration.session.checks.enough import enough_tracking
-from machine_tool_calibration.session.checks.nominal_geometry import nominal_tracking
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.method import MethodSpec
 
@@ -27,14 +27,16 @@ SPEC = MethodSpec(
     columns=_columns,
     enough=enough_tracking,
     nominal=nominal_tracking,
+    held=held_tracking,
+    suspicious=suspicious_tracking,
     model="machine_tool_calibration.methods.tracking.model",
+    map="machine_tool_calibration.methods.tracking.map",
     models={
         "free": "the default: every target has a position of its own, whatever moves the tool; each needs one "
         "station more than there are dimensions",
         "rigid_body": "the axes are rigid bodies, their errors tables over their positions: few stations do, other "
         "sessions can share the tables, and places between the targets are told",
     },
-    instrument="tracking_interferometer",
     words=_words,
     setup_word="station",
     mounted=lambda description: "the instrument",
@@ -45,7 +47,6 @@ SPEC = MethodSpec(
     by_axes=("rigid_body",),
     with_tables="rigid_body",
     no_tables="the model 'free' has none; identify with --model rigid_body",
-    implausible="machine_tool_calibration.methods.tracking.map:refuse_moved_stations",
     steps="machine_tool_calibration.procedure.plan:path_steps",
     further_places="machine_tool_calibration.planning.places:further_stations",
     planned="machine_tool_calibration.planning.forecast:from_stations",

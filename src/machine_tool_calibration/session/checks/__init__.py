@@ -7,7 +7,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.catalogue import needed_columns
+from machine_tool_calibration.session.catalogue import needed_columns, spec_of
+from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
 from machine_tool_calibration.session.checks.mistakes import check_consistency
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.description import Place
@@ -24,8 +25,8 @@ def check_session(session: Session, place: Place | None = None) -> None:
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
     times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
-    targets and readings that the method needs (`enough`); and readings that contradict the nominal geometry while
-    a common mistake would explain them (`check_consistency`).
+    targets and readings that the method needs (`enough`); readings that contradict the nominal geometry while
+    a common mistake would explain them (`check_consistency`), or by more than can be (`refuse_contradictions`).
 
     Args:
         session: the measurement.
@@ -41,10 +42,12 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_signs(session, place)
     _check_doubled(session, place)
     check_units(session, place)
-    session.spec.enough(session, np.isfinite(session.readings.displacement), place)
+    read = np.isfinite(session.readings.displacement)
+    spec_of(session).enough(session, read, place)
     if not session.description.trust_units:
         with suspected():
             check_consistency(session, place)
+            refuse_contradictions(session.with_readings(session.readings.select(read)), place)
 
 
 def _check_missing(session: Session, place: Place) -> None:

@@ -10,23 +10,23 @@ is refused merely because it fits badly: that is for the model and its diagnosis
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "LENGTHS",
     "SENSES",
     "UNITS",
-    "Judgement",
-    "Supposition",
     "check_consistency",
     "described",
     "exchanged",
@@ -34,8 +34,10 @@ __all__ = [
     "explanation",
     "in_degrees",
     "scaled",
+    "shifted",
     "turned_round",
     "with_columns",
+    "with_values",
 ]
 
 LENGTHS = "like millimetres; lengths are in metres"
@@ -49,38 +51,7 @@ SENSES = (
 )
 # Exchanges are tried among so many setups, targets or points.
 _MOST = 8
-
-
-@dataclass(frozen=True)
-class Supposition:
-    """One mistake that may have been made.
-
-    Attributes:
-        what: the mistake in words.
-        session: the measurement as it would be without it.
-    """
-
-    what: str
-    session: Session
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """How a measurement is judged, and what may have gone wrong with it.
-
-    Attributes:
-        misfit: how badly a measurement fits.
-        suppositions: mistakes that may have been made, the likeliest first; made on demand.
-        absurd: misfit beyond which mistakes are looked for.
-        good: what the misfit must be below without the mistake.
-        better: the same as a share of the misfit as it is.
-    """
-
-    misfit: Callable[[Session], float]
-    suppositions: Iterable[Supposition]
-    absurd: float
-    good: float
-    better: float = 1.0
+_SLIPPED = (1, -1, 2, -2)  # rows
 
 
 def explanation(session: Session, judgements: Iterable[Judgement]) -> str | None:
@@ -117,7 +88,7 @@ def check_consistency(session: Session, place: Place) -> None:
     if len(sample.readings) < 4:
         return
     with np.errstate(all="ignore"):
-        what = explanation(sample, session.spec.nominal(sample, place))
+        what = explanation(sample, spec_of(session).nominal(sample, place))
     if what is not None:
         raise SessionError(f"{place.readings}: {what}")
 
@@ -133,6 +104,26 @@ def with_columns(session: Session, what: str, **columns: Array) -> Supposition:
     """Other values, each (n,), in columns."""
     readings = replace(session.readings, columns={**session.readings.columns, **columns})
     return Supposition(what, session.with_readings(readings))
+
+
+def with_values(session: Session, what: str, **columns: Array) -> Supposition:
+    """The same, also of the displacements."""
+    displacement = columns.pop("displacement", session.readings.displacement)
+    changed = session.with_readings(replace(session.readings, displacement=displacement))
+    return with_columns(changed, what, **columns)
+
+
+def shifted(session: Session, name: str, values: Array) -> Iterator[Supposition]:
+    """A column that slipped by some rows against the others.
+
+    Args:
+        session: the measurement.
+        name: of the column, or `displacement`.
+        values: (n,) of it.
+    """
+    for rows in _SLIPPED:
+        which = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'down' if rows > 0 else 'up'}"
+        yield with_values(session, f"{name} looks shifted by {which}", **{name: np.roll(values, -rows)})
 
 
 def in_degrees(session: Session, what: str, *names: str) -> Supposition:

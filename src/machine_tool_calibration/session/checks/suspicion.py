@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.description import DESCRIPTION_FILE
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["suspicions"]
@@ -20,11 +22,12 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """What is suspicious in sessions, in words.
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
-    another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not.
+    another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not. Fewer or
+    more repeats than stated. And what the method finds (`MethodSpec.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _beside, _pathless)
+    checks = (_still, _beside, _pathless, _repeated, _of_method)
     return [f"{name}{words}" for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -62,5 +65,18 @@ def _beside(session: Session) -> Iterator[str]:
 
 def _pathless(session: Session) -> Iterator[str]:
     said = session.description.standard_uncertainty
-    if session.spec.probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
+    if spec_of(session).probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
         yield "standard_uncertainty grows with per_length, and a probe has no path: it changes nothing"
+
+
+def _repeated(session: Session) -> Iterator[str]:
+    repeats = np.unique(session.readings.repeat)
+    if len(repeats) != session.description.repeats:
+        yield (
+            f"repeats is {session.description.repeats} in {DESCRIPTION_FILE}, and the readings are of {len(repeats)}: "
+            f"repeat {', '.join(map(str, repeats[:8]))}{' …' if len(repeats) > 8 else ''}"
+        )
+
+
+def _of_method(session: Session) -> Iterator[str]:
+    return spec_of(session).suspicious(session)

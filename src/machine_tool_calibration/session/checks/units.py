@@ -9,16 +9,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.description import (
-    LARGEST,
-    SMALLEST,
-    Place,
-    Probing,
-    StationSetup,
-    StepDiagonal,
-)
+from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
+from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
 __all__ = ["check_sizes", "check_units", "diagonal_units", "direction_units", "probing_units"]
 
@@ -29,6 +24,9 @@ _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 _MILLIMETRES = "these look like millimetres; lengths are in metres"
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
+_TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
+# Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
+_HOT, _HOTTEST = 48.0, 120.0
 _DEGREES = "these look like degrees; angles are in radians"
 _LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 1970, in any unit
 
@@ -39,7 +37,7 @@ def check_units(session: Session, place: Place) -> None:
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
-    session.spec.magnitudes(session, place)
+    spec_of(session).magnitudes(session, place)
     if session.description.trust_units:
         return
     with suspected():
@@ -161,7 +159,7 @@ def _angles(session: Session, place: Place) -> None:
 
 def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
-    if session.spec.reads_deviations:
+    if spec_of(session).reads_deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
         if typical > 0.02:
             raise SessionError(
@@ -178,6 +176,18 @@ def _displacement(session: Session, place: Place) -> None:
 
 
 def _environment(session: Session, place: Place) -> None:
+    columns = session.readings.columns
+    known = [name for name in _TEMPERATURES if name in columns and np.isfinite(columns[name]).any()]
+    # Parts may be warm; where the air is, or all of them, no workshop is.
+    middle = {name: float(np.nanmedian(columns[name])) for name in known[:1] if name == "temperature_air"} or {
+        name: float(np.nanmedian(columns[name])) for name in known
+    }
+    if middle and min(middle.values()) > _HOT and max(middle.values()) < _HOTTEST:
+        name = min(middle, key=lambda name: middle[name])
+        raise SessionError(
+            f"{place.readings}: {name} is {middle[name]:.4g} degrees Celsius in the middle; these look like degrees "
+            "Fahrenheit"
+        )
     for name, value, where in _largest(session, place, session.readings.columns):
         if name.startswith("temperature_") and abs(value) > 150.0:
             raise SessionError(f"{where}: {name} is {value:g} degrees Celsius; these look like kelvin")

@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Positioning along a line: of one axis by ISO 230-2:2014, along diagonals by ISO 230-6:2002.
+
+Clause 3 of ISO 230-2: at m positions P_i, each approached n times in the positive direction (up) and n times in the
+negative one (down), the deviations x_ij are actual minus target position. ISO 230-6 has the same of body and face
+diagonals, and of all diagonals the largest systematic deviation E_D and the largest reversal B_D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, occurrence, rms
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
+
+__all__ = [
+    "FIGURES",
+    "Positioning",
+    "diagonal_tests",
+    "of_diagonals",
+    "positioning",
+    "positioning_runs",
+    "positioning_uncertainty",
+]
+
+_DRAWS = 200
+# Cosine between the direction that is read and the line from which it is read along it.
+_ALONG = 0.9999
+# Extent of a place, m; commanded positions that are one target, m; how far off the line a reading may be, m.
+_STILL, _SAME, _OFF = 1e-6, 1e-5, 1e-5
+
+
+@dataclass(frozen=True)
+class Positioning:
+    """Figures of one axis; NaN where the readings do not give them (a direction or repeats missing).
+
+    Attributes:
+        position: (m,) target positions, m.
+        mean_up, mean_down: (m,) mean unidirectional deviations, 3.10.
+        s_up, s_down: (m,) estimators of the unidirectional repeatability (standard deviation with n - 1), 3.13.
+        count_up, count_down: (m,) readings in each direction.
+        reversal: (m,) mean_up - mean_down, 3.11.
+        repeatability: (m,) R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down), 3.15.
+        B, B_mean: largest absolute, and mean reversal of the axis, 3.11, 3.12.
+        R_up, R_down, R: uni- and bidirectional repeatability of the axis, 3.14, 3.15.
+        E_up, E_down, E: uni- and bidirectional systematic positioning deviation, 3.16, 3.17.
+        M: range of the mean bidirectional positioning deviation, 3.18.
+        A_up, A_down, A: uni- and bidirectional positioning accuracy (two standard deviations), 3.19, 3.20.
+    """
+
+    position: Array
+    mean_up: Array
+    mean_down: Array
+    s_up: Array
+    s_down: Array
+    count_up: IntArray
+    count_down: IntArray
+    reversal: Array
+    repeatability: Array
+    B: float
+    B_mean: float
+    R_up: float
+    R_down: float
+    R: float
+    E_up: float
+    E_down: float
+    E: float
+    M: float
+    A_up: float
+    A_down: float
+    A: float
+
+
+FIGURES = tuple(field.name for field in fields(Positioning) if field.type == "float")
+"""Names of the figures of an axis."""
+
+
+def positioning(position: Array, direction: Array, deviation: Array) -> Positioning:
+    """The figures of ISO 230-2:2014 from the readings of one axis.
+
+    A figure that takes the worst of all positions is given only where every position has what it needs.
+
+    Args:
+        position: (n,) target position of each reading, m; readings of one position hold the same number.
+        direction: (n,) +1 approached in the positive direction, -1 in the negative one.
+        deviation: (n,) actual minus target position, m.
+
+    Raises:
+        ModelError: the arrays differ in length, no reading, or a direction that is not +1 or -1.
+    """
+    if not len(position) == len(direction) == len(deviation):
+        raise ModelError("ISO 230-2: position, direction and deviation must have the same length")
+    good = np.isfinite(deviation) & np.isfinite(position)
+    position, direction, deviation = position[good], np.asarray(direction)[good], deviation[good]
+    if not len(position):
+        raise ModelError("ISO 230-2: no reading")
+    if not np.isin(direction, (-1, 1)).all():
+        raise ModelError("ISO 230-2: the direction of approach must be +1 or -1 for every reading")
+    target, index = np.unique(position, return_inverse=True)
+    m = len(target)
+    up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)
+    down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
+    return Positioning(
+        position=target,
+        mean_up=up_mean,
+        mean_down=down_mean,
+        s_up=up_s,
+        s_down=down_s,
+        count_up=up_n,
+        count_down=down_n,
+        reversal=up_mean - down_mean,
+        repeatability=_repeatability(up_mean, up_s, down_mean, down_s),
+        **{name: float(value) for name, value in _of_axis(up_mean, up_s, down_mean, down_s).items()},
+    )
+
+
+def _repeatability(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> Array:
+    both = 2 * up_s + 2 * down_s + np.abs(up_mean - down_mean)
+    return np.asarray(np.max(np.stack([both, 4 * up_s, 4 * down_s]), axis=0))
+
+
+def _of_axis(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> dict[str, Array]:
+    """The axis's figures by name, each (…), from means and standard deviations (…, m) at its positions."""
+    reversal = up_mean - down_mean
+    means, s = np.concatenate([up_mean, down_mean], axis=-1), np.concatenate([up_s, down_s], axis=-1)
+    return {
+        "B": np.max(np.abs(reversal), axis=-1),
+        "B_mean": np.mean(reversal, axis=-1),
+        "R_up": np.max(4 * up_s, axis=-1),
+        "R_down": np.max(4 * down_s, axis=-1),
+        "R": np.max(_repeatability(up_mean, up_s, down_mean, down_s), axis=-1),
+        "E_up": np.ptp(up_mean, axis=-1),
+        "E_down": np.ptp(down_mean, axis=-1),
+        "E": np.ptp(means, axis=-1),
+        "M": np.ptp((up_mean + down_mean) / 2, axis=-1),
+        "A_up": _accuracy(up_mean, up_s),
+        "A_down": _accuracy(down_mean, down_s),
+        "A": _accuracy(means, s),
+    }
+
+
+def _accuracy(mean: Array, s: Array) -> Array:
+    return np.asarray(np.max(mean + 2 * s, axis=-1) - np.min(mean - 2 * s, axis=-1))
+
+
+def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> tuple[Array, Array, IntArray]:
+    """Mean, standard deviation (…, m) and number (m,) of the deviations (…, n) of one direction at each position."""
+    own, index = deviation[..., mine], index[mine]
+    draws = int(np.prod(own.shape[:-1]))
+    bins = (m * np.arange(draws)[:, None] + index).reshape(-1)
+
+    def total(values: Array) -> Array:
+        return np.asarray(np.bincount(bins, values.reshape(-1), minlength=draws * m), float).reshape(*own.shape[:-1], m)
+
+    count = np.bincount(index, minlength=m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = total(own) / np.where(count > 0, count, np.nan)
+        s = np.sqrt(total((own - mean[..., index]) ** 2) / np.where(count > 1, count - 1, np.nan))
+    return mean, s, count
+
+
+def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
+    """Expanded uncertainty (k = 2) of the figures from the repeatability that they were found with.
+
+    As of repeated tests: every figure is worked out again for runs that are drawn about the means with the standard
+    deviation found, of each direction over all positions; twice the standard deviation of what comes out. The
+    uncertainty of the instrument and of its alignment and temperature (the standard's Annex A, from certificates that a
+    session does not hold) is not in it.
+
+    Args:
+        figures: of one axis, with at least two runs in each direction in which it was measured.
+
+    Returns:
+        By figure (`FIGURES`); those that the readings do not give are left out.
+    """
+    rng = np.random.default_rng(1)
+    position, direction, centre, spread = [], [], [], []
+    for sign, mean, s, count in (
+        (1, figures.mean_up, figures.s_up, figures.count_up),
+        (-1, figures.mean_down, figures.s_down, figures.count_down),
+    ):
+        runs = int(count.max(initial=0))
+        for k in range(runs):
+            there = np.flatnonzero((count > k) & np.isfinite(s))
+            position.append(figures.position[there])
+            direction.append(np.full(len(there), sign))
+            centre.append(mean[there])
+            # One scatter for all positions: that of a single one, from a few runs, is itself uncertain.
+            spread.append(np.full(len(there), rms(s[np.isfinite(s)])))
+    if not position or not sum(len(p) for p in position):
+        return {}
+    at, sense, mean, s = (np.concatenate(parts) for parts in (position, direction, centre, spread))
+    drawn = mean + s * rng.standard_normal((_DRAWS, len(s)))
+    target, index = np.unique(at, return_inverse=True)
+    up_mean, up_s, _ = _statistics(index.reshape(-1), drawn, sense > 0, len(target))
+    down_mean, down_s, _ = _statistics(index.reshape(-1), drawn, sense < 0, len(target))
+    of_axis = _of_axis(up_mean, up_s, down_mean, down_s)
+    out = {name: 2.0 * float(np.std(of_axis[name])) for name in FIGURES}
+    return {name: value for name, value in out.items() if np.isfinite(value) and np.isfinite(getattr(figures, name))}
+
+
+def positioning_runs(
+    observations: Observations, *, diagonals: bool = False, uncertain: bool = True
+) -> list[dict[str, Any]]:
+    """Figures of every setup in which a line was read along itself, in both directions or repeatedly.
+
+    Args:
+        observations: the readings.
+        diagonals: whether those along diagonals are wanted, instead of those along a linear axis.
+        uncertain: whether the uncertainties of the figures are wanted, which take most of the time.
+
+    Returns:
+        For each such setup its id, the `axis` (X; of a diagonal the signs of its motion along X, Y, Z: `NPP`, `NP0`),
+        the fields of `Positioning`, the single runs `runs_up` and `runs_down` (runs, m), m, and the expanded
+        uncertainties (k = 2) of the figures, `B_U` and so on, as far as the runs determine them. The positions of a
+        diagonal count from its end.
+    """
+    out = []
+    for index, name in enumerate(observations.session.setup_ids):
+        mine = np.flatnonzero(observations.readings.setup == index)
+        line = _line(observations, mine)
+        if line is None or diagonals != (np.count_nonzero(line) > 1):
+            continue
+        mine = mine[_on(observations.position[mine], line)]
+        position, direction, deviation = _approach(observations, mine, line)
+        alone = not diagonals and abs(direction.sum()) == len(mine) and _single(position)
+        if len(np.unique(position)) < 2 or alone:
+            continue
+        figures = positioning(position, direction, deviation)
+        uncertainties = positioning_uncertainty(figures) if uncertain else {}
+        expanded = {f"{key}_U": value for key, value in uncertainties.items()}
+        signs = "".join("N0P"[int(np.sign(part)) + 1] for part in line)
+        axis = signs if diagonals else "XYZ"[int(np.argmax(line))]
+        told = {"setup": name, "axis": axis, **asdict(figures), **expanded}
+        told |= {f"runs_{way}": _runs(figures.position, position, deviation, direction * sign > 0)
+                 for way, sign in (("up", 1.0), ("down", -1.0))}  # fmt: skip
+        if expanded:
+            told["note"] = "U is from the repeatability of the runs alone; that of the instrument comes on top."
+        out.append(told)
+    return out
+
+
+def diagonal_tests(observations: Observations) -> dict[str, Any]:
+    """Diagonal displacement tests by ISO 230-6:2002, as an entry `iso230_6` of a map; empty where there are none.
+
+    Of the body diagonals and of the face diagonals of each plane together: E_D (and of each direction of approach) is
+    the largest bidirectional systematic deviation E of a diagonal, B_D the largest reversal B; each with the expanded
+    uncertainty of the diagonal that it is of. NaN where the runs went one way only.
+    """
+    runs = positioning_runs(observations, diagonals=True)
+    return {"iso230_6": of_diagonals(runs)} if runs else {}
+
+
+def of_diagonals(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """An entry `iso230_6` of a map: the runs along diagonals, and the figures of all of a kind together."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for run in runs:
+        plane = "".join(axis for axis, sign in zip("XYZ", run["axis"], strict=True) if sign != "0")
+        kinds.setdefault("body" if len(plane) == 3 else plane, []).append(run)
+    tests = [
+        {
+            "diagonals": kind,
+            "measured": len({_either_way(run["axis"]) for run in own}),
+            "of": 4 if kind == "body" else 2,
+            **{key: value for figure in ("E", "E_up", "E_down", "B") for key, value in _largest(own, figure).items()},
+        }
+        for kind, own in kinds.items()
+    ]
+    return {"runs": list(runs), "tests": tests}
+
+
+def _either_way(signs: str) -> frozenset[str]:
+    """Of a diagonal, whichever way it was moved."""
+    return frozenset((signs, signs.translate(str.maketrans("PN", "NP"))))
+
+
+def _largest(runs: Sequence[dict[str, Any]], figure: str) -> dict[str, float]:
+    """The largest of a figure with its expanded uncertainty, under its name of ISO 230-6; NaN where one lacks it."""
+    value = np.array([run[figure] for run in runs])
+    worst = int(np.argmax(value))  # the first NaN, where there is one
+    name = figure.replace("E", "E_D").replace("B", "B_D")
+    return {name: float(value[worst]), f"{name}_U": float(runs[worst].get(f"{figure}_U", np.nan))}
+
+
+def _line(observations: Observations, mine: IntArray) -> Array | None:
+    """(3,) direction of the line along which all readings of a setup sense and on which it begins and ends; or None.
+
+    An axis's points in its positive direction, a diagonal's as it was moved first.
+    """
+    if len(mine) < 4:
+        return None
+    position, direction = observations.position[mine], observations.direction[mine]
+    far = position[np.argmax(np.linalg.norm(position - position[0], axis=1))] - position[0]
+    length = float(np.linalg.norm(far))
+    if length < _STILL or np.abs(direction @ far).min() < _ALONG * length:
+        return None
+    line = np.where(np.abs(far) > _STILL, far, 0.0) / length
+    line = np.abs(line) if np.count_nonzero(line) == 1 else line
+    # Only what moves in steps is read off its line between two places on it.
+    return line if spec_of(observations.session).ordered_moves or _on(position, line).all() else None
+
+
+def _on(position: Array, line: Array) -> BoolArray:
+    """(n,) which positions lie on the line through the first one."""
+    arm = position - position[0]
+    return np.asarray(np.linalg.norm(arm - np.outer(arm @ line, line), axis=1) < _OFF)
+
+
+def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[Array, Array, Array]:
+    """Target positions, those within a hair made equal, signs of approach, and deviations, m."""
+    place = observations.position[mine] @ line
+    readings, spec = observations.readings, spec_of(observations.session)
+    deviation = readings.displacement[mine] * np.sign(observations.direction[mine] @ line)
+    if np.count_nonzero(line) > 1:
+        place = place - place.min()
+    order = np.argsort(place, kind="stable")
+    group = np.empty(len(place), dtype=np.int64)
+    group[order] = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME)]
+    target = (np.bincount(group, place) / np.bincount(group))[group]
+    leading = int(np.argmax(np.abs(line)))
+    recorded = readings.columns.get(f"dir_{'xyz'[leading]}")
+    again = np.zeros(len(mine), dtype=bool)
+    if not spec.reads_deviations:
+        # A length counts from the first reading of its run, which has no move before it.
+        first = np.array([np.flatnonzero(readings.repeat[mine] == k)[0] for k in readings.repeat[mine]])
+        deviation = deviation - deviation[first] - (target - target[first])
+        again[first] = True
+    elif recorded is not None and np.isin(recorded[mine], (-1.0, 1.0)).all():
+        return target, recorded[mine] * np.sign(line[leading]), deviation
+    # Not recorded: the sign of the move to the reading; the second reading at a turning point comes from beyond.
+    move = np.where(again, 0.0, np.sign(np.diff(group, prepend=group[0] - 1)))
+    for k in np.flatnonzero(move == 0):
+        following = np.flatnonzero(np.diff(group[k:]) != 0)
+        move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
+    return target, move, deviation
+
+
+def _single(position: Array) -> bool:
+    """Whether no position was read twice."""
+    return bool(np.unique(position, return_counts=True)[1].max() < 2)
+
+
+def _runs(targets: Array, position: Array, deviation: Array, mine: BoolArray) -> Array:
+    """(runs, m) deviations of the readings of one direction, the k-th at each target in the k-th run; NaN: none."""
+    at = np.searchsorted(targets, position[mine])
+    run = occurrence(groups(at)) if len(at) else at
+    out = np.full((int(run.max(initial=-1)) + 1, len(targets)), np.nan)
+    out[run, at] = deviation[mine]
+    return out

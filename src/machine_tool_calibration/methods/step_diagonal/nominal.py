@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings of a step diagonal against its runs as they are stated."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, exchanged_axes, scaled
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    judged_by_worst,
+    off_prediction,
+    relative_misfit,
+    typical_extent,
+)
+from machine_tool_calibration.session.description import DiagonalSetup, Place, StepDiagonal
+from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["held_diagonal", "nominal_diagonal", "suspicious_diagonal"]
+
+# A place may be outside its run by this share of the step (runs of unequal steps stay within), and off the halts by
+# this one where most others are on them.
+_OUTSIDE, _ON_HALT = 0.5, 0.02
+# Blocks beyond which no halts are compared: nobody made as many.
+_MOST_BLOCKS = 10_000
+# Factor between the steps, or the way, that are stated and those of the places.
+_STEPS = 1.5
+# A displacement may be off its place by a part of the path, by what a mirror's tilt makes of the way across the beam,
+# rad, and by this, m.
+_SCALE, _TILT, _ERROR = 2e-3, 0.03, 1e-3
+_ORDER = re.compile(r"[_.-]([xyz]{3})$", re.IGNORECASE)
+
+
+def nominal_diagonal(session: Session, place: Place) -> Iterator[Judgement]:
+    """Judgements of a step diagonal."""
+    mistakes = itertools.chain(scaled(session, *UNITS, *SENSES), exchanged_axes(session, 3))
+    yield judged_by_worst(_off_diagonal, itertools.chain(mistakes, badly_exchanged(session, _off_diagonal, "setup")))
+    yield judged_by_worst(_off_halts, badly_exchanged(session, _off_halts, "setup"))
+
+
+def _off_diagonal(session: Session) -> Array:
+    """Displacements and positions against the runs' nominal lines."""
+    description, readings = session.description, session.readings
+    assert isinstance(description, StepDiagonal)
+    path, _, outside = _along_run(session)
+    group = groups(readings.setup, readings.repeat)
+    return np.asarray(
+        relative_misfit(session, path, group) + np.linalg.norm(outside, axis=1) / typical_extent(path, group)
+    )
+
+
+def _along_run(session: Session) -> tuple[Array, Array, Array]:
+    """Of each place: (n,) its path along the beam, (n,) its distance across, (n, 3) how far off the run, m."""
+    description, setup = session.description, session.readings.setup
+    assert isinstance(description, StepDiagonal)
+    start = np.array([run.start for run in description.setups])
+    motion = np.array([run.direction for run in description.setups]) * description.step * description.blocks
+    beam = motion / np.maximum(np.linalg.norm(motion, axis=1), 1e-300)[:, None]
+    place = session.readings.position() - start[setup]
+    path = np.sum(beam[setup] * place, axis=1)
+    low, high = np.minimum(0.0, motion)[setup], np.maximum(0.0, motion)[setup]
+    outside = np.clip(low - place, 0, None) + np.clip(place - high, 0, None)
+    return path, np.linalg.norm(place - path[:, None] * beam[setup], axis=1), outside
+
+
+def held_diagonal(session: Session) -> Iterator[Held]:
+    """Places against the runs as they are stated, and displacements against the places."""
+    description, readings = session.description, session.readings
+    assert isinstance(description, StepDiagonal)
+    path, across, outside = _along_run(session)
+    step = np.array(description.step)
+    off = (outside / step).max(axis=1)
+    for index in np.unique(readings.setup):
+        mine = np.flatnonzero(readings.setup == index)
+        if description.blocks > _MOST_BLOCKS:
+            continue
+        halts = _halts(description, index)
+        missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1) / step.min()
+        if np.mean(missed > _ON_HALT) < 0.5:
+            off[mine] = np.maximum(off[mine], np.where(missed > _ON_HALT, 1.0, 0.0))
+
+    yield Held(
+        "the place",
+        "the run that start, direction, step and blocks state",
+        np.where(off > _OUTSIDE, np.maximum(np.linalg.norm(outside, axis=1), 1e-9), 0.0),
+        np.zeros(len(off)),
+        share=0.0,
+        hint=lambda setup: _run_of_places(session, setup),
+    )
+    length = float(np.linalg.norm(step * description.blocks))
+    yield Held(
+        "displacement",
+        "the way along the beam to where it was read",
+        off_prediction(session, path, groups(readings.setup, readings.repeat)),
+        _ERROR + _SCALE * length + _TILT * across,
+    )
+
+
+def _run_of_places(session: Session, setup: int) -> str:
+    """Where the places of a setup run, if it is elsewhere than stated."""
+    description, readings = session.description, session.readings
+    assert isinstance(description, StepDiagonal)
+    run, mine = description.setups[setup], readings.setup == setup
+    places = readings.position()[mine & (readings.repeat == readings.repeat[mine][0])]
+    moved = places[-1] - places[0]
+    signs = np.where(np.abs(moved) > _OUTSIDE * np.array(description.step), np.sign(moved), 0.0)
+    stated = np.array(run.direction) * description.step * description.blocks
+    if (np.abs(places[0] + moved - run.start - stated) + np.abs(places[0] - run.start)).max() < 1e-6:
+        return ""
+    return (
+        f"its places run from {_vector(places[0])} to {_vector(places[-1])} m, direction {_vector(signs)}, and stated "
+        f"are {_vector(run.start)} to {_vector(run.start + stated)} m, direction {_vector(run.direction)}"
+    )
+
+
+def _vector(values: Iterable[float]) -> str:
+    return f"[{', '.join(f'{v:.6g}' for v in values)}]"
+
+
+def _off_halts(session: Session) -> Array:
+    """Positions against those at which a diagonal halts if its moves are in the order that its id states.
+
+    In shares of the step; each reading has the mean of its setup: the two thirds of the halts at which one order
+    differs from another decide, not the middle one.
+    """
+    description, readings = session.description, session.readings
+    assert isinstance(description, StepDiagonal)
+    off, points = np.zeros(len(readings)), readings.position()
+    for index in np.unique(readings.setup):
+        mine = readings.setup == index
+        if _stated_order(description.setups[index]):
+            off[mine] = np.linalg.norm(points[mine][:, None] - _halts(description, index), axis=2).min(axis=1).mean()
+    return off / min(description.step)
+
+
+def _stated_order(run: DiagonalSetup) -> str:
+    """The order of a diagonal's moves that its id states; empty for others."""
+    found = _ORDER.search(run.id)
+    known = run.kind == "diagonal" and found is not None and sorted(found[1].lower()) == ["x", "y", "z"]
+    return found[1].lower() if known and found is not None else ""
+
+
+def _halts(description: StepDiagonal, index: int) -> Array:
+    """(k, 3) positions at which a run halts; its moves are in the order xyz where its id states none."""
+    run = description.setups[index]
+    order = _stated_order(run) or "".join(axis for axis, sign in zip("xyz", run.direction, strict=True) if sign)
+    moves = np.zeros((len(order) * description.blocks + 1, 3))
+    for place, letter in enumerate(order):
+        axis = "xyz".index(letter)
+        moves[1 + place :: len(order), axis] = run.direction[axis] * description.step[axis]
+    return np.asarray(np.asarray(run.start) + np.cumsum(moves, axis=0))
+
+
+def suspicious_diagonal(session: Session) -> Iterator[str]:
+    """Runs that step and blocks make longer, or of other steps, than their places."""
+    description, places = session.description, session.readings.position()
+    assert isinstance(description, StepDiagonal)
+    moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
+    for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
+        halts = np.unique(np.round(place[moved], 9))
+        if len(halts) < 3:
+            continue
+        between = float(np.median(np.diff(halts)))
+        if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
+            yield (
+                f"step and blocks make {description.blocks} steps of {1e3 * step:.4g} mm along {axis}, and the places "
+                f"read are {len(halts)} from {1e3 * halts[0]:.6g} to {1e3 * halts[-1]:.6g} mm, {1e3 * between:.4g} mm "
+                "apart"
+            )
+            return

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Unknowns of a model that are small random functions, such as angular errors that are hardly there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from machine_tool_calibration.arrays import Array
+
+__all__ = ["RandomPosterior", "RandomUnknowns"]
+
+
+@dataclass(frozen=True)
+class RandomPosterior:
+    """What the readings say of unknowns that are random functions.
+
+    Attributes:
+        size: root mean square of their size over all that is possible, in their unit.
+        probability: that they are not zero.
+        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
+        covariance: (m, m) of these.
+    """
+
+    size: float
+    probability: float
+    theta: Array
+    covariance: Array
+
+
+class RandomUnknowns(Protocol):
+    """Unknowns of a model that are small random functions, and what is expected of them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns."""
+
+    @property
+    def root(self) -> Array:
+        """(q, r) unknowns per unit of r independent coefficients whose standard deviation is the functions' size."""
+
+    @property
+    def sizes(self) -> dict[float, float]:
+        """Sizes that are possible, in their unit, with their probabilities before any reading; 0 among them."""
+
+    def posterior(
+        self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
+    ) -> RandomPosterior:
+        """From the normal equations of all unknowns, these last and without what is expected of them."""

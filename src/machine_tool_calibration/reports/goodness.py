@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a model fits: the levels of the p-value, for all that is said of it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+__all__ = ["Fits", "fits"]
+
+Fits = Literal["bad", "nearly", "well", "too well"]
+
+# A right model with a right uncertainty is called bad once in a thousand measurements, and nearly fitting once in 20.
+_BAD, _NEARLY = 1e-3, 0.05
+
+
+def fits(p_value: float | None) -> Fits:
+    """How a model fits readings of that p-value; well where there is none, as nothing speaks against it."""
+    if p_value is None or p_value != p_value:
+        return "well"
+    if p_value > 1.0 - _BAD:
+        return "too well"
+    return "bad" if p_value < _BAD else "nearly" if p_value < _NEARLY else "well"

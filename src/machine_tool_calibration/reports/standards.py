@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of standards as a test report has them: ISO 230-2, ISO 230-6 and ISO 230-7, from the error map's content."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, micrometres
+from machine_tool_calibration.reports.tables import TextTable, shortened
+
+__all__ = ["STANDARDS", "standard_tables"]
+
+STANDARDS = ("iso230_2", "iso230_6", "iso230_7")
+"""Entries of an error map that hold figures of a standard."""
+# Runs in each direction that ISO 230-2:2014 asks for.
+_RUNS = 5
+# Figures of ISO 230-2:2014 in the order of its test report; up and down, then both.
+_FIGURES = (
+    ("reversal error B", ("", "", "B")),
+    ("mean reversal error", ("", "", "B_mean")),
+    ("repeatability R", ("R_up", "R_down", "R")),
+    ("systematic deviation E", ("E_up", "E_down", "E")),
+    ("mean deviation, range M", ("", "", "M")),
+    ("accuracy A", ("A_up", "A_down", "A")),
+)
+_DIAGONAL = (
+    ("systematic deviation E_D", ("E_D_up", "E_D_down", "E_D")),
+    ("reversal error B_D", ("", "", "B_D")),
+)
+_KINDS = {
+    "radial": "radial error motion",
+    "axial": "axial error motion",
+    "tilt": "tilt error motion",
+    "angular positioning": "angular positioning error motion",
+}
+
+
+def standard_tables(content: Mapping[str, Any], name: str, most: int | None = None) -> Iterator[TextTable | str]:
+    """Tables and sentences of one of `STANDARDS`, in the order in which they are read; none where it has no figures.
+
+    Args:
+        content: of an error map.
+        name: of the entry.
+        most: rows of a table of positions; None for all.
+    """
+    found = content.get(name)
+    if not found:
+        return
+    if name == "iso230_2":
+        for run in found:
+            yield _figures(run)
+            yield _positions(run, most)
+    elif name == "iso230_6":
+        yield from _diagonals(found)
+    else:
+        yield _rotary(found, content.get("axis_average_line") or {})
+
+
+def _said(value: float | None, expanded: float | None) -> str:
+    """A figure, um or urad, with its U (k = 2) where there is one, which says how many digits it has."""
+    if value is None or not np.isfinite(value):
+        return NOT_DETERMINED
+    if expanded is None or not np.isfinite(expanded) or not expanded:
+        return micrometres(value)
+    places = decimals(1e6 * expanded)
+    return f"{fixed(1e6 * value, places)} ± {fixed(1e6 * expanded, places)}"
+
+
+def _cells(entry: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(_said(entry.get(name), entry.get(f"{name}_U")) if name else "" for name in names)
+
+
+def _figure_rows(entry: Mapping[str, Any], figures: Sequence[tuple[str, Sequence[str]]]) -> tuple[tuple[str, ...], ...]:
+    rows = ((title, *_cells(entry, names)) for title, names in figures)
+    return tuple(row for row in rows if any(text not in ("", NOT_DETERMINED) for text in row[1:]))
+
+
+def _figures(run: Mapping[str, Any]) -> TextTable:
+    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
+    title = (
+        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
+        f"{counts[1]} down (µm, ± U, k = 2)"
+    )
+    notes = [run["note"].removesuffix(".")] if run.get("note") else []
+    if min(counts) < _RUNS:
+        notes.append(
+            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
+            + ("repeatability and accuracy are not determined" if max(counts) < 2 else "repeatability is uncertain")
+        )
+    return TextTable(title, ("figure", "up ↑", "down ↓", "both"), _figure_rows(run, _FIGURES), "; ".join(notes))
+
+
+def _positions(run: Mapping[str, Any], most: int | None) -> TextTable:
+    """Means, standard deviations and reversal at every position, with as many digits as their uncertainty allows."""
+    s = np.array([run["s_up"], run["s_down"]], dtype=float)
+    n = np.array([run["count_up"], run["count_down"]], dtype=float)
+    least = 2e6 * s / np.sqrt(np.maximum(n, 1.0))
+    known = least[np.isfinite(least) & (least > 0.0)]
+    places = decimals(float(np.median(known))) if len(known) else 2
+    up, down = (np.array(run[f"mean_{way}"], dtype=float) for way in ("up", "down"))
+    columns = [up, down, (up + down) / 2.0, np.array(run["reversal"], dtype=float), *s]
+    rows = [
+        (f"{1e3 * at:.6g}", *(fixed(1e6 * v, places) if np.isfinite(v) else NOT_DETERMINED for v in values))
+        for at, *values in zip(run["position"], *columns, strict=True)
+    ]
+    heads = (f"{run['axis']} / mm", "mean ↑", "mean ↓", "mean", "reversal B_i", "s ↑", "s ↓")
+    return TextTable(f"{run['axis']}, position by position (µm)", heads, shortened(rows, most))
+
+
+def _diagonals(found: Mapping[str, Any]) -> Iterator[TextTable]:
+    for test in found["tests"]:
+        what = "body diagonals" if test["diagonals"] == "body" else f"face diagonals {test['diagonals']}"
+        title = f"{what} by ISO 230-6: {test['measured']} of {test['of']} (µm, ± U, k = 2)"
+        one_way = test["B_D"] is None or not np.isfinite(test["B_D"])
+        note = "E_D and B_D of both directions are not determined: the runs went one way" if one_way else ""
+        yield TextTable(title, ("figure", "up ↑", "down ↓", "both"), _figure_rows(test, _DIAGONAL), note)
+    rows = tuple(
+        (run["setup"], run["axis"], str(max([*run["count_up"], *run["count_down"]])),
+         *_cells(run, ("E_up", "E_down", "E", "B")))
+        for run in found["runs"]
+    )  # fmt: skip
+    heads = ("setup", "diagonal", "runs", "E ↑", "E ↓", "E", "B")
+    yield TextTable("diagonal by diagonal (µm)", heads, rows, "P, N: the axes X, Y, Z move up or down")
+
+
+def _rotary(found: Sequence[Mapping[str, Any]], line: Mapping[str, Any]) -> TextTable:
+    rows = [
+        (_KINDS[one["kind"]], one["motion"], _said(one["value"], one["U"]), f"µ{one['unit']}", str(one["angles"]))
+        for one in found
+    ]
+    for name in (name for name in line if f"{name}_u" in line):
+        u = line[f"{name}_u"]
+        shown = _said(line[name], None if u is None else 2.0 * u)
+        rows.append(("axis average line", name, shown, "µm" if name[0] in "XYZ" else "µrad", ""))
+    title = "Rotary axis by ISO 230-7: error motion values (range) and axis average line, ± U (k = 2)"
+    note = (
+        "synchronous, in the machine's fixed directions; one motion for all revolutions is in the model, so that "
+        "asynchronous ones are not determined"
+    )
+    return TextTable(title, ("", "error motion", "value", "unit", "angles"), tuple(rows), note)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stations and targets that are found elsewhere than they are stated to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, best_motion
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Misplaced", "allowed", "misplaced", "off_stated", "refuse_misplaced"]
+
+# A place may be off by so many of its stated standard uncertainties, but at least by this, and by that where none is
+# stated, m: beyond, another place is meant. Beyond the former and so many of its own, it is said.
+_STATED, _LEAST, _UNSTATED = 10.0, 0.01, 0.1
+_KNOWN = 5.0
+# Readings of a rotary axis place stations and targets by themselves, however wrong they are stated, as far as this, m.
+_FOUND = 0.15
+# Stations of an axis stand in the frame of that axis: fewer fix the motion between that and the machine's frame, and
+# show nothing.
+_FRAME = 3
+
+
+@dataclass(frozen=True)
+class Misplaced:
+    """A station or target that is not found where it is stated to be.
+
+    Attributes:
+        what: it is, with its id.
+        off: how far, m.
+        along: on which axis the most.
+        uncertainty: standard uncertainty of that distance, the stated one within, m.
+        stated: standard uncertainty that is stated; None where none is.
+    """
+
+    what: str
+    off: float
+    along: str
+    uncertainty: float
+    stated: float | None
+
+    @property
+    def words(self) -> str:
+        """Where it is found, and what was stated."""
+        known = f"position_uncertainty {1e3 * self.stated:.3g} mm" if self.stated else "no position_uncertainty"
+        return (
+            f"{self.what} is found {1e3 * self.off:.3g} mm off its stated position ({known}), the most along "
+            f"{self.along}"
+        )
+
+
+def allowed(session: Session, stated: float | None) -> float:
+    """By how much a place of that stated standard uncertainty may be off, m."""
+    if spec_of(session).turns_one_axis:
+        return max(_STATED * (stated or 0.0), _FOUND)
+    return _UNSTATED if stated is None else max(_STATED * stated, _LEAST)
+
+
+def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]:
+    """Places off by more than their uncertainties make likely, the farthest off first.
+
+    Args:
+        session: states them.
+        found: `stations` and `targets`, each (k, 3) in the order of the description, m, with their standard
+            uncertainties `stations_u`, `targets_u`; NaN of what is not determined. Those that it lacks are not judged.
+    """
+    out = []
+    for key, name, word in (("stations", "setups", "station"), ("targets", "targets", "target")):
+        if key not in found or not hasattr(session.description, name):
+            continue
+        entries = getattr(session.description, name)
+        stated = np.array([entry.position for entry in entries])
+        own = spec_of(session).turns_one_axis and key == "stations"
+        places, u = np.asarray(found[key]), np.asarray(found.get(f"{key}_u", np.zeros(stated.shape)))
+        away = off_stated(places, stated) if own else places - stated
+        away = np.where(np.isfinite(away), away, 0.0)[:, : getattr(session.description, "dimension", 3)]
+        for entry, one, own_u in zip(entries, away, u, strict=True):
+            j = int(np.argmax(np.abs(one)))
+            declared = entry.position_uncertainty
+            whole = float(np.hypot(own_u[j] if np.isfinite(own_u[j]) else 0.0, declared or 0.0))
+            size = float(np.linalg.norm(one))
+            if size > (_STATED * whole if declared else _UNSTATED) and abs(one[j]) > _KNOWN * whole:
+                out.append(Misplaced(f"{word} {entry.id!r}", size, "xyz"[j], whole, declared))
+    yield from sorted(out, key=lambda one: -one.off)
+
+
+def refuse_misplaced(session: Session, found: Mapping[str, Any]) -> None:
+    """Refuse places that are found where no survey errs by as much; arguments as for `misplaced`.
+
+    Raises:
+        ModelError: the place that is the farthest off.
+    """
+    for one in misplaced(session, found):
+        if one.off > allowed(session, one.stated):
+            raise ModelError(
+                f"{session.source}: {one.words}: check its position and position_uncertainty, and the columns that say "
+                "where was read"
+            )
+
+
+def off_stated(found: Array, stated: Array) -> Array:
+    """(k, 3) places off the stated ones, by the motion in which all but one agree best, m; 0 of three or fewer."""
+    if len(found) <= _FRAME or not np.isfinite(found).all():
+        return np.zeros(found.shape)
+    off = []
+    for k in range(len(found)):
+        others = np.arange(len(found)) != k
+        turn, shift = best_motion(found[others], stated[others])
+        away = found @ turn.T + shift - stated
+        off.append((float(np.linalg.norm(away[others])), away))
+    return min(off, key=lambda pair: pair[0])[1]

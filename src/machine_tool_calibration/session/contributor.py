@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A contributor to the measurement uncertainty: one line of a budget.
+
+Words as in the GUM (JCGM 100): type A or B, distribution, standard or expanded uncertainty, degrees of freedom. How a
+contributor enters the readings, and which readings share one value of it, are the two questions that decide what it
+does to a result.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from machine_tool_calibration.arrays import HALF_WIDTHS, Array, standard_draws
+from machine_tool_calibration.session.record import Record
+from machine_tool_calibration.session.values import Finite, Instrument, Positive
+
+__all__ = ["UNITS", "Contributor", "Contributors", "Enters", "Varies"]
+
+Enters = Literal[
+    "reading",
+    "along",
+    "across",
+    "angle",
+    "length",
+    "temperature",
+    "air_temperature",
+    "air_pressure",
+    "air_humidity",
+]
+Varies = Literal["reading", "place", "angle", "run", "setup", "session", "never"]
+
+UNITS: dict[str, str] = {
+    "reading": "m",
+    "along": "m",
+    "across": "m",
+    "angle": "rad",
+    "length": "1",
+    "temperature": "K",
+    "air_temperature": "K",
+    "air_pressure": "Pa",
+    "air_humidity": "1",
+}
+"""Unit of a contributor's value, by how it enters."""
+
+# Mean fourth power over the square of the variance.
+_FOURTHS = {"normal": 3.0, "rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "arcsine": 3.0 / 2.0}
+
+
+class Contributor(Record):
+    """One line of an uncertainty budget.
+
+    Attributes:
+        name: what it is.
+        symbol: as in u_11; may be absent.
+        type: A, evaluated from observations by statistics; B, otherwise.
+        distribution: of its value.
+        standard_uncertainty: in the unit of `UNITS`; or instead of it
+        expanded: expanded uncertainty, with
+        coverage_factor: k; or
+        half_width: of a distribution with ends.
+        degrees_of_freedom: of a standard uncertainty that was evaluated; not said: known exactly.
+        enters: what one unit of it does to a reading (`patterns.effect_on_readings`).
+        varies: which readings share a value of it: one reading, or all of a place, beam direction, run, setup, session;
+            never: all.
+        expansion: coefficient of expansion of what has the temperature, 1/K.
+        instrument: whose readings alone it enters; those of all if it is not said.
+        source: where the value is from.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    symbol: Annotated[str, Field(max_length=20)] = ""
+    type: Literal["A", "B"]
+    distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
+    standard_uncertainty: Positive | None = None
+    expanded: Positive | None = None
+    coverage_factor: Annotated[Finite, Field(gt=0)] | None = None
+    half_width: Positive | None = None
+    degrees_of_freedom: Annotated[Finite, Field(ge=1)] | None = None
+    enters: Enters
+    varies: Varies
+    expansion: Annotated[Finite, Field(gt=0)] | None = None
+    instrument: Instrument | Literal[""] = ""
+    source: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Contributor:
+        sizes = [key for key in ("standard_uncertainty", "expanded", "half_width") if getattr(self, key) is not None]
+        if len(sizes) != 1:
+            said = " and ".join(sizes) or "none"
+            raise ValueError(f"one of standard_uncertainty, expanded and half_width must be given, not {said}")
+        if (self.expanded is None) != (self.coverage_factor is None):
+            raise ValueError("expanded and coverage_factor belong together")
+        if self.half_width is not None and self.distribution == "normal":
+            raise ValueError("half_width is for rectangular, triangular and arcsine; a normal distribution has no ends")
+        if (self.enters == "temperature") != (self.expansion is not None):
+            raise ValueError("expansion (1/K) belongs to what enters by temperature, and only to that")
+        return self
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty, in the unit of `UNITS`."""
+        if self.half_width is not None:
+            return self.half_width / HALF_WIDTHS[self.distribution]
+        if self.expanded is not None and self.coverage_factor is not None:
+            return self.expanded / self.coverage_factor
+        return float(self.standard_uncertainty or 0.0)
+
+    @property
+    def unit(self) -> str:
+        """Of its value."""
+        return UNITS[self.enters]
+
+    @property
+    def fourth(self) -> float:
+        """Mean fourth power of its value over the square of its variance."""
+        return _FOURTHS[self.distribution]
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """(count,) independent values; of a few degrees of freedom by the t-distribution (JCGM 101, 6.4.9)."""
+        if self.distribution == "normal" and self.degrees_of_freedom is not None:
+            return np.asarray(self.u * rng.standard_t(self.degrees_of_freedom, count))
+        return self.u * standard_draws(self.distribution, rng, count)
+
+
+def _check_names(lines: tuple[Contributor, ...]) -> tuple[Contributor, ...]:
+    names = [line.name for line in lines]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"contributors has the name {twice[0]!r} twice")
+    return lines
+
+
+Contributors = Annotated[tuple[Contributor, ...], Field(max_length=1000), AfterValidator(_check_names)]
+"""The lines of a budget, with names that differ."""

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One quantity has one value and one U: in the report, on the terminal, in the workbench, in JSON, from the node."""
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from machine_tool_calibration.budget.contributor import default_budget
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.nodes import calculation
+from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
+from machine_tool_calibration.report import sections as room
+from machine_tool_calibration.report.evaluation import Evaluation, evaluate
+from machine_tool_calibration.report.words import words
+from machine_tool_calibration.reports.diagnosis import diagnosis_report
+from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.measured import Measured
+from machine_tool_calibration.reports.quantities import sizes_in_words
+from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.workbench import models
+
+# One of each method, and of each kind where a method has several.
+KINDS = (
+    "tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "straightness",
+    "grid_plate",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Received(calculation.Request):
+    """What came from a bag's messages."""
+
+    session: Session | None = None
+
+    def chosen(self) -> FitRequest:
+        assert self.session is not None
+        return FitRequest((self.session,))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_pictures() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("map_pictures", "motion_pictures", "residual_pictures"):
+            patch.setattr(room, name, lambda *_: iter(()))
+        patch.setattr(room, "turnable", lambda *_: None)
+        patch.setenv("COLUMNS", "500")
+        yield
+
+
+@cache
+def session_of(kind: str) -> Session:
+    effects = (FlawSpec(id="backlash_x", amplitude=2e-6),) if kind == "iso230_2" else ()
+    return simulate(SimulationSpec(plan=PRESETS[kind], seed=4, effects=effects)).session
+
+
+def said(*arguments: str) -> str:
+    """What a verb prints."""
+    out = StringIO()
+    with redirect_stdout(out):
+        assert run(list(arguments)) == 0
+    return out.getvalue()
+
+
+def received(kind: str, folder: Path) -> Received:
+    session_to_bag(session_of(kind), folder / "bag")
+    return Received("", [], None, (), (), session_from_bag(folder / "bag"))
+
+
+def tables(found: Evaluation) -> dict[str, TextTable]:
+    return {
+        block.title: block
+        for section in room.sections(found, words("en"))
+        for block in section.blocks
+        if isinstance(block, TextTable)
+    }
+
+
+def compared(one: Any, other: Any, where: str = "") -> int:
+    """How many numbers two documents have in common; all of them."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        return sum(compared(one[key], other[key], f"{where}.{key}") for key in one)
+    if isinstance(one, list):
+        assert len(one) == len(other), where
+        return sum(compared(a, b, f"{where}[{k}]") for k, (a, b) in enumerate(zip(one, other, strict=True)))
+    if isinstance(one, float):
+        assert other == pytest.approx(one, rel=1e-9, abs=1e-18), where
+        return 1
+    assert one == other, where
+    return 0
+
+
+def without_origin(document: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in json.loads(json.dumps(document)).items() if key != "provenance"}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> None:
+    session, folder = session_of(kind), tmp_path / "session"
+    write_session(session, folder)
+    found = evaluate(Measured((session,), FitRequest((session,))), diagnosis=False)
+    of_report = without_origin(found.document)
+    table = tmp_path / "found.csv"
+    of_terminal = said("identify", str(folder), "--csv", str(table))
+    shown = models.opened([folder], None, (), lambda *_: None).models[-1]
+    for other in (
+        json.loads(said("identify", str(folder), "--json")),
+        json.loads(calculation.identified(received(kind, tmp_path), lambda *_: None).document),
+        shown.fit.document(),
+    ):
+        assert compared(of_report, without_origin(other)) > 20
+    told = tables(found)
+    lines = [re.sub(r"\s+", " ", line).strip() for line in of_terminal.splitlines()]
+    assert all(f"{name} {value}" in lines for name, value in summary_rows({**of_report, "not_determined": []}))
+    summary = next(block for block in room.sections(found, words("en"))[0].blocks if isinstance(block, TextTable))
+    assert summary.rows == tuple(summary_rows({**of_report, "not_determined": []}))
+    listed = pd.read_csv(table, comment="#")
+    motions = told.get("Error motions (ISO 230-1)")
+    for name, _, low, high, expanded, _ in () if motions is None else motions.rows:
+        own = listed[(listed["error"] == name) & listed["determined"]]
+        for text, value in ((low, own["value"].min()), (high, own["value"].max()), (expanded, own["U"].max())):
+            assert float(text) == pytest.approx(1e6 * value, abs=0.51 * 10.0 ** -len(text.partition(".")[2])), name
+
+
+@cache
+def whole() -> Evaluation:
+    """All of a report of a run by ISO 230-2, with a budget."""
+    session = session_of("iso230_2")
+    measured, lines = Measured((session,), FitRequest((session,))), default_budget([session])
+    return evaluate(measured, contributors=lines, tolerances={"A": 20e-6, "EXX": 20e-6})
+
+
+def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind, folder, found = "iso230_2", tmp_path / "session", whole()
+    write_session(session_of(kind), folder)
+    assert found.improvement is not None and found.conclusions is not None
+    diagnosis, then = found.improvement.diagnosis, found.conclusions
+    document = json.loads(said("diagnose", str(folder), "--json"))
+    assert document["accepted"] == ["backlash_x"]
+    monkeypatch.setattr(calculation, "diagnose", lambda *_, **__: diagnosis)
+    of_node = calculation.diagnosed(received(kind, tmp_path), lambda *_: None).content
+    assert compared(without_origin(document), without_origin(dict(of_node))) > 20
+    opened = models.opened([folder], None, (), lambda *_: None)
+    of_workbench = models.diagnosed(opened.subject, opened.models[-1], lambda *_: None)
+    report = diagnosis_report(diagnosis, then.advice, then.changes)
+    assert report == diagnosis_report(of_workbench[0], of_workbench[1].advice, of_workbench[1].changes)
+    (section,) = (one for one in room.sections(found, words("en")) if one.id == "diagnosis")
+    assert tuple(block for block in section.blocks if isinstance(block, str)) == report.words
+    written = [block for block in section.blocks if isinstance(block, TextTable)]
+    assert [block.title for block in written] == [block.title for block in report.tables]
+    size = sizes_in_words(then.changes["backlash_x"].parameters)
+    assert size == report.tables[0].rows[0][report.tables[0].columns.index("size")] and size in " ".join(report.words)
+    (told,) = document["candidates"][0]["parameters"]
+    (own,) = then.changes["backlash_x"].parameters
+    assert (told["value"], told["standard_uncertainty"]) == pytest.approx((own.value, own.standard_uncertainty))
+
+
+def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
+    found = whole()
+    assert found.budget is not None and found.conformity is not None and found.improvement is not None
+    expanded = found.budget.largest("EXX").expanded  # type: ignore[union-attr]
+    document = found.document
+    assert document["uncertainty"] == "budget"
+    motion = [p["standard_uncertainty"] for p in document["parameters"] if p.get("error_motion") == "EXX"]
+    assert 2 * max(motion) == pytest.approx(expanded)
+    assert 2 * max(document["error_map"]["tables"]["EXX"]["value_u"]) == pytest.approx(expanded)
+    (run_,) = document["error_map"]["iso230_2"]
+    accuracy = found.conformity.verdicts[0]
+    assert run_["A_U"] == pytest.approx(2 * accuracy.u) == pytest.approx(found.budget.largest("A_X").expanded)  # type: ignore[union-attr]
+    assert "note" not in run_  # that the instrument's comes on top
+    told = tables(found)
+    shown = max(row[1].split(" ± ")[1] for row in told["Error motions of X ± U (k = 2)"].rows)
+    assert float(shown) == pytest.approx(1e6 * expanded, abs=0.06)
+    # Each step has the budget of its own model; that of the first is the result's.
+    first = found.improvement.steps[0]
+    assert first.result.error_map.uncertainty == pytest.approx(found.result.error_map.uncertainty, nan_ok=True)
+    summary = room.sections(found, words("en"))[0].blocks
+    assert summary[0] == "All together: pass."
+    assert words("en")("u_is_complete") in summary
