@@ -189,6 +189,17 @@ def test_each_family_has_a_size_in_metres() -> None:
     assert runs.high < mountings.low
 
 
+def test_each_sessions_functions_have_their_own_coefficients() -> None:
+    """Two axes that share their scale: what a pass has of its own is that session's, in the order of the sessions."""
+    own = [axis(4.0, seed=seed)[0].assembly.models[0] for seed in (1, 2)]
+    joint = fit_models(own, ["a", "b"])
+    found = joint.marginal
+    first, second = found.coefficients(0), found.coefficients(1)
+    count = len(found.solution.theta)
+    assert np.concatenate([first, second]).tolist() == list(range(count - len(first) - len(second), count))
+    assert len(first) == len(found.functions[0]) > PASSES
+
+
 def test_scatter_grows_without_a_jump() -> None:
     """No test decides beforehand whether the readings' scatter counts."""
     chi_square = np.linspace(0.0, 100.0, 400)
