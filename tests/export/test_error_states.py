@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.export.compensation import compensation
 from machine_tool_calibration.export.error_states import displacement, error_states
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
@@ -99,3 +100,17 @@ def test_a_time_constant_is_the_one_that_was_found() -> None:
         assert not moved[:, 1:].any()
         exact = 6e-6 * (1.0 - np.exp(-time / 700.0))
         np.testing.assert_allclose(moved[:, 0] - moved[:, 0].mean(), exact - exact.mean(), atol=3e-7)
+
+
+def test_what_a_format_does_not_hold_is_absent() -> None:
+    plane = identify(
+        result("tracking", "backlash_y").fit.model.observations.session, model="rigid_body", effects=["backlash_y"]
+    )
+    made = compensation(plane, "here")
+    tables = [table.name for table in made.tables.tables]
+    assert {"EXX", "EYX", "EXY", "EYY"} <= set(tables) and list(made.tables.squareness) == ["C0Y"]
+    assert made.exported("csv").absent == []
+    assert made.exported("isg").absent == ["backlash_y"]
+    # Positioning alone, in both directions.
+    pitch = made.exported("linuxcnc").absent
+    assert pitch == [name for name in [*tables, "C0Y"] if name not in ("EXX", "EYY")]
