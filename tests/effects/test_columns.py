@@ -192,3 +192,25 @@ def test_columns_are_what_exact_geometry_does(name: str) -> None:
         assert np.abs(left).max() < 5e-3 * size + 2e-9, plan
         largest = max(largest, size)
     assert largest > 4e-8
+
+
+@pytest.mark.parametrize(
+    ("name", "sense", "datum", "first"),
+    [("EXX", "x", "none", 0), ("EXX", "x", "offset", 1), ("EXX", "x", "rigid", 1), ("EYX", "y", "rigid", 2)],
+)
+def test_of_a_single_axis_there_is_a_coefficient_for_each_position_beside_the_datum(
+    name: str, sense: str, datum: str, first: int
+) -> None:
+    way = tuple(float(axis == sense) for axis in "xyz")
+    points = tuple((float(x), 0.0, 0.0) for x in np.tile([0.0, 0.03, 0.1, 0.18, 0.3], 3))
+    plan = DirectPlan(kind="points", points=points, directions=(way,), datum=datum, terms=())
+    model = build_model(simulate(SimulationSpec(plan=plan, seed=1)).session)[0]
+    effect, observations = catalogue()[name], model.observations
+    columns = effect.columns(observations)
+    assert [c.name for c in effect.coefficients_for(observations)] == [f"p{k}" for k in range(first, 5)]
+    # With constant and slope as far as they are left out: every function of the position, each of size one.
+    x = observations.readings.columns["x"]
+    whole = np.concatenate([np.array([np.ones(15), x])[:first], columns])
+    assert whole.shape == (5, 15) and np.linalg.matrix_rank(whole) == 5
+    np.testing.assert_allclose(np.mean(columns**2, axis=1), 1.0)
+    np.testing.assert_allclose(columns @ columns.T, 15.0 * np.eye(len(columns)), atol=1e-12)
