@@ -113,7 +113,7 @@ def test_compare_draws_and_writes_every_session(
 
 def test_the_order_of_sessions_of_different_methods(several_methods: list[str], tmp_path, capsys, monkeypatch) -> None:
     """What one session did not record is empty for it."""
-    monkeypatch.setattr("machine_tool_calibration.plots.compare.draw_joint", lambda *_: [])
+    monkeypatch.setattr("machine_tool_calibration.plots.compare.draw", lambda *_: [])
     said(capsys, "compare", *several_methods, "-o", tmp_path)
     table = pd.read_csv(tmp_path / "comparison.csv", comment="#")
     assert table.loc[table["session"] == "run", "azimuth"].isna().all()

@@ -79,15 +79,10 @@ def command(
 
 
 def _write(comparison: Comparison | JointComparison, folder: Path, against: tuple[str, ...]) -> list[Path]:
-    import pandas as pd
-
     from machine_tool_calibration.plots.compare import draw
-    from machine_tool_calibration.reports.comparison import comparison_columns
 
     with progress_bar() as progress:
         progress("drawing")
         pictures = draw(comparison, folder, against)
-        table = write_table(
-            pd.DataFrame(comparison_columns(comparison)), folder / "comparison.csv", comparison.provenance
-        )
+        table = write_table(comparison.residuals, folder / "comparison.csv", comparison.provenance)
     return [*pictures, table]

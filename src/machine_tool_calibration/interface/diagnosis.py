@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.compare import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
+from machine_tool_calibration.interface.session import one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
 from machine_tool_calibration.reports.quantities import probability
@@ -40,16 +40,14 @@ class Comparison(Shown):
 
     found: OneComparison | JointComparison
 
-    @cached_property
+    @property
     def residuals(self) -> pd.DataFrame:
         """Every reading with what was predicted and every covariate, as `comparison.csv` of `mtcal compare`; SI.
 
         Columns: `row` (from 0), `setup`, `repeat`, `measured`, `predicted`, `residual` (m), `studentized` (residual
         over its own standard uncertainty; NaN where the model has a reading for itself), and all that was recorded.
         """
-        from machine_tool_calibration.reports.comparison import comparison_columns
-
-        return pd.DataFrame(comparison_columns(self.found))
+        return self.found.residuals
 
     @property
     def setups(self) -> pd.DataFrame:
@@ -60,7 +58,7 @@ class Comparison(Shown):
         model takes it up; `worst_row`, the reading with the largest studentized residual. Several sessions have
         `session` besides.
         """
-        return _table(self._document["setups"])
+        return self.found.setups
 
     @property
     def regions(self) -> pd.DataFrame:
@@ -91,11 +89,8 @@ class Comparison(Shown):
 
     @property
     def worst(self) -> pd.DataFrame:
-        """Readings with the largest studentized residuals.
-
-        Columns: `row`, `setup`, `residual` (m), `studentized`; of several sessions `session` first.
-        """
-        return _table(self._document["worst"])
+        """Readings with the largest studentized residuals; columns as of `residuals`."""
+        return self.found.worst
 
     @property
     def headline(self) -> str:
@@ -146,20 +141,9 @@ class Comparison(Shown):
 
         return comparison_document(self.found)
 
-    def _of_each(self, key: str) -> pd.DataFrame:
-        """A list of the document as a table, of several sessions one below the other."""
-        parts = self._document.get("sessions", [self._document])
-        rows = [
-            {**({"session": part["label"]} if "label" in part else {}), **entry, **entry.get("fit", {})}
-            for part in parts
-            for entry in part[key]
-        ]
-        return _table(rows).drop(columns="fit", errors="ignore")
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Records as a table, with NaN for what they do not hold."""
-    return pd.DataFrame([{key: np.nan if value is None else value for key, value in row.items()} for row in rows])
+    def _of_each(self, table: str) -> pd.DataFrame:
+        """A table of each session, one below the other."""
+        return one_below_the_other(self.found.labels or (), [getattr(one, table) for one in self.found.sessions])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
