@@ -77,13 +77,9 @@ class Overall:
 class Comparison:
     """A model against the readings of a session.
 
+    The columns of its tables are described where people ask for them, at the attributes of the public `Comparison`.
     Uncertainties are those of the declared noise, or of the scatter about the model where that is larger; they allow
     for what the model took up. NaN stands where the model takes a figure up.
-
-    Parts of the readings have the columns `name`, `readings`, `rms` of their residuals (m), `reduced_chi_square` (sum
-    of squares over what is left of these readings by the model), `share` of the whole sum of squares, `mean` of the
-    residuals (m) and `slope` over time (m/s) with the standard uncertainties `mean_u` and `slope_u`, and `worst_row`,
-    the reading with the largest studentized residual.
 
     Attributes:
         fit: the fitted model.
@@ -95,17 +91,13 @@ class Comparison:
         residuals: the readings, as `residual_table` gives them.
         covariates: what varies from reading to reading, by name.
         ranked: covariates with the share of the residuals' variance that a running mean over them follows.
-        setups: parts, worst first.
-        runs: each repeat of each setup, worst first.
-        regions: bins of each `axis` from `low` to `high` (m or rad), as parts.
-        texts: by text column (target, point) its values as parts, worst first.
-        approaches: by `axis` that was approached from both sides the readings after a move `forward` and `backward`;
-            `difference`, mean residual after the former minus that after the latter (m); `displacement` of the axis
-            that the model would find for it (m, C: rad), minus twice the half width b of a backlash; each with its
-            standard uncertainty `_u`; `p_value`, chance of so large a displacement (or difference, without it).
-        trends: by `covariate`, the most significant first, the `span` that it covers; `slope` of the residuals (m per
-            unit); `added`, the slope that the model would find, which is larger, as its other unknowns took their part;
-            each with its standard uncertainty `_u`; `p_value`, chance of so large a slope.
+        setups: worst first; reduced chi-squares are sums of squares over what the model leaves of these readings.
+        runs: each repeat of each setup, likewise.
+        regions: bins of each axis position.
+        texts: by text column (target, point), its values as setups are.
+        approaches: axes that were approached from both sides; without a displacement the p-value is of the difference.
+        trends: straight lines over covariates, the most significant first; the slope that the model would find is
+            larger than that of the residuals, as its other unknowns took their part.
     """
 
     fit: Fit
@@ -124,7 +116,8 @@ class Comparison:
     approaches: pd.DataFrame
     trends: pd.DataFrame
 
-    labels = None  # of sessions; those of several have some
+    labels = None
+    """Of the sessions, of which this is the only one."""
 
     @property
     def sessions(self) -> tuple[Comparison, ...]:

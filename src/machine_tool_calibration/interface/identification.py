@@ -132,9 +132,12 @@ class Fit(Shown):
         """Every reading that takes part in the fit, one a row; SI.
 
         Columns: `row` of the recording (from 0), `measured`, `predicted`, `residual` (measured minus predicted),
-        `u_declared` (standard uncertainty), m, and the other columns as recorded; of several sessions `session` first.
+        `u_declared` (standard uncertainty), m, and the other columns as recorded, with those that `compare` has besides
+        (`leverage`, `studentized`, covariates); of several sessions `session` first.
         """
-        frames = [tables.residuals(fit) for fit in self.result.joint.fits]
+        from machine_tool_calibration.diagnosis.compare import residual_table
+
+        frames = [residual_table(fit) for fit in self.result.joint.fits]
         return one_below_the_other(self.measurement.labels, frames)
 
     @cached_property

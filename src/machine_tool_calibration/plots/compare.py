@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import (
     arrow_scale,
@@ -84,13 +83,12 @@ def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Fi
 
 def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     """Covariates whose running mean follows the residuals best, without those that would make the same picture."""
-    values, out = comparison.covariates, list[str]()
+    values = {name: pd.Series(own) for name, own in comparison.covariates.items()}
+    out: list[str] = []
     for name, _ in comparison.ranked:
-        if all(abs(_correlation(values[name], values[other])) < _SAME for other in out):
+        if not any(abs(values[name].corr(values[other], min_periods=3)) >= _SAME for other in out):
             out.append(name)
-        if len(out) == most:
-            break
-    return out
+    return out[:most]
 
 
 def _draw_fit(comparison: Comparison) -> Figure:
@@ -226,10 +224,3 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
 def _noise_band(panel: Axes, comparison: Comparison) -> None:
     sigma = 2e6 * comparison.noise.declared
     panel.axhspan(-sigma, sigma, color="0.92", zorder=0)
-
-
-def _correlation(a: Array, b: Array) -> float:
-    good = np.isfinite(a) & np.isfinite(b)
-    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
-        return 0.0
-    return float(np.corrcoef(a[good], b[good])[0, 1])

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.reports.comparison import in_words, records, times_declared
@@ -23,7 +24,6 @@ from machine_tool_calibration.reports.tables import TextTable, show_suspicions, 
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
 if TYPE_CHECKING:
-    import pandas as pd
     from rich.console import Console
 
 __all__ = [
@@ -45,6 +45,10 @@ _HEADS = "× declared: scatter over the declared uncertainty; of all misfit: sha
 _APART = (
     "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
     "gives −2 b)"
+)
+_EXPECTED = (
+    "× expected: over the scatter that the declared uncertainty lets this residual have; row 0 is the second line of "
+    "observations.csv"
 )
 # Names and factors of positions for people.
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.0 / np.pi)}
@@ -74,10 +78,6 @@ def mark_not_determined(
     return shown, "; ".join(notes)
 
 
-def _name(row: _Row) -> str:
-    return str(row["name"])
-
-
 def _uncertain(name: str, factor: float = _MICRO) -> Callable[[_Row], str]:
     """A column with its expanded uncertainty."""
     return lambda row: plus_minus(row[name], row[f"{name}_u"], factor)
@@ -102,14 +102,16 @@ _UNCERTAIN: dict[str, Callable[[_Row], str]] = {
 }
 """Cells of columns of which a row may leave the figure undetermined, by the column's head."""
 _CELLS: dict[str, Callable[[_Row], str]] = _UNCERTAIN | {
-    "readings": lambda row: str(row["readings"]),
     "RMS / µm": lambda row: micrometres(row["rms"]),
     "× declared": lambda row: times_declared(row["reduced_chi_square"]),
     "of all misfit": lambda row: f"{row['share']:.0%}",
     "worst row": lambda row: "" if row["worst_row"] is None else str(row["worst_row"]),
-    "axis": lambda row: str(row["axis"]),
     "position": _position,
     "readings after + / −": lambda row: f"{row['forward']} / {row['backward']}",
+    "residuals change by / µm": lambda row: _uncertain("slope", _MICRO * row["span"])(row),
+    "the model would need / µm": lambda row: _uncertain("added", _MICRO * row["span"])(row),
+    "residual / µm": lambda row: micrometres(row["residual"], signed=True),
+    "× expected": lambda row: NOT_DETERMINED if row["studentized"] is None else f"{row['studentized']:+.1f}",
     "p-value": lambda row: probability(row["p_value"]),
 }
 _FIGURES = ("readings", "RMS / µm", "× declared", "of all misfit")
@@ -119,9 +121,11 @@ _PART = (*_FIGURES, "mean / µm", "drift / (µm/h)", "worst row")
 def _table(
     title: str, table: pd.DataFrame, heads: Sequence[str], about: str = "", most: int | None = None
 ) -> TextTable:
-    """A table of text of the first rows; a head that is none of `_CELLS` is that of their names."""
-    cells = [_CELLS.get(head, _name) for head in heads]
-    rows = [tuple(cell(row) for cell in cells) for row in records(table[:most])]
+    """A table of text of the first rows; a head that is neither of `_CELLS` nor a column's name stands over names."""
+    rows = [
+        tuple(_CELLS[head](row) if head in _CELLS else str(row.get(head, row.get("name"))) for head in heads)
+        for row in records(table[:most])
+    ]
     shown, note = mark_not_determined(heads, rows, [k for k, head in enumerate(heads) if head in _UNCERTAIN])
     more = f"{len(table) - len(rows)} more" if len(table) > len(rows) else ""
     return TextTable(title, tuple(heads), shown, "; ".join(filter(None, (about, more, note))))
@@ -200,19 +204,14 @@ def _trends(comparison: Comparison) -> TextTable:
     groups = _correlated_groups(comparison)
     clear = [group for group in groups if (group[0]["p_value"] or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
-    rows = tuple(
-        (
-            first["covariate"],
-            ", ".join(sorted((row["covariate"] for row in others), key=lambda name: name != "time")),
-            _uncertain("slope", _MICRO * first["span"])(first),
-            _uncertain("added", _MICRO * first["span"])(first),
-            probability(first["p_value"]),
-        )
-        for first, *others in shown
-    )
-    columns = ("over", "correlated with", "residuals change by / µm", "the model would need / µm", "p-value")
+    rows = [
+        first
+        | {"over": first["covariate"], "correlated with": ", ".join(sorted(others, key=lambda name: name != "time"))}
+        for first, others in ((first, [row["covariate"] for row in others]) for first, *others in shown)
+    ]
+    heads = ("over", "correlated with", "residuals change by / µm", "the model would need / µm", "p-value")
     title = "Straight lines over time, temperature and what else was recorded"
-    return TextTable(title, columns, rows, _note(comparison, shown))
+    return _table(title, pd.DataFrame(rows, columns=[*comparison.trends, *heads[:2]]), heads, _note(comparison, shown))
 
 
 def _correlated_groups(comparison: Comparison) -> list[list[_Row]]:
@@ -252,21 +251,8 @@ def _note(comparison: Comparison, shown: list[list[_Row]]) -> str:
 
 
 def _worst(comparison: Comparison) -> TextTable:
-    labels = tuple(comparison.texts)
-    rows = tuple(
-        (
-            *(str(row[name]) for name in ("row", "setup", "repeat", *labels)),
-            micrometres(row["residual"], signed=True),
-            f"{row['studentized']:+.1f}",
-        )
-        for row in comparison.worst[:_MOST_LABELS].to_dict("records")
-    )
-    columns = ("row", "setup", "repeat", *labels, "residual / µm", "× expected")
-    note = (
-        "× expected: over the scatter that the declared uncertainty lets this residual have; row 0 is the second line "
-        "of observations.csv"
-    )
-    return TextTable("Single readings, worst first", columns, rows, note)
+    heads = ("row", "setup", "repeat", *comparison.texts, "residual / µm", "× expected")
+    return _table("Single readings, worst first", comparison.worst[:_MOST_LABELS], heads, _EXPECTED)
 
 
 def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:

@@ -15,15 +15,13 @@ import pandas as pd
 
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.identify import JointResult
-from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import decimals
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.session.folder import readings_frame
 
-__all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "residuals", "tidy", "workpiece"]
+__all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "tidy", "workpiece"]
 
 
 # Decimals of a place, mm or degrees, and of what has no uncertainty; U below which it has none, um or urad.
@@ -205,28 +203,6 @@ def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.
         row["meaning"] = words.get(row["name"], "")
     columns = ["name", "value", "u", "unit", "determined", "meaning", "why_not"]
     return pd.DataFrame(rows, columns=columns).set_index("name")
-
-
-def residuals(fit: Fit) -> pd.DataFrame:
-    """Every reading of one session that takes part in a fit.
-
-    Returns:
-        `row` of the recording (from 0), `measured`, `predicted` and `residual` (measured minus predicted), the declared
-        standard uncertainty `u_declared`, all in m; then the reading's other columns as they were recorded.
-    """
-    observations = fit.model.observations
-    readings = observations.readings
-    recorded = readings_frame(observations.session.with_readings(readings)).drop(columns="displacement")
-    own = pd.DataFrame(
-        {
-            "row": readings.row,
-            "measured": readings.displacement,
-            "predicted": fit.predicted,
-            "residual": fit.residuals,
-            "u_declared": fit.model.sigma,
-        }
-    )
-    return pd.concat([own, recorded], axis=1)
 
 
 def workpiece(result: Result | JointResult) -> pd.DataFrame:

@@ -200,11 +200,8 @@ class Readings:
             self.arrows += ", those along " if None in lines else " along "
             self.arrows += ", ".join(along) + f", standing up from the line{'s' if len(along) > 1 else ''}"
         self.labels = {f"c:{name}": axis_label(name)[0] for one in first.each for name in one.covariates}
-        share: dict[str, float] = {}
-        for one in first.each:
-            for name, value in one.ranked:
-                share[f"c:{name}"] = max(value, share.get(f"c:{name}", 0.0))
-        self.ranked = sorted(share, key=lambda name: -share[name])
+        share = pd.DataFrame([dict(one.ranked) for one in first.each]).max().clip(lower=0.0)
+        self.ranked = [f"c:{name}" for name in share.sort_values(ascending=False, kind="stable").index]
         self.ranked += [name for name in self.labels if name not in self.ranked]
         color = 0
         setups, colors = [], []
