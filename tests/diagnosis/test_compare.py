@@ -37,7 +37,7 @@ def moved(session: Session, change: np.ndarray) -> Session:
 def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
     found = compare(simulated(plan))
     fit, readings = found.fit, found.fit.model.observations.readings
-    assert found.overall.rms == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
+    assert found.overall.rms_residual == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
     for parts in (found.setups, found.runs):
         assert parts["share"].sum() == pytest.approx(1.0)
         assert parts["readings"].sum() == len(readings)

@@ -55,14 +55,14 @@ class Overall:
 
     Attributes:
         readings: number of readings.
-        rms: root mean square of measured minus predicted, m.
+        rms_residual: root mean square of measured minus predicted, m.
         reduced_chi_square: weighted sum of squares over the degrees of freedom.
         degrees_of_freedom: readings minus unknowns.
         p_value: chance of so large a sum of squares if the model is right and the declared uncertainty too.
     """
 
     readings: int
-    rms: float
+    rms_residual: float
     reduced_chi_square: float
     degrees_of_freedom: int
     p_value: float
@@ -201,7 +201,8 @@ class JointComparison:
     def parts(self) -> pd.DataFrame:
         """Sessions as parts of all readings, worst first."""
         every = pd.DataFrame([vars(one.overall) for one in self.sessions])
-        return _worst_first(every.assign(name=self.labels, share=self._weights).reindex(columns=_PART))
+        every = every.rename(columns={"rms_residual": "rms"}).assign(name=self.labels, share=self._weights)
+        return _worst_first(every.reindex(columns=_PART))
 
     @property
     def setups(self) -> pd.DataFrame:

@@ -100,7 +100,7 @@ def comparison_document(comparison: Comparison | JointComparison) -> dict[str, A
 
     Of several sessions the same keys for all of them together, and under `sessions` those of each.
     """
-    overall, sessions = comparison.overall, [one.session for one in comparison.sessions]
+    sessions = [one.session for one in comparison.sessions]
     worst = comparison.worst.filter(["session", "row", "setup", "residual", "studentized"])
     out = {
         "format": "mtcal-comparison/1",
@@ -109,11 +109,7 @@ def comparison_document(comparison: Comparison | JointComparison) -> dict[str, A
         "summary": in_words(comparison),
         "suspicious": suspicions(sessions, comparison.labels),
         "provenance": comparison.provenance.document(),
-        "readings": overall.readings,
-        "rms_residual": overall.rms,
-        "reduced_chi_square": overall.reduced_chi_square,
-        "degrees_of_freedom": overall.degrees_of_freedom,
-        "p_value": overall.p_value,
+        **vars(comparison.overall),
         "setups": records(comparison.setups),
         "worst": records(worst),
     }

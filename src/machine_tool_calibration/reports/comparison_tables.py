@@ -172,7 +172,7 @@ def _as_axes(names: pd.Series[Any]) -> pd.Series[Any]:
 
 def _overall(comparison: Comparison | JointComparison) -> TextTable:
     overall, noise, sessions = comparison.overall, None, len(comparison.sessions)
-    rows = [("RMS residual (measured − predicted)", quantity(overall.rms, "m"))]
+    rows = [("RMS residual (measured − predicted)", quantity(overall.rms_residual, "m"))]
     title, p_value = f"All {overall.readings} readings", "p-value of the fit"
     if isinstance(comparison, JointComparison):
         title += f" of {sessions} sessions"
