@@ -9,26 +9,27 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
 from machine_tool_calibration.methods.probing.propagation import MonteCarlo
+from machine_tool_calibration.plots.features import draw_features
+from machine_tool_calibration.reports.features import features_document, show_features
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 __all__ = ["Features"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Features(Shown):
+class Features(Answer[Found]):
     """Pins, holes, spheres and walls of a probed part, distances and angles between them.
 
     Attributes:
-        found: all that was calculated, as the package itself uses it.
         drawn: what draws gave; None without any.
     """
 
-    found: Found
     drawn: MonteCarlo | None = None
 
     @property
@@ -66,24 +67,17 @@ class Features(Shown):
         """What it is, in one line."""
         return f"{', '.join(one.name for one in self.found.elements)}; frame: {self.datum}"
 
-    def report(self) -> str:
-        """What `mtcal features` prints."""
-        from machine_tool_calibration.reports.features import show_features
-
-        return printed(lambda screen: show_features(screen, self.found, self.drawn))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal features --json` writes it (`mtcal-features/1`)."""
-        from machine_tool_calibration.reports.documents import plain
-        from machine_tool_calibration.reports.features import features_document
-
-        return dict(plain(features_document(self.found, self.drawn)))
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal features` prints."""
+        show_features(screen, self.found, self.drawn)
 
     def plot(self) -> Figure:
         """Where the features are, deviations magnified, with ellipses of their uncertainty."""
-        from machine_tool_calibration.plots.features import draw_features
-
         return notebook(draw_features(self.found))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return features_document(self.found, self.drawn)
 
     @property
     def _names(self) -> list[str]:
