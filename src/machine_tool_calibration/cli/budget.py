@@ -9,19 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    note_written,
-)
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.output import (
+    PATH,
     PictureFile,
-    console,
     json_option,
     note,
     progress_bar,
-    write_json,
+    save_picture,
+    seed_option,
+    tell,
 )
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
@@ -39,11 +36,11 @@ __all__ = ["budget_option", "command", "complete_budget", "fitted"]
 
 def budget_option(text: str) -> Callable[[Any], Any]:
     """Add `--budget`, which may be repeated, as the keyword argument `budgets`."""
-    return click.option("--budget", "budgets", type=click.Path(path_type=Path), multiple=True, help=text)
+    return click.option("--budget", "budgets", type=PATH, multiple=True, help=text)
 
 
 @click.command("budget")
-@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=PATH)
 @budget_option(
     "YAML file with the contributors; the session's own, else that of its instrument to begin with, if absent."
 )
@@ -61,8 +58,8 @@ def budget_option(text: str) -> Callable[[Any], Any]:
     metavar="N",
     help="Check by a Monte Carlo propagation with so many draws (JCGM 101).",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
-@click.option("--plot", type=PictureFile(folder=True), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
+@seed_option
+@click.option("--plot", type=PictureFile("budget.png"), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
 @model_options
 @history_option
 @json_option
@@ -92,7 +89,7 @@ def command(
     from machine_tool_calibration.budget.contributor import template
     from machine_tool_calibration.budget.propagate import propagate
     from machine_tool_calibration.budget.published import check_names
-    from machine_tool_calibration.reports.budget import budget_document, show_budget
+    from machine_tool_calibration.interface.budget import Budget
 
     if instrument is not None:
         if measurements:
@@ -106,18 +103,9 @@ def command(
         contributors = contributors_of(budgets, sessions)
         check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
-    document = budget_document(budget, names)
-    if plot is not None:
-        from machine_tool_calibration.plots.budget import draw_budget
-        from machine_tool_calibration.plots.style import save_as
-
-        file = plot if plot.suffix and not plot.is_dir() else plot / "budget.png"
-        save_as(draw_budget(budget, names), file, budget.origin)
-        note_written([file])
-    if as_json:
-        write_json(document)
-    else:
-        show_budget(console(), budget, names)
+    answer = Budget(budget, names)
+    save_picture(answer.plot, plot, budget.origin)
+    tell(answer, as_json)
 
 
 def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:

@@ -170,10 +170,7 @@ def _deviations(site: Site, result: Result) -> MapError:
 
 # What may be hidden with each method, with the smallest and the largest size; and what is measured.
 _HIDDEN = {
-    "tracking": {
-        "backlash_x": (0.8e-6, 2.5e-6),
-        "backlash_y": (0.8e-6, 2.5e-6),
-    },
+    "tracking": {"backlash_x": (0.8e-6, 2.5e-6), "backlash_y": (0.8e-6, 2.5e-6)},
     # In the few minutes of a step diagonal its own unknowns take up what drifts; what depends on the direction shows.
     "step_diagonal": {"backlash_x": (3e-6, 6e-6), "backlash_y": (3e-6, 6e-6)},
     "rotary_axis": {"backlash_c": (5e-6, 2e-5)},

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import plain, to_json, write_table
 from machine_tool_calibration.reports.identification import show_profiles, show_result
@@ -26,18 +26,16 @@ __all__ = ["command"]
 
 
 @click.command("identify")
-@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)
 @model_options
 @history_option
 @click.option("--keep-all", is_flag=True, help="Use all readings, also those that stand out of all others.")
 @click.option("--formulation", help="Step diagonal: one of the paper's formulations instead of the estimator.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Folder for the result document and the pictures."
-)
+@click.option("-o", "--output", type=PATH, help="Folder for the result document and the pictures.")
 @click.option(
     "--csv",
     "table",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="CSV file for all that was found, one value a row with its expanded uncertainty U (k = 2).",
 )
 @click.option(

@@ -14,6 +14,7 @@ from machine_tool_calibration.methods.probing.features import Features as Found
 from machine_tool_calibration.methods.probing.propagation import MonteCarlo
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.reports.features import features_document, show_features
+from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,9 +29,11 @@ class Features(Answer[Found]):
 
     Attributes:
         drawn: what draws gave; None without any.
+        origin: what it was made from.
     """
 
-    drawn: MonteCarlo | None = None
+    drawn: MonteCarlo | None
+    origin: Provenance
 
     @property
     def datum(self) -> str:
@@ -77,7 +80,7 @@ class Features(Answer[Found]):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return features_document(self.found, self.drawn)
+        return {**features_document(self.found, self.drawn), "provenance": self.origin.document()}
 
     @property
     def _names(self) -> list[str]:

@@ -250,7 +250,8 @@ class Fit(Shown):
             raise ModelError("features are those of one probing session; this fit is of several")
         fit = self.result.fit
         found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
-        return Features(found, monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None)
+        drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None
+        return Features(found, drawn, self.result.provenance)
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
@@ -270,7 +271,7 @@ class Fit(Shown):
         require_whole(seed=seed)
         require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
-        return MapComparison(compare_fits(*pair, labels, seed=seed))
+        return MapComparison(compare_fits(*pair, labels, seed=seed), tuple(one.provenance for one in pair))
 
     def diagnose(self) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.

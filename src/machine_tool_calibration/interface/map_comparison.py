@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.reports.map_comparison import map_comparison_document, show_map_comparison
+from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,8 +23,15 @@ if TYPE_CHECKING:
 __all__ = ["MapComparison"]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class MapComparison(Answer[Compared]):
-    """Whether two measurements of one machine agree within their joint uncertainty."""
+    """Whether two measurements of one machine agree within their joint uncertainty.
+
+    Attributes:
+        origins: what the maps were made from.
+    """
+
+    origins: tuple[Provenance, ...] = ()
 
     @property
     def agree(self) -> bool:
@@ -62,7 +71,7 @@ class MapComparison(Answer[Compared]):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return map_comparison_document(self.found)
+        return {**map_comparison_document(self.found), "provenance": [one.document() for one in self.origins]}
 
 
 _COLUMNS = ("first", "second", "difference", "u", "normalised")
