@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import DESCRIPTION_FILE
 from machine_tool_calibration.session.session import Session
 
@@ -64,7 +65,7 @@ def _beside(session: Session) -> Iterator[str]:
 
 def _pathless(session: Session) -> Iterator[str]:
     said = session.description.standard_uncertainty
-    if session.spec.probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
+    if spec_of(session).probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
         yield "standard_uncertainty grows with per_length, and a probe has no path: it changes nothing"
 
 
@@ -78,4 +79,4 @@ def _repeated(session: Session) -> Iterator[str]:
 
 
 def _of_method(session: Session) -> Iterator[str]:
-    return session.spec.suspicious(session)
+    return spec_of(session).suspicious(session)
