@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.budget.propagate import Budget
     from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.methods.fitted import FittedSessions
-    from machine_tool_calibration.session.contributor import Contributor
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["budget_option", "command", "complete_budget", "fitted"]
@@ -86,7 +85,7 @@ def command(
     mtcal budget session --budget mine.yaml --plot budget.png
     mtcal budget session --quantity EXX --quantity C0Y --draws 500
     """
-    from machine_tool_calibration.budget.contributor import template
+    from machine_tool_calibration.budget.contributor import contributors_of, template
     from machine_tool_calibration.budget.propagate import propagate
     from machine_tool_calibration.budget.published import check_names
     from machine_tool_calibration.interface.budget import Budget
@@ -100,7 +99,7 @@ def command(
         raise click.UsageError("Missing argument 'SESSION'.")
     with progress_bar() as progress:
         sessions, found = fitted(wanted, measurements, progress)
-        contributors = contributors_of(budgets, sessions)
+        contributors = contributors_of(budgets or None, sessions)
         check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
     answer = Budget(budget, names)
@@ -120,24 +119,14 @@ def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Seq
     return measured.recorded, fitted_sessions(result)
 
 
-def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:
-    """The contributors of the files, of the sessions, or of the instruments' budgets to begin with."""
-    from machine_tool_calibration.budget.contributor import default_budget, read_budget
-
-    if files:
-        return tuple(c for file in files for c in read_budget(file))
-    return default_budget(sessions)
-
-
 def complete_budget(
     files: Sequence[Path], sessions: Sequence[Session], own: FittedSessions, seed: int, progress: Report
 ) -> Budget | None:
     """The budget that a verdict needs; where there is none, what to do is said on standard error."""
-    from machine_tool_calibration.budget.contributor import known_contributors, read_budget
+    from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
     from machine_tool_calibration.budget.propagate import propagate
 
-    own_lines, why = ((), "") if files else known_contributors(sessions)
-    lines = own_lines or tuple(c for file in files for c in read_budget(file))
+    lines, why = (contributors_of(files, sessions), "") if files else known_contributors(sessions)
     if not lines:
         note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
         return None

@@ -287,7 +287,7 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     folder = measured.output / "pictures"
     folder.mkdir()
     last = plain(improvement.steps[-1].result.document())
-    pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
+    pictures = [*draw([measured.session], last, folder), *save_improvement(improvement, folder)]
     first, final = (improvement.steps[k].result for k in (0, -1))
     assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
     before, after = error_against_truth(measured, first), error_against_truth(measured, final)

@@ -140,7 +140,7 @@ def _write(
     result_file: bool,
 ) -> list[Path]:
     from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.plots.pictures import draw, draw_common
+    from machine_tool_calibration.plots.pictures import draw
     from machine_tool_calibration.plots.style import save
     from machine_tool_calibration.plots.tracking import draw_residuals
 
@@ -150,11 +150,10 @@ def _write(
         if result_file:
             written.append(folder / "result.json")
             written[0].write_text(to_json(document) + "\n", encoding="utf-8")
+        if result is not None:
+            written += draw(opened, document, folder)
         if isinstance(result, Result):
-            written += draw(opened[0], document, folder)
             written += save({"residuals": draw_residuals(result.fit)}, folder, result.provenance)
-        elif result is not None:
-            written += draw_common(document, folder)
     except OSError as error:
         raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
     return written

@@ -55,7 +55,7 @@ def command(
     mtcal report session -o report.html -o report.pdf --language de
     mtcal report session --from-history --budget mine.yaml --tolerances tolerances.yaml
     """
-    from machine_tool_calibration.budget.contributor import read_budget
+    from machine_tool_calibration.budget.contributor import contributors_of
     from machine_tool_calibration.budget.tolerances import read_tolerances
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
@@ -64,7 +64,7 @@ def command(
     outputs = outputs or (Path("report.html"),)
     check_endings(outputs)
     spoken = words(language)
-    contributors = [one for file in budgets for one in read_budget(file)]
+    contributors = contributors_of(budgets, ())
     limits = read_tolerances(tolerances) if tolerances else {}
     with progress_bar() as progress:
         found = evaluate(

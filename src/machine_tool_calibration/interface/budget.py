@@ -3,32 +3,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from machine_tool_calibration.budget.conformity import Conformity as Verdicts
-from machine_tool_calibration.budget.contributor import default_budget, read_budget
 from machine_tool_calibration.budget.propagate import Budget as Propagated
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.reports.budget import budget_document, show_budget
 from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.session.contributor import Contributor
-from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-__all__ = ["Budget", "Conformity", "contributors_of"]
+__all__ = ["Budget", "Conformity"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,22 +140,3 @@ class Conformity(Answer[Verdicts]):
     @cached_property
     def _document(self) -> dict[str, Any]:
         return conformity_document(self.found)
-
-
-def contributors_of(
-    given: str | Path | Sequence[Contributor | Mapping[str, Any]] | None, sessions: Sequence[Session]
-) -> tuple[Contributor, ...]:
-    """The contributors as `Fit.budget` takes them.
-
-    Raises:
-        CalibrationError: the file or a line is wrong, or the instrument has no budget to begin with.
-    """
-    if given is None:
-        return default_budget(sessions)
-    if isinstance(given, str | Path):
-        return read_budget(Path(given))
-    out = []
-    for number, line in enumerate(given, start=1):
-        said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
-        out.append(validated(Contributor, said, f"contributor {number}", refusal=ModelError))
-    return tuple(out)

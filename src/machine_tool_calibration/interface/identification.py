@@ -14,7 +14,7 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.conformity import conformity
-from machine_tool_calibration.budget.contributor import known_contributors
+from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import check_names
 from machine_tool_calibration.budget.tolerances import tolerance
@@ -23,7 +23,7 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.arguments import require_kind, require_whole
-from machine_tool_calibration.interface.budget import Budget, Conformity, contributors_of
+from machine_tool_calibration.interface.budget import Budget, Conformity
 from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
 from machine_tool_calibration.interface.features import Features
 from machine_tool_calibration.interface.map_comparison import MapComparison
@@ -35,7 +35,7 @@ from machine_tool_calibration.methods.identify import JointResult, fitted_sessio
 from machine_tool_calibration.methods.map_comparison import compare_fits
 from machine_tool_calibration.methods.probing.propagation import Distribution, monte_carlo
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.plots.pictures import common_figures, figures
+from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.tracking import draw_residuals
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.documents import plain
@@ -106,7 +106,7 @@ class Fit(Shown):
         Columns: `x y z` the place, m; `ex ey ez` the error, m; `ux uy uz` its standard uncertainty, m (an expanded
         uncertainty U, k = 2, is twice that); `determined_x determined_y determined_z`: where False, error and
         uncertainty are NaN. Step diagonals have `axis` besides, rotary axes `target` and the angle (`c`, rad). A place
-        is there more than once where an effect distinguishes directions of approach.
+        is there more than once, with the direction of `approach` (`x+ y-`), where its error depends on that.
         """
         return tables.error_map(self.result)
 
@@ -359,10 +359,8 @@ class Fit(Shown):
         return self.result.document()
 
     def _figures(self) -> dict[str, Figure]:
-        if not isinstance(self.result, Result):
-            return common_figures(self._document)
-        drawn = figures(self.measurement.sessions[0], self._document)
-        return drawn | {"residuals": draw_residuals(self.result.fit)}
+        more = {"residuals": draw_residuals(self.result.fit)} if isinstance(self.result, Result) else {}
+        return figures(self.measurement.sessions, self._document) | more
 
 
 def identify(
