@@ -23,19 +23,13 @@ from machine_tool_calibration.reports.comparison import comparison_columns, comp
 from machine_tool_calibration.reports.comparison_tables import show_comparison
 from machine_tool_calibration.reports.diagnosis import show_diagnosis
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-from machine_tool_calibration.reports.quantities import probability
+from machine_tool_calibration.reports.verdict import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
 __all__ = ["Comparison", "Diagnosis"]
-
-_VERDICTS = {
-    "adequate": "nothing is missing that these readings show",
-    "unexplained": "something is missing that no effect of the catalogue explains",
-    "outliers": "no effect is missing; readings that do not belong to the rest",
-}
 
 
 class Comparison(Answer[OneComparison | JointComparison]):
@@ -212,10 +206,7 @@ class Diagnosis(Answer[Found]):
     @property
     def headline(self) -> str:
         """The verdict in one line."""
-        if self.verdict != "missing_effect":
-            return _VERDICTS[self.verdict]
-        sure = (f"{name} (probability {probability(self.probability[name])})" for name in self.effects)
-        return f"missing: {', '.join(sure)}"
+        return verdict_line(self.found)
 
     def show(self, screen: Console, /, most: int = 8, *, details: bool = False) -> None:
         """Print what `mtcal diagnose` prints: the verdict, the effects and the next step.

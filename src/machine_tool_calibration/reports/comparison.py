@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
-from machine_tool_calibration.reports.goodness import fits
-from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
+from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall, Share
+from machine_tool_calibration.reports.goodness import fit_words, fits
+from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
 __all__ = ["comparison_columns", "comparison_document", "in_words", "stand_out"]
@@ -26,56 +26,30 @@ _WORSE = 1.15
 
 def in_words(comparison: Comparison | JointComparison) -> str:
     """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
-    return _joint_in_words(comparison) if isinstance(comparison, JointComparison) else _own_in_words(comparison)
-
-
-def _own_in_words(comparison: Comparison) -> str:
-    overall = comparison.overall
-    ratio, p, declared = overall.ratio, overall.p_value, quantity(overall.noise.declared, "m")
-    how = fits(p)
-    if how == "too well":
-        first = f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large"
-    elif how != "bad":
-        nearly = "nearly " if how == "nearly" else ""
-        first = f"the model fits {nearly}within the declared uncertainty ({declared}; {p_value(p)})"
+    if isinstance(comparison, JointComparison):
+        fit, what, parts = comparison.joint, "session", [share for _, share in comparison.parts]
+        count = sum(len(one.outliers) for one in comparison.sessions)
+        last = "Whether the sessions contradict each other, the result of all together says."
     else:
-        first = f"the readings scatter {rounded(ratio)} times the declared uncertainty; {_where(comparison)}"
-    apart = f" {stand_out(len(comparison.outliers))}." if comparison.outliers else ""
-    cause = " What the cause is, a diagnosis says." if how == "bad" else ""
-    return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
+        fit, what, parts = comparison.fit.joint, "setup", list(comparison.setups)
+        count, last = len(comparison.outliers), "What the cause is, a diagnosis says."
+    bad = fits(fit.p_value) == "bad"
+    said = [fit_words(fit.reduced_chi_square, fit.p_value)]
+    said += [_where(what, parts, fit.reduced_chi_square)] if bad else []
+    said += [f"{stand_out(count)}."] if count else []
+    said += [_repeats(comparison.overall, bool(count))] if isinstance(comparison, Comparison) else []
+    return " ".join([*said, *([last] if bad else [])])
 
 
-def _joint_in_words(comparison: JointComparison) -> str:
-    """Whether the common model fits all sessions, and if not, which it fits worst."""
-    joint = comparison.joint
-    ratio, p = joint.reduced_chi_square**0.5, joint.p_value
-    count = sum(len(one.outliers) for one in comparison.sessions)
-    apart = f" {stand_out(count)}." if count else ""
-    how = fits(p)
-    if how == "too well":
-        return f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large.{apart}"
-    if how != "bad":
-        nearly = "nearly " if how == "nearly" else ""
-        return f"the model fits all sessions {nearly}within the declared uncertainty ({p_value(p)}).{apart}"
-    label, worst = comparison.parts[0]
-    where = "the same in all sessions"
-    if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
-        where = f"worst is session {label} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)"
-    return (
-        f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}.{apart} Whether the sessions "
-        "contradict each other, the result of all together says."
-    )
-
-
-def _where(comparison: Comparison) -> str:
-    ranked = [s for s in comparison.setups if s.reduced_chi_square is not None]
+def _where(what: str, parts: list[Share], reduced_chi_square: float) -> str:
+    """Which of the setups or sessions it fits worst."""
+    ranked = [share for share in parts if share.reduced_chi_square is not None]
     if len(ranked) < 2:
-        return "there is one setup"
+        return f"There is one {what}."
     worst = ranked[0]
-    assert worst.reduced_chi_square is not None
-    if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
-        return "the same in all setups"
-    return f"worst is setup {worst.name} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)"
+    if (worst.reduced_chi_square or 0.0) < _WORSE**2 * reduced_chi_square:
+        return f"It is the same in all {what}s."
+    return f"Worst is {what} {worst.name} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)."
 
 
 def _repeats(overall: Overall, apart: bool) -> str:
@@ -118,7 +92,7 @@ def _own_document(comparison: Comparison) -> dict[str, Any]:
         "format": "mtcal-comparison/1",
         "method": session.method,
         "effects": list(comparison.effects),
-        "summary": _own_in_words(comparison),
+        "summary": in_words(comparison),
         "suspicious": suspicions([session]),
         "provenance": comparison.provenance.document(),
         "readings": overall.readings,
@@ -185,7 +159,7 @@ def _joint_document(comparison: JointComparison) -> dict[str, Any]:
         "format": "mtcal-comparison/1",
         "method": "joint",
         "effects": list(comparison.effects),
-        "summary": _joint_in_words(comparison),
+        "summary": in_words(comparison),
         "suspicious": suspicions(comparison.measured_sessions, comparison.labels),
         "provenance": comparison.provenance.document(),
         "readings": comparison.readings,

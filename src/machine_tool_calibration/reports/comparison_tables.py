@@ -316,8 +316,7 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
         suspicious = suspicions(comparison.measured_sessions, comparison.labels)
     else:
         suspicious = suspicions([comparison.fit.model.observations.session])
-    words = in_words(comparison)
-    screen.print(Text(words[0].upper() + words[1:]))
+    screen.print(Text(in_words(comparison)))
     show_suspicions(screen, suspicious)
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))

@@ -27,7 +27,6 @@ from machine_tool_calibration.workbench.look import (
     folded,
     new_figure,
     paragraphs,
-    sentence,
     tables,
     text,
     when_changed,
@@ -131,7 +130,7 @@ class ComparePage:
             setups = [share.name for share in found.setups]
         else:
             setups = [f"{label}/{share.name}" for label, share in found.setups]
-        self._words.object = paragraphs([sentence(in_words(found))])
+        self._words.object = paragraphs([in_words(found)])
         wide = 2e6 * rms(np.concatenate([one.fit.model.sigma for one in model.each]))
         for band in self._band:
             band.update(bottom=-wide, top=wide)
