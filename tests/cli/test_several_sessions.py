@@ -68,11 +68,11 @@ def test_export_with_an_effect(sessions: list[str], tmp_path: Path, capsys: pyte
 
 def test_compare_for_people(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     text = said(capsys, "compare", *sessions)
-    assert "The readings scatter" in text and "times the declared uncertainty" in text
+    assert "The readings scatter" in text and "times their declared uncertainty" in text
     assert "Sessions, worst first" in text and "Setups of all sessions, worst first" in text
     assert "monday/A" in text and "tuesday/D" in text and "monday: direction of approach" in text
     fits = said(capsys, "compare", *sessions, "--effect", "backlash_y")
-    assert "The model fits all sessions" in fits and "In the model: backlash_y." in fits
+    assert "The model fits the readings" in fits and "In the model: backlash_y." in fits
 
 
 def test_compare_for_programs(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:

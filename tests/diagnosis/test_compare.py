@@ -71,7 +71,7 @@ def test_what_the_model_takes_up_is_no_number() -> None:
 
 def test_a_good_model_is_said_to_fit() -> None:
     words = in_words(compare(simulated("tracking_2d")))
-    assert words.startswith("the model fits within the declared uncertainty (0.300 µm")
+    assert words.startswith("The model fits the readings within their declared uncertainty (p = ")
 
 
 def test_a_bad_setup_is_named() -> None:
@@ -80,7 +80,7 @@ def test_a_bad_setup_is_named() -> None:
     wave = 4e-6 * np.sin(readings.column("time") / 40.0) * (readings.setup == 2)
     found = compare(moved(session, wave))
     assert found.setups["name"][0] == "C"
-    assert "worst is setup C" in in_words(found)
+    assert "Worst is setup C" in in_words(found)
     assert found.overall.p_value < 1e-6
 
 

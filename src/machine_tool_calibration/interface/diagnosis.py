@@ -13,32 +13,27 @@ import pandas as pd
 from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.compare import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.session import one_below_the_other
-from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
+from machine_tool_calibration.interface.show import Answer, chosen, notebook, printed
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
-from machine_tool_calibration.reports.quantities import probability
+from machine_tool_calibration.plots.compare import draw_setups, figures
+from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
+from machine_tool_calibration.reports.comparison import comparison_document
+from machine_tool_calibration.reports.comparison_tables import show_comparison
+from machine_tool_calibration.reports.diagnosis import show_diagnosis
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.reports.verdict import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 __all__ = ["Comparison", "Diagnosis"]
 
-_VERDICTS = {
-    "adequate": "nothing is missing that these readings show",
-    "unexplained": "something is missing that no effect of the catalogue explains",
-    "outliers": "no effect is missing; readings that do not belong to the rest",
-}
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Shown):
-    """A model held against its readings: how well it fits, and where it fails.
-
-    Attributes:
-        found: all that was calculated, as the package itself uses it.
-    """
-
-    found: OneComparison | JointComparison
+class Comparison(Answer[OneComparison | JointComparison]):
+    """A model held against its readings: how well it fits, and where it fails."""
 
     @property
     def residuals(self) -> pd.DataFrame:
@@ -97,17 +92,9 @@ class Comparison(Shown):
         """How well the model fits, in one line."""
         return str(self._document["summary"])
 
-    def report(self) -> str:
-        """What `mtcal compare` prints: by setup and repeat, by region, by direction of approach, over covariates."""
-        from machine_tool_calibration.reports.comparison_tables import show_comparison
-
-        return printed(lambda screen: show_comparison(screen, self.found))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal compare --json` writes it (`mtcal-comparison/1`)."""
-        from machine_tool_calibration.reports.documents import plain
-
-        return dict(plain(self._document))
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal compare` prints: by setup and repeat, region, direction of approach, over covariates."""
+        show_comparison(screen, self.found)
 
     def plot(self, picture: str = "residuals", *, against: Sequence[str] = (), session: str | None = None) -> Figure:
         """One of the pictures of `mtcal compare`.
@@ -120,9 +107,6 @@ class Comparison(Shown):
         Raises:
             CalibrationError: no such picture, covariate or session.
         """
-        from machine_tool_calibration.errors import CalibrationError
-        from machine_tool_calibration.plots.compare import draw_setups, figures
-
         one = self.found
         if isinstance(one, JointComparison):
             if picture == "setups" and session is None:
@@ -137,8 +121,6 @@ class Comparison(Shown):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        from machine_tool_calibration.reports.comparison import comparison_document
-
         return comparison_document(self.found)
 
     def _of_each(self, table: str) -> pd.DataFrame:
@@ -147,14 +129,14 @@ class Comparison(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(Answer[Found]):
     """Which physical effects a model lacks, how sure that is, and what to measure to be surer.
 
     Attributes:
-        found: all that was calculated, as the package itself uses it.
+        concluded: what follows from it, where that is worked out already.
     """
 
-    found: Found
+    concluded: Conclusions | None = None
 
     @property
     def verdict(self) -> str:
@@ -185,8 +167,6 @@ class Diagnosis(Shown):
         `plausible` (whether such a size occurs), `rms_before` and `rms_after` of the residuals (m), `map_change_rms`
         (m; NaN where it was not worked out).
         """
-        from machine_tool_calibration.plots.diagnosis import candidate_table
-
         return candidate_table(self.found, self.conclusions.changes).set_index("effect")
 
     @property
@@ -197,49 +177,41 @@ class Diagnosis(Shown):
         """
         labels = self.found.chosen.labels
         rows = [
-            {
-                **({} if labels is None else {"session": labels[k]}),
-                "row": outlier.row,
-                "studentized": outlier.studentized,
-                "deviation": outlier.deviation,
-            }
-            for k, own in enumerate(self.found.set_aside)
+            (label, outlier.row, outlier.studentized, outlier.deviation)
+            for label, own in zip(labels or ("",), self.found.set_aside, strict=True)
             for outlier in own
         ]
-        several = [] if labels is None else ["session"]
-        return pd.DataFrame(rows, columns=[*several, "row", "studentized", "deviation"])
+        table = pd.DataFrame(rows, columns=["session", "row", "studentized", "deviation"])
+        return table if labels else table.drop(columns="session")
 
     @cached_property
     def conclusions(self) -> Conclusions:
         """What each candidate would change, and what to measure next; worked out when it is first asked for."""
-        return conclude(self.found, progress=lambda what, share: None)
+        return self.concluded or conclude(self.found, progress=lambda what, share: None)
 
     @property
     def headline(self) -> str:
         """The verdict in one line."""
-        if self.verdict != "missing_effect":
-            return _VERDICTS[self.verdict]
-        sure = (f"{name} (probability {probability(self.probability[name])})" for name in self.effects)
-        return f"missing: {', '.join(sure)}"
+        return verdict_line(self.found)
 
-    def report(self, *, details: bool = False) -> str:
-        """What `mtcal diagnose` prints: the verdict, the effects and the next step.
+    def show(self, screen: Console, /, most: int = 8, *, details: bool = False) -> None:
+        """Print what `mtcal diagnose` prints: the verdict, the effects and the next step.
 
         Args:
+            screen: where to.
+            most: effects beside those found that are listed; all if 0.
             details: with confounded effects, what to measure next and what is hidden, as with `--details`.
         """
-        from machine_tool_calibration.reports.diagnosis import show_diagnosis
+        show_diagnosis(screen, self.found, self.conclusions, most, details=details)
 
-        return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions, details=details))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
-        from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-
-        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)
+    def report(self, *, details: bool = False) -> str:
+        """What `show` prints, as text."""
+        return printed(lambda screen: self.show(screen, details=details))
 
     def plot(self) -> Figure:
         """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""
-        from machine_tool_calibration.plots.diagnosis import draw_diagnosis
-
         return notebook(draw_diagnosis(self.found, self.conclusions.changes))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
 from machine_tool_calibration.reports.documents import plain
-from machine_tool_calibration.reports.goodness import fits
-from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
+from machine_tool_calibration.reports.goodness import fit_words, fits
+from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
@@ -28,36 +28,28 @@ _WORSE = 1.15
 
 def in_words(comparison: Comparison | JointComparison) -> str:
     """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
-    overall, one = comparison.overall, comparison if isinstance(comparison, Comparison) else None
-    how, chance, ratio = fits(overall.p_value), p_value(overall.p_value), rounded(overall.ratio)
-    if how == "too well":
-        first = f"the readings scatter only {ratio} times the declared uncertainty, which is too large"
-    elif how != "bad":
-        nearly = "nearly " if how == "nearly" else ""
-        what, size = ("", f"{quantity(one.noise.declared, 'm')}; ") if one else ("all sessions ", "")
-        first = f"the model fits {what}{nearly}within the declared uncertainty ({size}{chance})"
-    else:
-        where = _where(comparison.parts, "setup" if one else "session", overall)
-        first = f"the readings scatter {ratio} times the declared uncertainty; {where}"
-    apart = f" {stand_out(len(comparison.outliers))}." if comparison.outliers else ""
-    repeats = f" {_repeats(overall, one.noise, bool(apart))}" if one else ""
-    cause = (
-        "What the cause is, a diagnosis"
-        if one
-        else "Whether the sessions contradict each other, the result of all together"
-    )
-    return f"{first}.{apart}{repeats}{f' {cause} says.' if how == 'bad' else ''}"
+    one = comparison if isinstance(comparison, Comparison) else None
+    overall, count = comparison.overall, len(comparison.outliers)
+    bad = fits(overall.p_value) == "bad"
+    said = [fit_words(overall.reduced_chi_square, overall.p_value)]
+    said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
+    said += [f"{stand_out(count)}."] if count else []
+    said += [_repeats(overall, one.noise, bool(count))] if one else []
+    cause = "What the cause is, a diagnosis says."
+    contradict = "Whether the sessions contradict each other, the result of all together says."
+    return " ".join([*said, *([cause if one else contradict] if bad else [])])
 
 
 def _where(parts: pd.DataFrame, part: str, overall: Overall) -> str:
+    """Which of the setups or sessions it fits worst."""
     judged = parts[parts["reduced_chi_square"].notna()]
     if len(judged) < 2:
-        return f"there is one {part}"
+        return f"There is one {part}."
     worst = judged.iloc[0]
     if worst["reduced_chi_square"] < _WORSE**2 * overall.reduced_chi_square:
-        return f"the same in all {part}s"
+        return f"It is the same in all {part}s."
     ratio = times_declared(worst["reduced_chi_square"])
-    return f"worst is {part} {worst['name']} ({ratio} times, {worst['share']:.0%} of all misfit)"
+    return f"Worst is {part} {worst['name']} ({ratio} times, {worst['share']:.0%} of all misfit)."
 
 
 def _repeats(overall: Overall, noise: Noise, apart: bool) -> str:

@@ -259,8 +259,7 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
     """In words first, then the tables."""
     from rich.text import Text
 
-    words = in_words(comparison)
-    screen.print(Text(words[0].upper() + words[1:]))
+    screen.print(Text(in_words(comparison)))
     show_suspicions(screen, suspicions([one.session for one in comparison.sessions], comparison.labels))
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))

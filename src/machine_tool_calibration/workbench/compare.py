@@ -26,7 +26,6 @@ from machine_tool_calibration.workbench.look import (
     folded,
     new_figure,
     paragraphs,
-    sentence,
     tables,
     text,
     when_changed,
@@ -127,7 +126,7 @@ class ComparePage:
         found = model.comparison
         every = list(comparison_tables(found))
         setups = ["/".join(names) for names in found.setups.filter(["session", "name"]).to_numpy()]
-        self._words.object = paragraphs([sentence(in_words(found))])
+        self._words.object = paragraphs([in_words(found)])
         wide = 2e6 * rms(np.concatenate([one.fit.model.sigma for one in model.each]))
         for band in self._band:
             band.update(bottom=-wide, top=wide)
