@@ -53,25 +53,18 @@ __all__ = [
 
 if not TYPE_CHECKING:
     # Where each name is; a type checker reads the imports above instead.
-    _HOME = {
-        "Budget": "interface.budget",
-        "CalibrationError": "errors",
-        "Comparison": "interface.diagnosis",
-        "Conformity": "interface.budget",
-        "Diagnosis": "interface.diagnosis",
-        "Effect": "interface.effects",
-        "Features": "interface.features",
-        "Fit": "interface.identification",
-        "Improvement": "interface.improvement",
-        "MapComparison": "interface.map_comparison",
-        "Measurement": "interface.session",
-        "catalogue": "interface.effects",
-        "identify": "interface.identification",
-        "improve": "interface.improvement",
-        "load": "interface.session",
-        "plot_improvement": "interface.improvement",
-        "simulate": "interface.session",
+    _NAMES = {
+        "errors": ("CalibrationError",),
+        "interface.budget": ("Budget", "Conformity"),
+        "interface.diagnosis": ("Comparison", "Diagnosis"),
+        "interface.effects": ("Effect", "catalogue"),
+        "interface.features": ("Features",),
+        "interface.identification": ("Fit", "identify"),
+        "interface.improvement": ("Improvement", "improve", "plot_improvement"),
+        "interface.map_comparison": ("MapComparison",),
+        "interface.session": ("Measurement", "load", "simulate"),
     }
+    _HOME = {name: home for home, names in _NAMES.items() for name in names}
 
     def __getattr__(name):
         if name not in _HOME:

@@ -29,7 +29,7 @@ effects:
 def test_the_first_sentence_says_whether_the_model_fits(method: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["compare", str(DATA / method)]) == 0
     out = capsys.readouterr().out
-    assert re.match(r"The model fits (nearly )?within the declared uncertainty", out)
+    assert re.match(r"The model fits the readings (nearly )?within their declared uncertainty", out)
     for title in ("Setups, worst first", "Straight lines over time", "Single readings, worst first"):
         assert title in out
     assert "nan" not in out

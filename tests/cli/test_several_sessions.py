@@ -68,11 +68,11 @@ def test_export_with_an_effect(sessions: list[str], tmp_path: Path, capsys: pyte
 
 def test_compare_for_people(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     text = said(capsys, "compare", *sessions)
-    assert "The readings scatter" in text and "times the declared uncertainty" in text
+    assert "The readings scatter" in text and "times their declared uncertainty" in text
     assert "Sessions, worst first" in text and "Setups of all sessions, worst first" in text
     assert "monday/A" in text and "tuesday/D" in text and "monday: direction of approach" in text
     fits = said(capsys, "compare", *sessions, "--effect", "backlash_y")
-    assert "The model fits all sessions" in fits and "In the model: backlash_y." in fits
+    assert "The model fits the readings" in fits and "In the model: backlash_y." in fits
 
 
 def test_compare_for_programs(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,7 +113,7 @@ def test_compare_draws_and_writes_every_session(
 
 def test_the_order_of_sessions_of_different_methods(several_methods: list[str], tmp_path, capsys, monkeypatch) -> None:
     """What one session did not record is empty for it."""
-    monkeypatch.setattr("machine_tool_calibration.plots.compare.draw_joint", lambda *_: [])
+    monkeypatch.setattr("machine_tool_calibration.plots.compare.draw", lambda *_: [])
     said(capsys, "compare", *several_methods, "-o", tmp_path)
     table = pd.read_csv(tmp_path / "comparison.csv", comment="#")
     assert table.loc[table["session"] == "run", "azimuth"].isna().all()

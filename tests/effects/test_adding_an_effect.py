@@ -83,10 +83,10 @@ def test_the_formula_is_found_added_and_fits(
     page, before, diagnosis, identified, after = said
     assert "e_y = b * dir_y * exp(-time / tau)" in page
     assert {p.name for p in (measured.parent / "pictures").iterdir()} == {"creep_y.png", "README.md"}
-    assert "times the declared uncertainty" in before
+    assert "times their declared uncertainty" in before
     assert re.match(r"The model lacks [^.]* \(creep_y\)\.", diagnosis)
     assert "creep_y.b" in identified
-    assert after.startswith("The model fits within the declared uncertainty")
+    assert after.startswith("The model fits the readings within their declared uncertainty")
 
     assert run([*commands(blocks.sh[1])[2], "--json"]) == 0
     parameters = {p["name"]: p for p in json.loads(capsys.readouterr().out)["parameters"]}

@@ -15,6 +15,7 @@ import pytest
 
 import machine_tool_calibration as mtcal
 
+NAMES = sorted({*mtcal.__all__} - {"__version__"})
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "pydantic", "click", "rich", "yaml", "pint", "rosbags"}
 
 
@@ -32,7 +33,7 @@ def test_the_import_loads_nothing_else() -> None:
 
 def test_every_public_name_is_there_and_has_a_docstring() -> None:
     assert set(mtcal.__all__) <= set(dir(mtcal))
-    for name in mtcal.__all__:
+    for name in NAMES:
         found = getattr(mtcal, name)
         assert found.__name__ == name
         assert found.__doc__
@@ -49,9 +50,10 @@ def test_the_type_checker_is_told_the_same_homes() -> None:
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith(package)
         for alias in node.names
+        if alias.name in NAMES
     }
     assert told == mtcal._HOME  # type: ignore[attr-defined]
-    assert sorted(told) == mtcal.__all__
+    assert sorted(told) == NAMES
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
@@ -61,4 +63,4 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 def test_the_reference_holds_every_public_name() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reference.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)$", page, re.MULTILINE)) == sorted(mtcal.__all__)
+    assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)$", page, re.MULTILINE)) == NAMES

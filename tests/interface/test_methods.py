@@ -186,7 +186,7 @@ def test_diagnose_and_improve_say_what_the_commands_say(
     package = "machine_tool_calibration"
     monkeypatch.setattr(f"{package}.diagnosis.diagnose.diagnose", lambda *a, **k: diagnosis.found)
     monkeypatch.setattr(f"{package}.planning.what_to_measure.conclude", lambda *a, **k: diagnosis.conclusions)
-    monkeypatch.setattr(f"{package}.diagnosis.improve.improve", lambda *a, **k: improvement.done)
+    monkeypatch.setattr(f"{package}.diagnosis.improve.improve", lambda *a, **k: improvement.found)
     assert diagnosis.report() == said(capsys, "diagnose", session)
     assert improvement.report() == said(capsys, "improve", session, "--no-history")
     assert improvement.plot().canvas.manager is None

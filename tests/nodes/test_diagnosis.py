@@ -79,7 +79,7 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
 
     compared = operator.calculate("compare", PATIENCE)
     assert float(compared["reduced_chi_square"]) > 2.0
-    assert operator.outcome.message.startswith("compared: the readings scatter")
+    assert operator.outcome.message.startswith("compared: The readings scatter")
     diagnosed = operator.calculate("diagnose", PATIENCE)
     assert diagnosed["verdict"] == "missing_effect" and diagnosed["accepted"] == "backlash_y"
     assert float(diagnosed["rms_after"]) < 0.5 * float(diagnosed["rms_before"])

@@ -55,5 +55,5 @@ def test_disc_says_that_c_is_not_seen():
 
 def test_file_is_written(pins, tmp_path):
     session, document = pins
-    (file,) = draw(session, document, tmp_path)
+    (file,) = draw([session], document, tmp_path)
     assert file.read_bytes().startswith(b"\x89PNG")

@@ -25,7 +25,7 @@ def test_rotary_axis(tmp_path: Path) -> None:
     axis = "A"
     session = _session(method="rotary_axis", axis=axis, hidden={"P": (1.0, 1.5)})
     document = identify(session).document()
-    files = draw(session, document, tmp_path)
+    files = draw([session], document, tmp_path)
     assert [file.name for file in files] == ["error_motions.png", "arrangement.png"]
     assert all(file.stat().st_size > 10_000 for file in files)
     figure = rotary_axis.draw_motions(document["error_map"], axis)
@@ -47,7 +47,7 @@ def test_rotary_axis(tmp_path: Path) -> None:
 )
 def test_direct(tmp_path: Path, kind: str, names: list[str]) -> None:
     session = _session(method="direct", kind=kind, repeats=3)
-    files = draw(session, identify(session).document(), tmp_path)
+    files = draw([session], identify(session).document(), tmp_path)
     assert [file.name for file in files] == names
     assert all(file.stat().st_size > 5_000 for file in files)
 

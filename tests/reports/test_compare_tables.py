@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
@@ -76,10 +77,10 @@ def test_what_a_setup_does_not_determine_is_said_once() -> None:
 def test_columns_that_only_ran_with_time_are_one_line() -> None:
     found = comparison("tracking_2d", "linear_drift", 2e-9)
     time = found.covariates["time"]
-    again = replace(next(t for t in found.trends if t.covariate == "time"), covariate="temperature_oil")
+    again = found.trends.query("covariate == 'time'").assign(covariate="temperature_oil")
     twice = replace(
         found,
-        trends=(*found.trends, again),
+        trends=pd.concat([found.trends, again]),
         covariates={**found.covariates, "temperature_oil": 20.0 + 1e-3 * time},
     )
     shown = table(twice, "Straight lines")
@@ -94,8 +95,8 @@ def test_lines_over_nothing_are_named_in_one_sentence(plan: str) -> None:
     found = comparison(plan)
     shown = table(found, "Straight lines")
     told = {name for row in shown.rows for name in (row[0], *row[1].split(", ")) if name}
-    for trend in found.trends:
-        assert (trend.covariate in told) != (trend.covariate in shown.note.replace(",", "").replace(";", "").split())
+    for name in found.trends["covariate"]:
+        assert (name in told) != (name in shown.note.replace(",", "").replace(";", "").split())
     assert len(shown.rows) == 1 or all(row[-1] == "< 0.0001" or float(row[-1]) < 0.05 for row in shown.rows)
 
 

@@ -45,8 +45,8 @@ def test_the_pattern_of_an_effect_of_the_users_own_is_that_of_the_same_effect_of
         state.tried(name, looked.append)()
     ours, theirs = looked
     assert len(state.models) == 1, "to look at an effect puts it into no model"
-    np.testing.assert_allclose(ours.comparison.residual, theirs.comparison.residual, atol=1e-12)
-    assert np.ptp(state.model.comparison.residual - ours.comparison.residual) > 2e-6
+    np.testing.assert_allclose(ours.comparison.fit.residuals, theirs.comparison.fit.residuals, atol=1e-12)
+    assert np.ptp(state.model.comparison.fit.residuals - ours.comparison.fit.residuals) > 2e-6
 
 
 def test_unknowns_are_read_from_a_line() -> None:

@@ -67,7 +67,7 @@ def test_a_window_opened_later_goes_on_where_the_history_is(hidden: Path) -> Non
     again = opened(hidden)
     assert again.model.fit.effects == ("backlash_y",) and again.model.aside == {5, 6}
     assert [model.number for model in again.models] == [1, 2, 3]
-    np.testing.assert_array_equal(again.model.comparison.residual, state.model.comparison.residual)
+    np.testing.assert_array_equal(again.model.comparison.fit.residuals, state.model.comparison.fit.residuals)
 
 
 def test_two_windows_do_not_disturb_each_other(hidden: Path) -> None:
@@ -260,7 +260,7 @@ def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> Non
     assert np.flatnonzero(np.isfinite(np.array(data["aside"]))).tolist() == sorted(state.model.aside)
     for found, part in zip(state.model.each, (slice(0, count), slice(count, None)), strict=True):
         held = np.array(data["residual"][part])
-        np.testing.assert_allclose(held[np.isfinite(held)], 1e6 * found.residual)
+        np.testing.assert_allclose(held[np.isfinite(held)], 1e6 * found.fit.residuals)
     state.changed(add=["backlash_y"], aside=state.model.aside - {count + 90})()
     kept = read_history(history_path(hidden, struck))
     assert kept.in_use is not None
@@ -269,4 +269,4 @@ def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> Non
     ]  # fmt: skip
     again = opened(hidden, struck)
     assert again.model.aside == state.model.aside and again.model.number == state.model.number == 3
-    np.testing.assert_array_equal(again.model.each[1].residual, state.model.each[1].residual)
+    np.testing.assert_array_equal(again.model.each[1].fit.residuals, state.model.each[1].fit.residuals)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,6 +12,7 @@ from pydantic import Field
 
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.session.contributor import Contributor, Contributors
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BudgetFile",
+    "contributors_of",
     "default_budget",
     "instruments",
     "known_contributors",
@@ -106,6 +108,26 @@ def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
         for name, lines in each.items()
         for line in lines
     )
+
+
+def contributors_of(
+    given: str | Path | Sequence[Path | Contributor | Mapping[str, Any]] | None, sessions: Sequence[Session]
+) -> tuple[Contributor, ...]:
+    """The contributors that are given: a file, or lines and files; if absent those of `default_budget`.
+
+    Raises:
+        CalibrationError: the file or a line is wrong, or the instrument has no budget to begin with.
+    """
+    if given is None:
+        return default_budget(sessions)
+    out = list[Contributor]()
+    for number, line in enumerate([Path(given)] if isinstance(given, str | Path) else given, start=1):
+        if isinstance(line, Path):
+            out += read_budget(line)
+        else:
+            said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
+            out.append(validated(Contributor, said, f"contributor {number}", refusal=ModelError))
+    return tuple(out)
 
 
 def known_contributors(sessions: Sequence[Session]) -> tuple[tuple[Contributor, ...], str]:

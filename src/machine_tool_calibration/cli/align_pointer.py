@@ -7,14 +7,14 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["command"]
 
 
 @click.command("align-pointer")
-@click.argument("searches", metavar="SEARCH…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("searches", metavar="SEARCH…", nargs=-1, required=True, type=PATH)
 @click.option("--machine", metavar="LENGTH", help="Standard uncertainty of the machine's position there, such as 5um.")
 @click.option("--setup", default="A", show_default=True, help="Id of the station, for the lines that are printed.")
 @json_option

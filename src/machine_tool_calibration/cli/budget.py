@@ -9,19 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    note_written,
-)
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.output import (
+    PATH,
     PictureFile,
-    console,
     json_option,
     note,
     progress_bar,
-    write_json,
+    save_picture,
+    seed_option,
+    tell,
 )
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
@@ -31,7 +28,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.budget.propagate import Budget
     from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.methods.fitted import FittedSessions
-    from machine_tool_calibration.session.contributor import Contributor
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["budget_option", "command", "complete_budget", "fitted"]
@@ -39,11 +35,11 @@ __all__ = ["budget_option", "command", "complete_budget", "fitted"]
 
 def budget_option(text: str) -> Callable[[Any], Any]:
     """Add `--budget`, which may be repeated, as the keyword argument `budgets`."""
-    return click.option("--budget", "budgets", type=click.Path(path_type=Path), multiple=True, help=text)
+    return click.option("--budget", "budgets", type=PATH, multiple=True, help=text)
 
 
 @click.command("budget")
-@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=PATH)
 @budget_option(
     "YAML file with the contributors; the session's own, else that of its instrument to begin with, if absent."
 )
@@ -61,8 +57,8 @@ def budget_option(text: str) -> Callable[[Any], Any]:
     metavar="N",
     help="Check by a Monte Carlo propagation with so many draws (JCGM 101).",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
-@click.option("--plot", type=PictureFile(folder=True), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
+@seed_option
+@click.option("--plot", type=PictureFile("budget.png"), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
 @model_options
 @history_option
 @json_option
@@ -89,10 +85,10 @@ def command(
     mtcal budget session --budget mine.yaml --plot budget.png
     mtcal budget session --quantity EXX --quantity C0Y --draws 500
     """
-    from machine_tool_calibration.budget.contributor import template
+    from machine_tool_calibration.budget.contributor import contributors_of, template
     from machine_tool_calibration.budget.propagate import propagate
     from machine_tool_calibration.budget.published import check_names
-    from machine_tool_calibration.reports.budget import budget_document, show_budget
+    from machine_tool_calibration.interface.budget import Budget
 
     if instrument is not None:
         if measurements:
@@ -103,21 +99,12 @@ def command(
         raise click.UsageError("Missing argument 'SESSION'.")
     with progress_bar() as progress:
         sessions, found = fitted(wanted, measurements, progress)
-        contributors = contributors_of(budgets, sessions)
+        contributors = contributors_of(budgets or None, sessions)
         check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
-    document = budget_document(budget, names)
-    if plot is not None:
-        from machine_tool_calibration.plots.budget import draw_budget
-        from machine_tool_calibration.plots.style import save_as
-
-        file = plot if plot.suffix and not plot.is_dir() else plot / "budget.png"
-        save_as(draw_budget(budget, names), file, budget.origin)
-        note_written([file])
-    if as_json:
-        write_json(document)
-    else:
-        show_budget(console(), budget, names)
+    answer = Budget(budget, names)
+    save_picture(answer.plot, plot, budget.origin)
+    tell(answer, as_json)
 
 
 def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:
@@ -132,24 +119,14 @@ def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Seq
     return measured.recorded, fitted_sessions(result)
 
 
-def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:
-    """The contributors of the files, of the sessions, or of the instruments' budgets to begin with."""
-    from machine_tool_calibration.budget.contributor import default_budget, read_budget
-
-    if files:
-        return tuple(c for file in files for c in read_budget(file))
-    return default_budget(sessions)
-
-
 def complete_budget(
     files: Sequence[Path], sessions: Sequence[Session], own: FittedSessions, seed: int, progress: Report
 ) -> Budget | None:
     """The budget that a verdict needs; where there is none, what to do is said on standard error."""
-    from machine_tool_calibration.budget.contributor import known_contributors, read_budget
+    from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
     from machine_tool_calibration.budget.propagate import propagate
 
-    own_lines, why = ((), "") if files else known_contributors(sessions)
-    lines = own_lines or tuple(c for file in files for c in read_budget(file))
+    lines, why = (contributors_of(files, sessions), "") if files else known_contributors(sessions)
     if not lines:
         note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
         return None

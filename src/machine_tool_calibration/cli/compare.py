@@ -4,22 +4,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    note_written,
-    sessions_argument,
-)
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
 from machine_tool_calibration.reports.documents import write_table
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 
 __all__ = ["command"]
 
@@ -32,18 +22,11 @@ __all__ = ["command"]
     "--against", multiple=True, metavar="COLUMN", help="Draw the residuals against this covariate; repeatable."
 )
 @click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for pictures (PNG) and every reading with its prediction (CSV).",
+    "-o", "--output", type=FOLDER, help="Folder for pictures (PNG) and every reading with its prediction (CSV)."
 )
 @json_option
 def command(
-    measurements: tuple[Path, ...],
-    wanted: Wanted,
-    against: tuple[str, ...],
-    output: Path | None,
-    as_json: bool,
+    measurements: tuple[Path, ...], wanted: Wanted, against: tuple[str, ...], output: Path | None, as_json: bool
 ) -> None:
     """Compare the model with the measurements: how well it fits, and where it fails.
 
@@ -59,35 +42,22 @@ def command(
     mtcal compare measurements/cube --against temperature_x --against path -o pictures
     mtcal compare measurements/cube measurements/grid_plate
     """
-    from machine_tool_calibration.diagnosis.compare import Comparison, compare
-    from machine_tool_calibration.reports.comparison import comparison_document
-    from machine_tool_calibration.reports.comparison_tables import show_comparison
+    from machine_tool_calibration.diagnosis.compare import JointComparison, compare
+    from machine_tool_calibration.interface.diagnosis import Comparison
+    from machine_tool_calibration.plots.compare import draw
 
     chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
         progress("comparing")
-        comparison = compare(chosen)
-        if isinstance(comparison, Comparison):
+        found = compare(chosen)
+        if not isinstance(found, JointComparison):
             for name in against:
-                comparison.covariate(name)
+                found.covariate(name)
+    answer, folder = Comparison(found), output or Path()
     if output is not None or against:
-        note_written(_write(comparison, output or Path(), against))
-    if as_json:
-        write_json(comparison_document(comparison))
-    else:
-        show_comparison(console(), comparison)
-
-
-def _write(comparison: Comparison | JointComparison, folder: Path, against: tuple[str, ...]) -> list[Path]:
-    import pandas as pd
-
-    from machine_tool_calibration.plots.compare import draw
-    from machine_tool_calibration.reports.comparison import comparison_columns
-
-    with progress_bar() as progress:
-        progress("drawing")
-        pictures = draw(comparison, folder, against)
-        table = write_table(
-            pd.DataFrame(comparison_columns(comparison)), folder / "comparison.csv", comparison.provenance
-        )
-    return [*pictures, table]
+        with progress_bar() as progress:
+            progress("drawing")
+            pictures = draw(found, folder, against)
+            table = write_table(answer.residuals, folder / "comparison.csv", found.provenance)
+        note_written([*pictures, table])
+    tell(answer, as_json)

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from machine_tool_calibration.cli.output import PictureFile, console, json_option, note, write_json
+from machine_tool_calibration.cli.output import PATH, PictureFile, console, json_option, save_picture, write_json
 from machine_tool_calibration.reports.quantities import plus_minus, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
@@ -31,13 +32,8 @@ _HEADS = {
 
 
 @click.command("compare-formulations")
-@click.argument("measurement", type=click.Path(path_type=Path))
-@click.option(
-    "-p",
-    "--plot",
-    type=PictureFile(),
-    help="Draw the profiles into this file (png, svg, pdf).",
-)
+@click.argument("measurement", type=PATH)
+@click.option("-p", "--plot", type=PictureFile(), help="Draw the profiles into this file (png, svg, pdf).")
 @json_option
 def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     """Compare the formulations of a laser step diagonal, as Table 1 of Ibaraki and Hata 2010 does.
@@ -59,10 +55,8 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     comparison, suspicious = compare_formulations(session), suspicions([session])
     if plot is not None:
         from machine_tool_calibration.plots.step_diagonal import draw_comparison
-        from machine_tool_calibration.plots.style import save_as
 
-        save_as(draw_comparison(comparison), plot)
-        note(f"wrote {plot}")
+        save_picture(partial(draw_comparison, comparison), plot)
     if as_json:
         write_json({**_document(comparison), "suspicious": suspicious})
     else:
@@ -81,11 +75,7 @@ def _document(comparison: Comparison) -> Mapping[str, Any]:
                     for letter, error, uncertainty, blocks in zip(
                         "xyz", profiles.error, profiles.uncertainty, profiles.blocks, strict=True
                     )
-                    for key, value in (
-                        (letter, error),
-                        (f"{letter}_u", uncertainty),
-                        (f"{letter}_position", blocks),
-                    )
+                    for key, value in ((letter, error), (f"{letter}_u", uncertainty), (f"{letter}_position", blocks))
                 },
                 **{
                     kind: {

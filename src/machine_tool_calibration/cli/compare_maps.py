@@ -10,21 +10,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    no_model,
-    note_written,
-)
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, no_model
 from machine_tool_calibration.cli.output import (
+    PATH,
     PictureFile,
-    console,
     json_option,
     note,
     progress_bar,
+    save_picture,
+    seed_option,
     session_labels,
-    write_json,
+    tell,
 )
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.session.catalogue import spec_of
@@ -36,11 +32,11 @@ __all__ = ["command"]
 
 
 @click.command("compare-maps")
-@click.argument("first", type=click.Path(path_type=Path))
-@click.argument("second", type=click.Path(path_type=Path))
+@click.argument("first", type=PATH)
+@click.argument("second", type=PATH)
 @model_options
 @history_option
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
+@seed_option
 @click.option("--plot", type=PictureFile(), help="Draw both maps into this file (png, svg, pdf).")
 @json_option
 def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | None, as_json: bool) -> None:
@@ -57,9 +53,9 @@ def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | N
     mtcal compare-maps tracking grid --plot comparison.png
     mtcal compare-maps before after --from-history
     """
+    from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
     from machine_tool_calibration.methods.map_comparison import compare_fits
-    from machine_tool_calibration.reports.map_comparison import map_comparison_document, show_map_comparison
 
     one, two = session_labels([first, second])
     with progress_bar() as progress:
@@ -68,16 +64,9 @@ def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | N
             progress(f"identifying {label}")
             fitted.append(fitted_sessions(identify_sessions(own.chosen)))
         comparison = compare_fits(fitted[0], fitted[1], (one, two), seed=seed, progress=progress)
-    if plot is not None:
-        from machine_tool_calibration.plots.map_comparison import draw_map_comparison
-        from machine_tool_calibration.plots.style import save_as
-
-        save_as(draw_map_comparison(comparison), plot)
-        note_written([plot])
-    if as_json:
-        write_json({**map_comparison_document(comparison), "provenance": [one.provenance.document() for one in fitted]})
-    else:
-        show_map_comparison(console(), comparison)
+    answer = MapComparison(comparison, tuple(one.provenance for one in fitted))
+    save_picture(answer.plot, plot)
+    tell(answer, as_json)
 
 
 def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:

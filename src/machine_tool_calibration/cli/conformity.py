@@ -10,7 +10,7 @@ import click
 from machine_tool_calibration.budget.conformity import RULES, conformity
 from machine_tool_calibration.cli.budget import budget_option, complete_budget, fitted
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, seed_option, tell
 
 __all__ = ["command"]
 
@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.option(
     "--tolerance", "texts", metavar="NAME=VALUE", multiple=True, help="A tolerance, such as EXX=10um; repeatable."
 )
-@click.option("--tolerances", "file", type=click.Path(path_type=Path), help="YAML file with tolerances.")
+@click.option("--tolerances", "file", type=PATH, help="YAML file with tolerances.")
 @click.option(
     "--rule",
     type=click.Choice([*RULES, "shared-risk"]),
@@ -38,7 +38,7 @@ __all__ = ["command"]
 @budget_option(
     "YAML file with the contributors; the session's own, else its instrument's to begin with (`mtcal budget`)."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
+@seed_option
 @model_options
 @history_option
 @json_option
@@ -66,7 +66,7 @@ def command(
     mtcal conformity session --tolerances tolerances.yaml --budget mine.yaml --json
     """
     from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
-    from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
+    from machine_tool_calibration.interface.budget import Conformity
 
     tolerances = (read_tolerances(file) if file is not None else {}) | parse_tolerances(texts)
     if not tolerances:
@@ -83,7 +83,4 @@ def command(
             seed=seed,
             progress=progress,
         )
-    if as_json:
-        write_json(conformity_document(found))
-    else:
-        show_conformity(console(), found)
+    tell(Conformity(found), as_json)

@@ -20,7 +20,16 @@ from machine_tool_calibration.cli.foreign_options import (
     only_form,
 )
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import RosName, console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import (
+    FILE,
+    PATH,
+    RosName,
+    console,
+    json_option,
+    note,
+    progress_bar,
+    write_json,
+)
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import TextTable, show_head, show_table
 
@@ -79,7 +88,7 @@ _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
 
 @click.command("convert", cls=SectionedCommand)
-@click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=PATH)
 @click.option(
     "--to",
     "form",
@@ -91,7 +100,7 @@ _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 @click.option("--namespace", type=RosName(space=True), default="", help="Bag: namespace of its topics.")
 @click.option(
     "--description",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="The session.yaml of a table: one with the columns of observations.csv in SI units (by default the one beside "
     "it), or one that --table or --mapping says how to read.",
 )

@@ -171,10 +171,7 @@ def _deviations(site: Site, result: Result) -> MapError:
 
 # What may be hidden with each method, with the smallest and the largest size; and what is measured.
 _HIDDEN = {
-    "tracking": {
-        "backlash_x": (0.8e-6, 2.5e-6),
-        "backlash_y": (0.8e-6, 2.5e-6),
-    },
+    "tracking": {"backlash_x": (0.8e-6, 2.5e-6), "backlash_y": (0.8e-6, 2.5e-6)},
     # In the few minutes of a step diagonal its own unknowns take up what drifts; what depends on the direction shows.
     "step_diagonal": {"backlash_x": (3e-6, 6e-6), "backlash_y": (3e-6, 6e-6)},
     "rotary_axis": {"backlash_c": (5e-6, 2e-5)},
@@ -290,7 +287,7 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     folder = measured.output / "pictures"
     folder.mkdir()
     last = plain(improvement.steps[-1].result.document())
-    pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
+    pictures = [*draw([measured.session], last, folder), *save_improvement(improvement, folder)]
     first, final = (improvement.steps[k].result for k in (0, -1))
     assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
     before, after = error_against_truth(measured, first), error_against_truth(measured, final)

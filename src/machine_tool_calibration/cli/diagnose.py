@@ -7,14 +7,8 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    note_written,
-    sessions_argument,
-)
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.output import FOLDER, console, json_option, note_written, progress_bar, write_json
 
 __all__ = ["command"]
 
@@ -29,20 +23,10 @@ __all__ = ["command"]
     help="All that was found: each effect, what is confounded or would not show, smallest sizes, what to measure.",
 )
 @click.option("--all", "everything", is_flag=True, help="The details, with every effect that was looked for.")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for pictures (PNG) and the numbers behind them (CSV).",
-)
+@click.option("-o", "--output", type=FOLDER, help="Folder for pictures (PNG) and the numbers behind them (CSV).")
 @json_option
 def command(
-    measurements: tuple[Path, ...],
-    wanted: Wanted,
-    details: bool,
-    everything: bool,
-    output: Path | None,
-    as_json: bool,
+    measurements: tuple[Path, ...], wanted: Wanted, details: bool, everything: bool, output: Path | None, as_json: bool
 ) -> None:
     """Say which physical effect the model lacks, how large it is, and what to measure to be sure.
 
@@ -59,22 +43,21 @@ def command(
     mtcal diagnose measurements/cube measurements/cube_again
     """
     from machine_tool_calibration.diagnosis.diagnose import diagnose
+    from machine_tool_calibration.interface.diagnosis import Diagnosis
     from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
-    from machine_tool_calibration.reports.diagnosis import show_diagnosis
-    from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
     chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
         found = diagnose(chosen, progress=lambda what, share: progress(what, SEARCH * share))
-        then = conclude(found, progress=progress)
+        answer = Diagnosis(found, conclude(found, progress=progress))
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
         with progress_bar() as progress:
             progress("drawing")
-            drawn = save_diagnosis(found, then.changes, output)
+            drawn = save_diagnosis(found, answer.conclusions.changes, output)
         note_written(drawn)
     if as_json:
-        write_json(diagnosis_document(found, then.advice, then.changes))
-        return
-    show_diagnosis(console(), found, then, 0 if everything else 8, details=details or everything)
+        write_json(answer.document())
+    else:
+        answer.show(console(), 0 if everything else 8, details=details or everything)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import note, options, session_labels
+from machine_tool_calibration.cli.output import FILE, PATH, note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ __all__ = [
     "model_option",
     "model_options",
     "no_model",
-    "note_written",
     "sessions_argument",
     "unused_model",
 ]
@@ -165,14 +164,12 @@ def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[s
     return out
 
 
-sessions_argument = click.argument(
-    "measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+sessions_argument = click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=PATH)
 model_option = click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 effects_file_option = click.option(
     "--effects-file",
     "files",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     multiple=True,
     help="YAML file with effects of your own; they are looked for like the built-in ones.",
 )
@@ -213,9 +210,3 @@ def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
         return function(wanted=Wanted(effects, files, model, keep, from_history), **more)
 
     return _model_options(collected)
-
-
-def note_written(paths: Sequence[Path]) -> None:
-    """Say on standard error what was written."""
-    if paths:
-        note(f"wrote {', '.join(str(path) for path in paths)}")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import effects_file_option, note_written
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.diagnosing import effects_file_option
+from machine_tool_calibration.cli.output import FOLDER, console, json_option, note_written, progress_bar, write_json
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ __all__ = ["command"]
 @effects_file_option
 @click.option(
     "--gallery",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     help="Folder for a picture of each effect's residuals, made by putting it into perfect data, and a page of them.",
 )
 @json_option

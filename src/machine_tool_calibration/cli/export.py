@@ -11,7 +11,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, unused_model
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import FOLDER, PATH, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -45,12 +45,12 @@ _PICTURE = "what_is_left.png"
 
 
 @click.command("export")
-@click.argument("measurements", metavar="MEASUREMENT…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="MEASUREMENT…", nargs=-1, required=True, type=PATH)
 @click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="Whose tables.")
 @click.option(
     "--output",
     "-o",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     help="Folder of the files; by default compensation_FORMAT. Files that are there are not overwritten.",
 )
 @model_options

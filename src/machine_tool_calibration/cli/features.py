@@ -9,13 +9,17 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    note_written,
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.output import (
+    FILE,
+    PATH,
+    PictureFile,
+    json_option,
+    note,
+    save_picture,
+    seed_option,
+    tell,
 )
-from machine_tool_calibration.cli.output import PictureFile, console, json_option, note, write_json
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
 __all__ = ["command"]
@@ -50,11 +54,11 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 
 
 @click.command("features")
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=PATH)
 @click.option(
     "--features",
     "listed",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="YAML list of which points make a feature, where the session does not say it.",
 )
 @click.option(
@@ -87,7 +91,7 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
     show_default=True,
     help="Distribution of the touches' errors in the draws.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
+@seed_option
 @model_options
 @history_option
 @click.option("-p", "--plot", type=PictureFile(), help="Draw them into this file (png, svg, pdf).")
@@ -118,11 +122,11 @@ def command(
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
     from machine_tool_calibration.cli.export import bad_fit
+    from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.methods.identify import identify_sessions
     from machine_tool_calibration.methods.probing.features import features
     from machine_tool_calibration.methods.probing.propagation import monte_carlo
     from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.reports.features import features_document, show_features
     from machine_tool_calibration.session.feature_points import read_feature_points
 
     named = None if listed is None else read_feature_points(listed)
@@ -133,16 +137,9 @@ def command(
     fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
-    if plot is not None:
-        from machine_tool_calibration.plots.features import draw_features
-        from machine_tool_calibration.plots.style import save_as
-
-        save_as(draw_features(found), plot, result.provenance)
-        note_written([plot])
-    if as_json:
-        write_json({**features_document(found, drawn), "provenance": result.provenance.document()})
-    else:
-        show_features(console(), found, drawn)
+    answer = Features(found, drawn, result.provenance)
+    save_picture(answer.plot, plot, answer.origin)
+    tell(answer, as_json)
     for text in (bad_fit(result.joint, result.error_map.content), unused):
         if text is not None:
             note(text)

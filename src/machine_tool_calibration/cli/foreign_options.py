@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import options
+from machine_tool_calibration.cli.output import FILE, options
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["SectionedCommand", "file_form", "foreign_options", "mapping_from", "only_form"]
@@ -48,7 +48,7 @@ foreign_options = options(
     ),
     _option(
         "--mapping",
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=FILE,
         help="YAML file (format: mtcal-mapping/1) that says all that the following options say; options come first.",
     ),
     _option("--dry-run", is_flag=True, help="Show what would be read, in SI units, and write nothing."),

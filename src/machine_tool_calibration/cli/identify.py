@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import plain, to_json, write_table
 from machine_tool_calibration.reports.identification import show_profiles, show_result
@@ -26,18 +26,16 @@ __all__ = ["command"]
 
 
 @click.command("identify")
-@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)
 @model_options
 @history_option
 @click.option("--keep-all", is_flag=True, help="Use all readings, also those that stand out of all others.")
 @click.option("--formulation", help="Step diagonal: one of the paper's formulations instead of the estimator.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Folder for the result document and the pictures."
-)
+@click.option("-o", "--output", type=PATH, help="Folder for the result document and the pictures.")
 @click.option(
     "--csv",
     "table",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="CSV file for all that was found, one value a row with its expanded uncertainty U (k = 2).",
 )
 @click.option(
@@ -142,7 +140,7 @@ def _write(
     result_file: bool,
 ) -> list[Path]:
     from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.plots.pictures import draw, draw_common
+    from machine_tool_calibration.plots.pictures import draw
     from machine_tool_calibration.plots.style import save
     from machine_tool_calibration.plots.tracking import draw_residuals
 
@@ -152,11 +150,10 @@ def _write(
         if result_file:
             written.append(folder / "result.json")
             written[0].write_text(to_json(document) + "\n", encoding="utf-8")
+        if result is not None:
+            written += draw(opened, document, folder)
         if isinstance(result, Result):
-            written += draw(opened[0], document, folder)
             written += save({"residuals": draw_residuals(result.fit)}, folder, result.provenance)
-        elif result is not None:
-            written += draw_common(document, folder)
     except OSError as error:
         raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
     return written

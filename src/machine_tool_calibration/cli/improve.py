@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    model_options,
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
+from machine_tool_calibration.cli.output import (
+    FOLDER,
+    console,
+    json_option,
+    note,
     note_written,
-    sessions_argument,
+    progress_bar,
+    write_json,
 )
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -61,18 +64,12 @@ def _keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> 
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     help="Folder for the picture (PNG) and the numbers (CSV); by default ./mtcal_output/improve_<name of the session>.",
 )
 @click.option("--history/--no-history", default=True, help="Keep the models in the history of the session, or not.")
 @json_option
-def command(
-    measurements: tuple[Path, ...],
-    wanted: Wanted,
-    output: Path | None,
-    history: bool,
-    as_json: bool,
-) -> None:
+def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None, history: bool, as_json: bool) -> None:
     """Add the effects that the diagnosis finds, one after the other, and watch the error fall.
 
     SESSION is a session folder or a recording. Every model is identified; the table shows before and after side by

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ topic_option = click.option(
 
 
 @click.command("info")
-@click.argument("measurement", type=click.Path(path_type=Path))
+@click.argument("measurement", type=PATH)
 @topic_option
 @json_option
 def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:

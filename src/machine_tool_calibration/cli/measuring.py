@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import RosName, console, options
+from machine_tool_calibration.cli.output import PATH, RosName, console, options
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
@@ -35,10 +35,7 @@ graph_place = options(
 
 graph_options = options(
     click.option(
-        "-o",
-        "--output",
-        type=click.Path(path_type=Path),
-        help="New folder for everything that is written; by default in ./mtcal_output.",
+        "-o", "--output", type=PATH, help="New folder for everything that is written; by default in ./mtcal_output."
     ),
     click.option(
         "--domain-id",

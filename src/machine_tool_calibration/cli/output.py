@@ -21,18 +21,29 @@ import click
 from machine_tool_calibration.reports.documents import to_json
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
+    from machine_tool_calibration.interface.show import Answer
+    from machine_tool_calibration.session.provenance import Provenance
+
 __all__ = [
+    "FILE",
+    "FOLDER",
+    "PATH",
     "PictureFile",
     "RosName",
     "console",
     "json_option",
     "note",
+    "note_written",
     "one_line",
     "options",
     "progress_bar",
+    "save_picture",
+    "seed_option",
     "session_labels",
+    "tell",
     "write_json",
 ]
 
@@ -50,18 +61,23 @@ def options(*several: Callable[[Any], Any]) -> Callable[[Command], Command]:
     return add
 
 
+PATH = click.Path(path_type=Path)
+FILE, FOLDER = click.Path(path_type=Path, dir_okay=False), click.Path(path_type=Path, file_okay=False)
+
+seed_option = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Write one JSON document to standard output, for programs."
 )
 
 
 class PictureFile(click.Path):
-    """A picture that is to be drawn; a name without an ending is one in PNG, or a folder where `folder` is true."""
+    """A picture that is to be drawn; a name without an ending is one in PNG, or a folder for a picture `in_folder`."""
 
     ENDINGS = ("eps", "jpeg", "jpg", "pdf", "pgf", "png", "ps", "svg", "svgz", "tif", "tiff", "webp")
 
-    def __init__(self, *, folder: bool = False) -> None:
-        super().__init__(path_type=Path, dir_okay=folder)
+    def __init__(self, in_folder: str = "") -> None:
+        super().__init__(path_type=Path, dir_okay=bool(in_folder))
+        self.in_folder = in_folder
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path; what cannot be drawn is refused before anything is calculated."""
@@ -69,7 +85,7 @@ class PictureFile(click.Path):
         ending = path.suffix.removeprefix(".").lower()
         if ending and ending not in self.ENDINGS and not path.is_dir():
             self.fail(f"{path}: no picture can be written as {path.suffix}; as {', '.join(self.ENDINGS)}", param, ctx)
-        return path
+        return path / self.in_folder if self.in_folder and (not ending or path.is_dir()) else path
 
 
 class RosName(click.ParamType):  # type: ignore[type-arg]
@@ -100,6 +116,23 @@ def session_labels(paths: Sequence[Path]) -> list[str]:
 def write_json(document: Any) -> None:
     """Write one JSON document to standard output."""
     click.echo(to_json(document))
+
+
+def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenance | None = None) -> None:
+    """Draw a picture into a file, where one is named, with what it was made from at its foot."""
+    if file is not None:
+        from machine_tool_calibration.plots.style import save_as
+
+        save_as(draw(), file, origin)
+        note_written([file])
+
+
+def tell(answer: Answer[Any], as_json: bool) -> None:
+    """Say what was found: the document for programs, or the text for people."""
+    if as_json:
+        write_json(answer.document())
+    else:
+        answer.show(console())
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -146,6 +179,12 @@ def progress_bar() -> Iterator[Report]:
 def note(text: str) -> None:
     """A remark for people, on standard error."""
     click.echo(text, err=True)
+
+
+def note_written(paths: Sequence[Path]) -> None:
+    """Say on standard error what was written."""
+    if paths:
+        note(f"wrote {', '.join(str(path) for path in paths)}")
 
 
 def one_line(text: object) -> str:

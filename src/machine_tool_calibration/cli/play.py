@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import RosName, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, RosName, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import show_head
 
@@ -15,7 +15,7 @@ __all__ = ["command"]
 
 
 @click.command("play")
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=PATH)
 @click.argument("topics", nargs=-1)
 @click.option("--rate", "-r", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Times as fast.")
 @click.option("--fast", is_flag=True, help="As fast as the subscribers take it.")

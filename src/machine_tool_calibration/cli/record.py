@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import RosName, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, RosName, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import show_head
 
@@ -20,9 +20,7 @@ __all__ = ["command"]
 
 @click.command("record")
 @click.argument("topics", nargs=-1, type=RosName())
-@click.option(
-    "--output", "-o", type=click.Path(path_type=Path), help="Folder of the bag; recording_DATE_TIME by default."
-)
+@click.option("--output", "-o", type=PATH, help="Folder of the bag; recording_DATE_TIME by default.")
 @click.option("--all", "-a", "everything", is_flag=True, help="Every topic that there is, also those that come later.")
 @click.option("--namespace", type=RosName(space=True), default="", help="Namespace of the measurement's graph.")
 @click.option("--split-size", type=click.IntRange(min=0), default=0, help="Begin a new file at this size, bytes.")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import show_head
 
@@ -16,10 +16,8 @@ __all__ = ["command"]
 
 
 @click.command("recover")
-@click.argument("bag", type=click.Path(path_type=Path))
-@click.option(
-    "--output", "-o", type=click.Path(path_type=Path), help="The new bag's folder; BAG_recovered if not given."
-)
+@click.argument("bag", type=PATH)
+@click.option("--output", "-o", type=PATH, help="The new bag's folder; BAG_recovered if not given.")
 @json_option
 def command(bag: Path, output: Path | None, as_json: bool) -> None:
     """Save what is whole in an unfinished or damaged recording.

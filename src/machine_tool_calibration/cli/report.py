@@ -8,14 +8,8 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.budget import budget_option
-from machine_tool_calibration.cli.diagnosing import (
-    Wanted,
-    history_option,
-    model_options,
-    note_written,
-    sessions_argument,
-)
-from machine_tool_calibration.cli.output import progress_bar
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written, progress_bar, seed_option
 
 __all__ = ["command"]
 
@@ -26,20 +20,18 @@ __all__ = ["command"]
     "-o",
     "--output",
     "outputs",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     multiple=True,
     help="The report: a file .html or .pdf; repeatable. By default report.html.",
 )
 @click.option("--language", default="en", show_default=True, metavar="en|de", help="Of the report.")
-@click.option(
-    "--figures", type=click.Path(path_type=Path, file_okay=False), help="Folder for the pictures as SVG files."
-)
+@click.option("--figures", type=FOLDER, help="Folder for the pictures as SVG files.")
 @budget_option("YAML file with contributors to the uncertainty (`mtcal budget`); repeatable.")
-@click.option("--tolerances", type=click.Path(path_type=Path), help="YAML file with tolerances (`mtcal conformity`).")
+@click.option("--tolerances", type=PATH, help="YAML file with tolerances (`mtcal conformity`).")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
 @history_option
 @model_options
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
+@seed_option
 def command(
     measurements: tuple[Path, ...],
     outputs: tuple[Path, ...],
@@ -63,7 +55,7 @@ def command(
     mtcal report session -o report.html -o report.pdf --language de
     mtcal report session --from-history --budget mine.yaml --tolerances tolerances.yaml
     """
-    from machine_tool_calibration.budget.contributor import read_budget
+    from machine_tool_calibration.budget.contributor import contributors_of
     from machine_tool_calibration.budget.tolerances import read_tolerances
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
@@ -72,7 +64,7 @@ def command(
     outputs = outputs or (Path("report.html"),)
     check_endings(outputs)
     spoken = words(language)
-    contributors = [one for file in budgets for one in read_budget(file)]
+    contributors = contributors_of(budgets, ())
     limits = read_tolerances(tolerances) if tolerances else {}
     with progress_bar() as progress:
         found = evaluate(

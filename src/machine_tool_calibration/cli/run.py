@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
 from machine_tool_calibration.nodes.measurement import NODES, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import SiteSpec, read_site
@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.command("run")
 @click.argument("procedure")
 @graph_options
-@click.option("--site", type=click.Path(path_type=Path), help="YAML file with what is true in the simulated workshop.")
+@click.option("--site", type=PATH, help="YAML file with what is true in the simulated workshop.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the simulated workshop; of the site file if absent.")
 @click.option(
     "--driver",
@@ -38,15 +38,9 @@ __all__ = ["command"]
     help="A node that runs elsewhere and is not started, such as a real machine's axes. May be repeated.",
 )
 @click.option(
-    "--params-file",
-    type=click.Path(path_type=Path),
-    help="ROS parameter file for the nodes, such as the package's config/nodes.yaml.",
+    "--params-file", type=PATH, help="ROS parameter file for the nodes, such as the package's config/nodes.yaml."
 )
-@click.option(
-    "--model",
-    default="",
-    help="Variant of the model, such as free; `mtcal info SESSION` says when which.",
-)
+@click.option("--model", default="", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 @click.option(
     "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.quantities import quantity
@@ -37,7 +37,7 @@ A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and s
 
 
 @click.command("simulate", help=HELP, no_args_is_help=True)
-@click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=click.Path(path_type=Path))
+@click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=PATH)
 @click.option("--method", type=click.Choice(list(METHODS)), help="Measuring method, with its usual plan.")
 @click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
 @click.option("--dimension", type=click.Choice(["2", "3"]), help="Tracking interferometer in the plane or in space.")
@@ -57,7 +57,7 @@ A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and s
 )
 @click.option("--size", type=float, help="Size of the one effect: the coefficient of its formula, in its unit.")
 @click.option("--amplitude", type=float, help="Or the largest change of a reading that it shall make, m.")
-@click.option("--machine", type=click.Path(path_type=Path), help="True errors of the machine (YAML); random otherwise.")
+@click.option("--machine", type=PATH, help="True errors of the machine (YAML); random otherwise.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of all that is random; 0 if not given.")
 @click.option("--noise", type=float, help="Standard uncertainty of a reading, m, as declared.")
 @click.option("--noise-factor", type=float, help="Actual noise over the declared one; 0: none.")

@@ -9,14 +9,14 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.measuring import graph_place
-from machine_tool_calibration.cli.output import note
+from machine_tool_calibration.cli.output import PATH, note
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["command"]
 
 
 @click.command("workbench")
-@click.argument("measurements", metavar="[MEASUREMENT…]", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="[MEASUREMENT…]", nargs=-1, type=PATH)
 @click.option("--live", is_flag=True, help="Begin beside a running graph or a replay: the page Live.")
 @graph_place
 @model_option

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
@@ -20,7 +20,7 @@ __all__ = ["command"]
 
 
 @click.command("workpiece")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=PATH)
 @click.option("--unit", type=click.Choice(["mm", "m", "inch"]), help="Of a CSV or DXF outline; a DXF may say its own.")
 @click.option("--spacing", type=float, metavar="LENGTH", help="Of the points along an outline, in its unit.")
 @click.option(
@@ -34,15 +34,9 @@ __all__ = ["command"]
 @click.option(
     "--into", help="Procedure into which the points are put: a YAML file, or the name of one that the package brings."
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="New file: .csv (points) or .yaml.")
+@click.option("-o", "--output", type=PATH, help="New file: .csv (points) or .yaml.")
 @json_option
-def command(
-    file: Path,
-    into: str | None,
-    output: Path | None,
-    as_json: bool,
-    **outline: Any,
-) -> None:
+def command(file: Path, into: str | None, output: Path | None, as_json: bool, **outline: Any) -> None:
     """Make the points of a workpiece to be probed, with their outward normals.
 
     FILE is a description (YAML: lines, circles, pins, holes, spheres, outlines, files, points; see config/workpieces),

@@ -13,11 +13,10 @@ import numpy as np
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
-from machine_tool_calibration.importing.mapping import Mapping
+from machine_tool_calibration.importing.mapping import ROLES, Mapping
 from machine_tool_calibration.importing.points import point_rows
 from machine_tool_calibration.importing.positioning import positioning_rows
 from machine_tool_calibration.importing.ranges import range_rows
-from machine_tool_calibration.importing.readings import reading_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
 from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.direct.model import asked_tables
@@ -28,6 +27,8 @@ from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble, distinct_labels
 
 __all__ = ["Imported", "import_table"]
+
+_LABELS = tuple(role for role, kind in ROLES["readings"].items() if kind == "text" and role != "setup")
 
 
 @dataclass(frozen=True)
@@ -100,11 +101,37 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     return Imported(session, read[0].read, sum(len(columns.table) for columns in read), tuple(notes))
 
 
+def _reading_rows(columns: Columns, name: str) -> Rows:
+    """The readings of a table: its columns named as quantities, and others that the mapping names.
+
+    Args:
+        columns: the table.
+        name: of the one setup, where no column names it and the session has no setups.
+
+    Raises:
+        SessionError: no reading, a cell that is no number, a unit that is not given, or no setup.
+    """
+    columns.take_namesakes()
+    columns.need(["displacement"], "the reading")
+    setups = columns.mapping.session.get("setups")
+    ids = [str(entry.get("id")) for entry in setups if isinstance(entry, dict)] if isinstance(setups, list) else []
+    if len(ids) > 1 and not columns.has("setup"):
+        which = f"which of the setups {', '.join(ids)} a reading is of"
+        raise SessionError(f"{columns.table.source}: no column says {which}")
+    labels = {role: columns.text(role) for role in _LABELS if columns.has(role)}
+    return Rows(
+        numbers=columns.others(()),
+        labels={"setup": columns.setups(ids[0] if ids else name), **labels},
+        row=np.arange(len(columns.table)),
+        description={},
+    )
+
+
 _ROWS: dict[str, Callable[[Columns, str], Rows]] = {
     "points": point_rows,
     "ranges": lambda columns, setup: range_rows(columns),
     "iso230-2": positioning_rows,
-    "readings": reading_rows,
+    "readings": _reading_rows,
 }
 
 

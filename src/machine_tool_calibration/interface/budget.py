@@ -3,42 +3,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from machine_tool_calibration.budget.conformity import Conformity as Verdicts
-from machine_tool_calibration.budget.contributor import default_budget, read_budget
 from machine_tool_calibration.budget.propagate import Budget as Propagated
-from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.reports.budget import budget_document, show_budget
 from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.session.contributor import Contributor
-from machine_tool_calibration.session.defects import validated
-from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
-__all__ = ["Budget", "Conformity", "contributors_of"]
+__all__ = ["Budget", "Conformity"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Budget(Shown):
+class Budget(Answer[Propagated]):
     """Who contributes what to the uncertainty of everything that was identified.
 
     Attributes:
-        propagated: all that was calculated, as the package itself uses it.
         names: quantities that were asked for; empty for those that are told of every measurement.
     """
 
-    propagated: Propagated
     names: tuple[str, ...] = ()
 
     @cached_property
@@ -59,23 +52,10 @@ class Budget(Shown):
         over all its numbers), `value`, combined standard uncertainty `u` and expanded uncertainty `U` in `unit`, with
         `degrees_of_freedom` (NaN: infinite) and `k`; `u_identification`, which the readings themselves show.
         """
-        rows = [
-            {
-                "name": entry["name"],
-                "which": entry["which"],
-                "where": entry["where"],
-                "value": entry["value"],
-                "u": entry["standard_uncertainty"],
-                "U": entry["expanded_uncertainty"],
-                "unit": entry["unit"],
-                "degrees_of_freedom": entry["effective_degrees_of_freedom"],
-                "k": entry["coverage_factor"],
-                "u_identification": entry["identification"]["standard_uncertainty"],
-            }
-            for entry in self._document["quantities"]
-        ]
-        frame = pd.DataFrame(rows)
-        numeric = [name for name in ("value", "degrees_of_freedom", "u_identification") if name in frame]
+        frame = (
+            pd.json_normalize(self._document["quantities"]).reindex(columns=[*_QUANTITIES]).rename(columns=_QUANTITIES)
+        )
+        numeric = ("value", "degrees_of_freedom", "u_identification")
         return frame.astype(dict.fromkeys(numeric, float))
 
     @cached_property
@@ -86,14 +66,7 @@ class Budget(Shown):
         `share`, its square over the sum of all squares.
         """
         rows = [
-            {
-                "name": entry["name"],
-                "which": entry["which"],
-                "contributor": part["name"],
-                "u": part["standard_uncertainty"],
-                "unit": entry["unit"],
-                "share": part["share"],
-            }
+            (entry["name"], entry["which"], part["name"], part["standard_uncertainty"], entry["unit"], part["share"])
             for entry in self._document["quantities"]
             for part in entry["contributions"]
         ]
@@ -102,7 +75,7 @@ class Budget(Shown):
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        count = f"{len(self.propagated.lines)} contributors"
+        count = f"{len(self.found.lines)} contributors"
         if not self._document["quantities"]:
             return f"uncertainty budget of {count}: nothing is determined"
         first = self._document["quantities"][0]
@@ -113,34 +86,30 @@ class Budget(Shown):
             f"from {most['name']}"
         )
 
-    def report(self) -> str:
-        """What `mtcal budget` prints."""
-        return printed(lambda screen: show_budget(screen, self.propagated, self.names))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal budget --json` writes it; None is not determined."""
-        return budget_document(self.propagated, self.names)
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal budget` prints."""
+        show_budget(screen, self.found, self.names)
 
     def plot(self) -> Figure:
         """The bar chart of `mtcal budget --plot`, a figure that no window shows; a notebook does."""
-        from machine_tool_calibration.plots.budget import draw_budget
-
-        return notebook(draw_budget(self.propagated, self.names))
+        return notebook(draw_budget(self.found, self.names))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return self.document()
+        return budget_document(self.found, self.names)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Conformity(Shown):
-    """Whether tolerances are kept, and how sure that is.
+_QUANTITIES = {
+    **{name: name for name in ("name", "which", "where", "value")},
+    **{"standard_uncertainty": "u", "expanded_uncertainty": "U", "unit": "unit"},
+    **{"effective_degrees_of_freedom": "degrees_of_freedom", "coverage_factor": "k"},
+    "identification.standard_uncertainty": "u_identification",
+}
+"""Columns of the quantities by their keys in the document."""
 
-    Attributes:
-        found: all that was calculated, as the package itself uses it.
-    """
 
-    found: Verdicts
+class Conformity(Answer[Verdicts]):
+    """Whether tolerances are kept, and how sure that is."""
 
     @property
     def decision(self) -> str:
@@ -164,29 +133,10 @@ class Conformity(Shown):
         told = ", ".join(f"{v.name} {v.decision}" for v in self.found.verdicts)
         return f"conformity: {self.decision} ({told})"
 
-    def report(self) -> str:
-        """What `mtcal conformity` prints."""
-        return printed(lambda screen: show_conformity(screen, self.found))
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal conformity` prints."""
+        show_conformity(screen, self.found)
 
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal conformity --json` writes it; None is not determined."""
+    @cached_property
+    def _document(self) -> dict[str, Any]:
         return conformity_document(self.found)
-
-
-def contributors_of(
-    given: str | Path | Sequence[Contributor | Mapping[str, Any]] | None, sessions: Sequence[Session]
-) -> tuple[Contributor, ...]:
-    """The contributors as `Fit.budget` takes them.
-
-    Raises:
-        CalibrationError: the file or a line is wrong, or the instrument has no budget to begin with.
-    """
-    if given is None:
-        return default_budget(sessions)
-    if isinstance(given, str | Path):
-        return read_budget(Path(given))
-    out = []
-    for number, line in enumerate(given, start=1):
-        said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
-        out.append(validated(Contributor, said, f"contributor {number}", refusal=ModelError))
-    return tuple(out)

@@ -3,53 +3,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.compare import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
-from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.interface.session import one_below_the_other
+from machine_tool_calibration.interface.show import Answer, chosen, notebook, printed
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
-from machine_tool_calibration.reports.quantities import probability
+from machine_tool_calibration.plots.compare import draw_setups, figures
+from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
+from machine_tool_calibration.reports.comparison import comparison_document
+from machine_tool_calibration.reports.comparison_tables import show_comparison
+from machine_tool_calibration.reports.diagnosis import show_diagnosis
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.reports.verdict import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 __all__ = ["Comparison", "Diagnosis"]
 
-_VERDICTS = {
-    "adequate": "nothing is missing that these readings show",
-    "unexplained": "something is missing that no effect of the catalogue explains",
-    "outliers": "no effect is missing; readings that do not belong to the rest",
-}
 
+class Comparison(Answer[OneComparison | JointComparison]):
+    """A model held against its readings: how well it fits, and where it fails."""
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Shown):
-    """A model held against its readings: how well it fits, and where it fails.
-
-    Attributes:
-        found: all that was calculated, as the package itself uses it.
-    """
-
-    found: OneComparison | JointComparison
-
-    @cached_property
+    @property
     def residuals(self) -> pd.DataFrame:
         """Every reading with what was predicted and every covariate, as `comparison.csv` of `mtcal compare`; SI.
 
         Columns: `row` (from 0), `setup`, `repeat`, `measured`, `predicted`, `residual` (m), `studentized` (residual
         over its own standard uncertainty; NaN where the model has a reading for itself), and all that was recorded.
         """
-        from machine_tool_calibration.reports.comparison import comparison_columns
-
-        return pd.DataFrame(comparison_columns(self.found))
+        return self.found.residuals
 
     @property
     def setups(self) -> pd.DataFrame:
@@ -60,7 +53,7 @@ class Comparison(Shown):
         model takes it up; `worst_row`, the reading with the largest studentized residual. Several sessions have
         `session` besides.
         """
-        return _table(self._document["setups"])
+        return self.found.setups
 
     @property
     def regions(self) -> pd.DataFrame:
@@ -91,28 +84,17 @@ class Comparison(Shown):
 
     @property
     def worst(self) -> pd.DataFrame:
-        """Readings with the largest studentized residuals.
-
-        Columns: `row`, `setup`, `residual` (m), `studentized`; of several sessions `session` first.
-        """
-        return _table(self._document["worst"])
+        """Readings with the largest studentized residuals; columns as of `residuals`."""
+        return self.found.worst
 
     @property
     def headline(self) -> str:
         """How well the model fits, in one line."""
         return str(self._document["summary"])
 
-    def report(self) -> str:
-        """What `mtcal compare` prints: by setup and repeat, by region, by direction of approach, over covariates."""
-        from machine_tool_calibration.reports.comparison_tables import show_comparison
-
-        return printed(lambda screen: show_comparison(screen, self.found))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal compare --json` writes it (`mtcal-comparison/1`)."""
-        from machine_tool_calibration.reports.documents import plain
-
-        return dict(plain(self._document))
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal compare` prints: by setup and repeat, region, direction of approach, over covariates."""
+        show_comparison(screen, self.found)
 
     def plot(self, picture: str = "residuals", *, against: Sequence[str] = (), session: str | None = None) -> Figure:
         """One of the pictures of `mtcal compare`.
@@ -125,9 +107,6 @@ class Comparison(Shown):
         Raises:
             CalibrationError: no such picture, covariate or session.
         """
-        from machine_tool_calibration.errors import CalibrationError
-        from machine_tool_calibration.plots.compare import draw_setups, figures
-
         one = self.found
         if isinstance(one, JointComparison):
             if picture == "setups" and session is None:
@@ -142,35 +121,22 @@ class Comparison(Shown):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        from machine_tool_calibration.reports.comparison import comparison_document
-
         return comparison_document(self.found)
 
-    def _of_each(self, key: str) -> pd.DataFrame:
-        """A list of the document as a table, of several sessions one below the other."""
-        parts = self._document.get("sessions", [self._document])
-        rows = [
-            {**({"session": part["label"]} if "label" in part else {}), **entry, **entry.get("fit", {})}
-            for part in parts
-            for entry in part[key]
-        ]
-        return _table(rows).drop(columns="fit", errors="ignore")
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Records as a table, with NaN for what they do not hold."""
-    return pd.DataFrame([{key: np.nan if value is None else value for key, value in row.items()} for row in rows])
+    def _of_each(self, table: str) -> pd.DataFrame:
+        """A table of each session, one below the other."""
+        return one_below_the_other(self.found.labels or (), [getattr(one, table) for one in self.found.sessions])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(Answer[Found]):
     """Which physical effects a model lacks, how sure that is, and what to measure to be surer.
 
     Attributes:
-        found: all that was calculated, as the package itself uses it.
+        concluded: what follows from it, where that is worked out already.
     """
 
-    found: Found
+    concluded: Conclusions | None = None
 
     @property
     def verdict(self) -> str:
@@ -201,8 +167,6 @@ class Diagnosis(Shown):
         `plausible` (whether such a size occurs), `rms_before` and `rms_after` of the residuals (m), `map_change_rms`
         (m; NaN where it was not worked out).
         """
-        from machine_tool_calibration.plots.diagnosis import candidate_table
-
         return candidate_table(self.found, self.conclusions.changes).set_index("effect")
 
     @property
@@ -213,49 +177,41 @@ class Diagnosis(Shown):
         """
         labels = self.found.chosen.labels
         rows = [
-            {
-                **({} if labels is None else {"session": labels[k]}),
-                "row": outlier.row,
-                "studentized": outlier.studentized,
-                "deviation": outlier.deviation,
-            }
-            for k, own in enumerate(self.found.set_aside)
+            (label, outlier.row, outlier.studentized, outlier.deviation)
+            for label, own in zip(labels or ("",), self.found.set_aside, strict=True)
             for outlier in own
         ]
-        several = [] if labels is None else ["session"]
-        return pd.DataFrame(rows, columns=[*several, "row", "studentized", "deviation"])
+        table = pd.DataFrame(rows, columns=["session", "row", "studentized", "deviation"])
+        return table if labels else table.drop(columns="session")
 
     @cached_property
     def conclusions(self) -> Conclusions:
         """What each candidate would change, and what to measure next; worked out when it is first asked for."""
-        return conclude(self.found, progress=lambda what, share: None)
+        return self.concluded or conclude(self.found, progress=lambda what, share: None)
 
     @property
     def headline(self) -> str:
         """The verdict in one line."""
-        if self.verdict != "missing_effect":
-            return _VERDICTS[self.verdict]
-        sure = (f"{name} (probability {probability(self.probability[name])})" for name in self.effects)
-        return f"missing: {', '.join(sure)}"
+        return verdict_line(self.found)
 
-    def report(self, *, details: bool = False) -> str:
-        """What `mtcal diagnose` prints: the verdict, the effects and the next step.
+    def show(self, screen: Console, /, most: int = 8, *, details: bool = False) -> None:
+        """Print what `mtcal diagnose` prints: the verdict, the effects and the next step.
 
         Args:
+            screen: where to.
+            most: effects beside those found that are listed; all if 0.
             details: with confounded effects, what to measure next and what is hidden, as with `--details`.
         """
-        from machine_tool_calibration.reports.diagnosis import show_diagnosis
+        show_diagnosis(screen, self.found, self.conclusions, most, details=details)
 
-        return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions, details=details))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
-        from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-
-        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)
+    def report(self, *, details: bool = False) -> str:
+        """What `show` prints, as text."""
+        return printed(lambda screen: self.show(screen, details=details))
 
     def plot(self) -> Figure:
         """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""
-        from machine_tool_calibration.plots.diagnosis import draw_diagnosis
-
         return notebook(draw_diagnosis(self.found, self.conclusions.changes))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)

@@ -1,35 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features of a probed part as a table, a picture and a text."""
+"""Features of a probed part as tables, a picture, a text and a document."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.arrays import COVERAGE
+from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
+from machine_tool_calibration.methods.probing.features import Quantity
 from machine_tool_calibration.methods.probing.propagation import MonteCarlo
+from machine_tool_calibration.methods.probing.shapes import Circle, Element
+from machine_tool_calibration.plots.features import draw_features
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, quantity
+from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 __all__ = ["Features"]
 
+# Standard uncertainty of what the datum lays down, m and rad: rounding alone.
+_NOTHING = 1e-12
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Features(Shown):
+class Features(Answer[Found]):
     """Pins, holes, spheres and walls of a probed part, distances and angles between them.
 
     Attributes:
-        found: all that was calculated, as the package itself uses it.
         drawn: what draws gave; None without any.
+        origin: what it was made from.
     """
 
-    found: Found
-    drawn: MonteCarlo | None = None
+    drawn: MonteCarlo | None
+    origin: Provenance
 
     @property
     def datum(self) -> str:
@@ -66,25 +78,62 @@ class Features(Shown):
         """What it is, in one line."""
         return f"{', '.join(one.name for one in self.found.elements)}; frame: {self.datum}"
 
-    def report(self) -> str:
-        """What `mtcal features` prints."""
-        from machine_tool_calibration.reports.features import show_features
-
-        return printed(lambda screen: show_features(screen, self.found, self.drawn))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal features --json` writes it (`mtcal-features/1`)."""
-        from machine_tool_calibration.reports.documents import plain
-        from machine_tool_calibration.reports.features import features_document
-
-        return dict(plain(features_document(self.found, self.drawn)))
+    def show(self, screen: Console, /) -> None:
+        """Print the features with expanded uncertainty (k = 2), their frame, and what gives none."""
+        drawn, rows = self.drawn, []
+        for asked, row in zip(self.found.quantities, self.table.to_dict("records"), strict=True):
+            told, interval = NOT_DETERMINED, ""
+            if row["determined"]:
+                told = "0 (datum)" if row["u"] < _NOTHING else quantity(row["deviation"], asked.unit, row["u"])
+                if drawn is not None and row["u"] >= _NOTHING:
+                    ends = (fixed(1e6 * end, decimals(2e6 * row["u"])) for end in (row["low"], row["high"]))
+                    interval = f"{' to '.join(ends)} µ{asked.unit}"
+            rows.append((", ".join(asked.of), asked.what, _nominal(asked), told, interval))
+        draws = f"{100 * COVERAGE:.4g} % of {drawn.draws} draws, touches {drawn.distribution}" if drawn else ""
+        heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
+        title = "Features of the workpiece, ± U (k = 2)"
+        show_table(screen, TextTable(title, heads, tuple(rows), f"frame: {self.datum}"))
+        for name, why in self.found.left_out.items():
+            screen.print(f"Not a feature: {name}: {why}.")
 
     def plot(self) -> Figure:
         """Where the features are, deviations magnified, with ellipses of their uncertainty."""
-        from machine_tool_calibration.plots.features import draw_features
-
         return notebook(draw_features(self.found))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        found, drawn = self.found, self.drawn
+        quantities = []
+        for asked, row in zip(found.quantities, self.table.to_dict("records"), strict=True):
+            entry = {"features": list(asked.of), "quantity": asked.what, "unit": asked.unit, "nominal": asked.nominal}
+            entry |= {"deviation": row["deviation"], "standard_uncertainty": row["u"]}
+            if drawn is not None:
+                entry["draws"] = {"standard_uncertainty": row["u_draws"], "interval": [row["low"], row["high"]]}
+            quantities.append(entry)
+        document: dict[str, Any] = {
+            "format": "mtcal-features/1",
+            "datum": found.datum,
+            "features": [{"name": one.name, "kind": _kind(one), "points": len(one.index)} for one in found.elements],
+            "left_out": [{"name": name, "why": why} for name, why in found.left_out.items()],
+            "quantities": quantities,
+            "covariance": found.covariance,
+            "provenance": self.origin.document(),
+        }
+        if drawn is not None:
+            document |= {"draws": drawn.draws, "distribution": drawn.distribution, "coverage_probability": COVERAGE}
+        return document
 
     @property
     def _names(self) -> list[str]:
         return [asked.name for asked in self.found.quantities]
+
+
+def _nominal(asked: Quantity) -> str:
+    return f"{fixed(1e3 * asked.nominal, 4)} mm" if asked.unit == "m" else f"{fixed(math.degrees(asked.nominal), 4)}°"
+
+
+def _kind(one: Element) -> str:
+    """Circle (pin, disc or sphere), hole or line."""
+    if not isinstance(one, Circle):
+        return "line"
+    return "hole" if one.hole else "circle"

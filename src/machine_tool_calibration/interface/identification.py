@@ -13,26 +13,39 @@ import numpy.typing as npt
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget.conformity import conformity
+from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
+from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.published import check_names
+from machine_tool_calibration.budget.tolerances import tolerance
+from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.arguments import require_kind, require_whole
+from machine_tool_calibration.interface.budget import Budget, Conformity
+from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
+from machine_tool_calibration.interface.features import Features
+from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
-from machine_tool_calibration.interface.show import Shown, chosen, printed
+from machine_tool_calibration.interface.show import Shown, chosen
+from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
+from machine_tool_calibration.methods.map_comparison import compare_fits
+from machine_tool_calibration.methods.probing.propagation import Distribution, monte_carlo
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.plots.tracking import draw_residuals
 from machine_tool_calibration.reports import result_tables as tables
+from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.identification import show_result
 from machine_tool_calibration.reports.quantities import quantity, rounded
+from machine_tool_calibration.session.contributor import Contributor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from machine_tool_calibration.interface.budget import Budget, Conformity
-    from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
-    from machine_tool_calibration.interface.features import Features
-    from machine_tool_calibration.interface.map_comparison import MapComparison
-    from machine_tool_calibration.methods.probing.propagation import Distribution
-    from machine_tool_calibration.session.contributor import Contributor
+    from rich.console import Console
 
 __all__ = ["Fit", "identify", "split_effects"]
 
@@ -93,7 +106,7 @@ class Fit(Shown):
         Columns: `x y z` the place, m; `ex ey ez` the error, m; `ux uy uz` its standard uncertainty, m (an expanded
         uncertainty U, k = 2, is twice that); `determined_x determined_y determined_z`: where False, error and
         uncertainty are NaN. Step diagonals have `axis` besides, rotary axes `target` and the angle (`c`, rad). A place
-        is there more than once where an effect distinguishes directions of approach.
+        is there more than once, with the direction of `approach` (`x+ y-`), where its error depends on that.
         """
         return tables.error_map(self.result)
 
@@ -132,9 +145,12 @@ class Fit(Shown):
         """Every reading that takes part in the fit, one a row; SI.
 
         Columns: `row` of the recording (from 0), `measured`, `predicted`, `residual` (measured minus predicted),
-        `u_declared` (standard uncertainty), m, and the other columns as recorded; of several sessions `session` first.
+        `u_declared` (standard uncertainty), m, and the other columns as recorded, with those that `compare` has besides
+        (`leverage`, `studentized`, covariates); of several sessions `session` first.
         """
-        frames = [tables.residuals(fit) for fit in self.result.joint.fits]
+        from machine_tool_calibration.diagnosis.compare import residual_table
+
+        frames = [residual_table(fit) for fit in self.result.joint.fits]
         return one_below_the_other(self.measurement.labels, frames)
 
     @cached_property
@@ -160,8 +176,6 @@ class Fit(Shown):
         Raises:
             CalibrationError: not such positions, or the map has no points.
         """
-        from machine_tool_calibration.maps import error_map_from_points
-
         found = self.result.error_map
         error, u = error_map_from_points(found.points, found.error, found.uncertainty)(position)
         return error, u
@@ -176,17 +190,12 @@ class Fit(Shown):
             f"residual {quantity(self.rms_residual, 'm')} RMS, reduced chi-square {rounded(self.reduced_chi_square)}"
         )
 
-    def report(self) -> str:
-        """What `mtcal identify` prints: how well it fits, the errors with their uncertainty, what is not determined."""
-        from machine_tool_calibration.reports.identification import show_result
-
-        sessions = self.measurement.sessions
-        return printed(lambda screen: show_result(screen, self._document, sessions, self.result))
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal identify` prints: how well it fits, errors with uncertainty, what is not determined."""
+        show_result(screen, self._document, self.measurement.sessions, self.result)
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
-        from machine_tool_calibration.reports.documents import plain
-
         return dict(plain(self._document))
 
     @property
@@ -237,22 +246,18 @@ class Fit(Shown):
         Raises:
             CalibrationError: no probing session, several sessions, no such feature, or features that do not fit.
         """
-        from machine_tool_calibration.interface.features import Features
         from machine_tool_calibration.methods.probing.features import features
-        from machine_tool_calibration.methods.probing.propagation import monte_carlo
 
         require_whole(draws=draws, seed=seed)
         if not isinstance(self.result, Result):
             raise ModelError("features are those of one probing session; this fit is of several")
         fit = self.result.fit
         found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
-        return Features(found, monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None)
+        drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None
+        return Features(found, drawn, self.result.provenance)
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
-        from machine_tool_calibration.diagnosis.compare import compare
-        from machine_tool_calibration.interface.diagnosis import Comparison
-
         return Comparison(compare(self.result))
 
     def compare_map(self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1) -> MapComparison:
@@ -266,13 +271,10 @@ class Fit(Shown):
         Raises:
             CalibrationError: the maps have no point, or no direction at any, in common.
         """
-        from machine_tool_calibration.interface.map_comparison import MapComparison
-        from machine_tool_calibration.methods.map_comparison import compare_fits
-
         require_whole(seed=seed)
         require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
-        return MapComparison(compare_fits(*pair, labels, seed=seed))
+        return MapComparison(compare_fits(*pair, labels, seed=seed), tuple(one.provenance for one in pair))
 
     def diagnose(self) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
@@ -280,9 +282,6 @@ class Fit(Shown):
         Raises:
             ModelError: the data does not allow the model.
         """
-        from machine_tool_calibration.diagnosis.diagnose import diagnose
-        from machine_tool_calibration.interface.diagnosis import Diagnosis
-
         return Diagnosis(diagnose(self.chosen))
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
@@ -318,10 +317,6 @@ class Fit(Shown):
             CalibrationError: the file or a line is wrong, the instrument has no budget to begin with, or a quantity is
                 not published.
         """
-        from machine_tool_calibration.budget.propagate import propagate
-        from machine_tool_calibration.budget.published import check_names
-        from machine_tool_calibration.interface.budget import Budget, contributors_of
-
         require_whole(draws=draws, seed=seed)
         fitted = fitted_sessions(self.result)
         lines = contributors_of(contributors, self.measurement.sessions)
@@ -352,24 +347,14 @@ class Fit(Shown):
         Raises:
             CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
         """
-        from machine_tool_calibration.budget.conformity import conformity
-        from machine_tool_calibration.budget.contributor import known_contributors
-        from machine_tool_calibration.budget.propagate import Budget as Propagated
-        from machine_tool_calibration.budget.propagate import propagate
-        from machine_tool_calibration.budget.tolerances import tolerance
-        from machine_tool_calibration.interface.budget import Budget, Conformity
-
         require_whole(seed=seed)
         require_kind(tolerances, Mapping, "tolerances must be a mapping from figures to their tolerances")
         if budget is not None:
             require_kind(budget, Budget, "budget must be one, as Fit.budget gives it")
         sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
         fitted = fitted_sessions(self.result)
-        if budget is not None:
-            held: Propagated | None = budget.propagated
-        else:
-            lines, _ = known_contributors(self.measurement.sessions)
-            held = propagate(fitted, lines, seed=seed) if lines else None
+        lines = () if budget else known_contributors(self.measurement.sessions)[0]
+        held = budget.found if budget else propagate(fitted, lines, seed=seed) if lines else None
         return Conformity(conformity(fitted, sizes, rule=rule, level=level, budget=held, seed=seed))
 
     @cached_property
@@ -377,13 +362,8 @@ class Fit(Shown):
         return self.result.document()
 
     def _figures(self) -> dict[str, Figure]:
-        from machine_tool_calibration.plots.pictures import common_figures, figures
-        from machine_tool_calibration.plots.tracking import draw_residuals
-
-        if not isinstance(self.result, Result):
-            return common_figures(self._document)
-        drawn = figures(self.measurement.sessions[0], self._document)
-        return drawn | {"residuals": draw_residuals(self.result.fit)}
+        more = {"residuals": draw_residuals(self.result.fit)} if isinstance(self.result, Result) else {}
+        return figures(self.measurement.sessions, self._document) | more
 
 
 def identify(

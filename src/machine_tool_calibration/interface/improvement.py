@@ -18,39 +18,40 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
-from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.plots.improve import draw_improvement, draw_steps, residual_table, step_table
+from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.residuals.noise import noise_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 __all__ = ["Improvement", "improve", "plot_improvement"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Improvement(Shown):
+class Improvement(Answer[Done]):
     """The models on the way from the first one to the best.
 
     Attributes:
         measurement: the readings.
-        done: all that was calculated, as the package itself uses it.
     """
 
     measurement: Measurement
-    done: Done
 
     @property
     def diagnosis(self) -> Diagnosis:
         """Of the first model."""
-        return Diagnosis(self.done.diagnosis)
+        return Diagnosis(self.found.diagnosis)
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
         """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
         return tuple(
             Fit(replace(self.measurement, sessions=step.chosen.sessions), step.result, step.chosen)
-            for step in self.done.steps
+            for step in self.found.steps
         )
 
     @property
@@ -66,47 +67,36 @@ class Improvement(Shown):
         `reduced_chi_square`, and of the position errors `map_rms` (m), `map_change_rms` (m, against the row before),
         `map_uncertainty_rms` and `left_at_tool_rms` (standard uncertainties, m); NaN where the method maps none.
         """
-        from machine_tool_calibration.plots.improve import step_table
-
-        table = step_table(self.done)
+        table = step_table(self.found)
         numbers = [name for name in table if name not in ("change", "effects", "readings")]
         return table.astype(dict.fromkeys(numbers, float))
 
     @property
     def residuals(self) -> pd.DataFrame:
         """Every reading with `residual_before` and `residual_after` (m; NaN where it was set aside)."""
-        from machine_tool_calibration.plots.improve import residual_table
-
-        return residual_table(self.done)
+        return residual_table(self.found)
 
     @property
     def headline(self) -> str:
         """What was added and how far the residual fell, in one line."""
-        first, last = self.done.steps[0].result, self.done.steps[-1].result
-        added = self.done.diagnosis.accepted
+        first, last = self.found.steps[0].result, self.found.steps[-1].result
+        added = self.found.diagnosis.accepted
         return (
             f"{'added ' + ', '.join(added) if added else 'nothing added'}; residual "
             f"{micrometres(first.rms_residual)} → {micrometres(last.rms_residual)} µm RMS"
         )
 
-    def report(self) -> str:
-        """What `mtcal improve` prints: a row for every step, before and after side by side."""
-        from machine_tool_calibration.reports.improvement import show_improvement
-
-        return printed(lambda screen: show_improvement(screen, self.done))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal improve --json` writes it (`mtcal-improvement/1`)."""
-        from machine_tool_calibration.reports.documents import plain
-        from machine_tool_calibration.reports.improvement import improvement_document
-
-        return dict(plain(improvement_document(self.done)))
+    def show(self, screen: Console, /) -> None:
+        """Print what `mtcal improve` prints: a row for every step, before and after side by side."""
+        show_improvement(screen, self.found)
 
     def plot(self) -> Figure:
         """The picture of `mtcal improve`: the error falling, and the residuals before and after."""
-        from machine_tool_calibration.plots.improve import draw_improvement
+        return notebook(draw_improvement(self.found))
 
-        return notebook(draw_improvement(self.done))
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return improvement_document(self.found)
 
 
 def improve(
@@ -133,8 +123,7 @@ def improve(
     """
     measurement = load(session)
     ids, known = split_effects(effects, own)
-    done = improve_models(measurement.chosen(model, ids, known))
-    return Improvement(measurement, done)
+    return Improvement(improve_models(measurement.chosen(model, ids, known)), measurement)
 
 
 def plot_improvement(fits: Sequence[Fit]) -> Figure:
@@ -149,8 +138,6 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
     Raises:
         CalibrationError: no fits, something else, or fits of different measurements.
     """
-    from machine_tool_calibration.plots.improve import draw_steps
-
     models = tuple(fits) if isinstance(fits, list | tuple) else (fits,)
     if not models or not all(isinstance(fit, Fit) for fit in models):
         raise CalibrationError("an improvement is drawn of a list of fits, as `identify` and `add` give them")

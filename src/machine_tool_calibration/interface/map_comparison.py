@@ -3,41 +3,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
+from machine_tool_calibration.plots.map_comparison import draw_map_comparison
+from machine_tool_calibration.reports.quantities import micrometres, p_value, plus_minus, quantity
+from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 __all__ = ["MapComparison"]
 
+# Points of a table for people: of more, those of which the maps differ most.
+_MOST = 25
+# Motion that is rounding, m or rad.
+_NOTHING = 1e-12
+_COLUMNS = ("first", "second", "difference", "u", "normalised")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(Shown):
+class MapComparison(Answer[Compared]):
     """Whether two measurements of one machine agree within their joint uncertainty.
 
     Attributes:
-        compared: all that was calculated, as the package itself uses it.
+        origins: what the maps were made from.
     """
 
-    compared: Compared
+    origins: tuple[Provenance, ...] = ()
 
     @property
     def agree(self) -> bool:
         """By the p-value of all differences together."""
-        return self.compared.agree
+        return self.found.agree
 
     @property
     def p_value(self) -> float | None:
         """Of all differences together; None where there are too many for it."""
-        return self.compared.p_value
+        return self.found.p_value
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -46,38 +58,103 @@ class MapComparison(Shown):
         Columns: `first`, `second`, their `difference` with its standard uncertainty `u`, and `normalised`, the
         difference over its expanded uncertainty (E_n).
         """
-        found = self.compared
-        k, j = np.nonzero(np.isfinite(found.difference))
-        columns = {
-            "first": found.first[k, j],
-            "second": found.second[k, j],
-            "difference": found.difference[k, j],
-            "u": found.u[k, j],
-            "normalised": found.normalised[k, j],
-        }
-        places = [*found.points[k].T, np.array(list("xyz"))[j]]
+        k, j = np.nonzero(np.isfinite(self.found.difference))
+        columns = {name: getattr(self.found, name)[k, j] for name in _COLUMNS}
+        places = [*self.found.points[k].T, np.array(list("xyz"))[j]]
         return pd.DataFrame(columns, pd.MultiIndex.from_arrays(places, names=["x", "y", "z", "direction"]))
 
     @property
     def headline(self) -> str:
         """What it is, in one line."""
         verdict = "agree" if self.agree else "contradict each other"
-        return f"{' and '.join(self.compared.labels)} {verdict} at {len(self.compared.points)} points"
+        return f"{' and '.join(self.found.labels)} {verdict} at {len(self.found.points)} points"
 
-    def report(self) -> str:
-        """What `mtcal compare-maps` prints."""
-        from machine_tool_calibration.reports.map_comparison import show_map_comparison
-
-        return printed(lambda screen: show_map_comparison(screen, self.compared))
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal compare-maps --json` writes it (`mtcal-map-comparison/1`)."""
-        from machine_tool_calibration.reports.map_comparison import map_comparison_document
-
-        return map_comparison_document(self.compared)
+    def show(self, screen: Console, /) -> None:
+        """Print the differences, the motion between the datums and the verdict."""
+        show_table(screen, _differences(self.found))
+        moved = [
+            f"{m.name} {quantity(m.value, m.unit, m.u)}"
+            for m in self.found.motion
+            if np.isfinite(m.value) and max(abs(m.value), m.u) > _NOTHING
+        ]
+        screen.print()
+        screen.print(
+            f"Taken out before, as the datums differ by it: {', '.join(moved)}."
+            if moved
+            else "Both maps have the same datum at these points: there is no common motion to take out."
+        )
+        screen.print(_verdict(self.found))
 
     def plot(self) -> Figure:
         """Both maps, and the normalised differences."""
-        from machine_tool_calibration.plots.map_comparison import draw_map_comparison
+        return notebook(draw_map_comparison(self.found))
 
-        return notebook(draw_map_comparison(self.compared))
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        found = self.found
+        return {
+            "format": "mtcal-map-comparison/1",
+            "maps": list(found.labels),
+            "agree": found.agree,
+            "p_value": found.p_value,
+            "compared": found.count,
+            "beyond_1": found.beyond,
+            "motion": [asdict(m) for m in found.motion],
+            "points": found.points,
+            "first": found.first,
+            "first_u": found.u_first,
+            "second": found.second,
+            "second_u": found.u_second,
+            "difference": found.difference,
+            "difference_u": found.u,
+            "normalised": found.normalised,
+            "provenance": [one.document() for one in self.origins],
+        }
+
+
+def _verdict(comparison: Compared) -> str:
+    """Whether the maps agree, and where they differ most."""
+    size = np.abs(comparison.normalised)
+    k, j = np.unravel_index(int(np.nanargmax(size)), size.shape)
+    place = ", ".join(f"{1e3 * v:.6g}" for v in comparison.points[k])
+    verdict = (
+        "The maps agree within their joint uncertainty"
+        if comparison.agree
+        else "The maps contradict each other: they differ by more than their joint uncertainty"
+    )
+    together = "" if comparison.p_value is None else f"; all differences together have {p_value(comparison.p_value)}"
+    return (
+        f"{verdict}. The largest normalised difference is E_n = {comparison.normalised[k, j]:+.2f}, "
+        f"along {'xyz'[j]} at ({place}) mm; {comparison.beyond} of {comparison.count} exceed 1, of which chance makes "
+        f"{BY_CHANCE * comparison.count:.1f}{together}."
+    )
+
+
+def _differences(comparison: Compared) -> TextTable:
+    """The differences point by point; of many points those with the largest normalised ones."""
+    told = np.isfinite(comparison.difference)
+    axes = np.flatnonzero(told.any(axis=0))
+    order = np.flatnonzero(told.any(axis=1))
+    note = f"± U (k = 2); E_n is the difference over its U; 1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
+    if len(order) > _MOST:
+        worst = np.nanmax(np.abs(comparison.normalised[order]), axis=1)
+        note += f"; the {_MOST} of {len(order)} points that differ most, all with --json"
+        order = np.sort(order[np.argsort(-worst, kind="stable")[:_MOST]])
+    heads = ["x, y, z / mm"]
+    for j in axes:
+        heads += [f"{'xyz'[j]}: 1 / µm", "2 / µm", "1 − 2 / µm", "E_n"]
+    rows = []
+    for k in order:
+        row = [", ".join(f"{1e3 * v:.6g}" for v in comparison.points[k])]
+        for j in axes:
+            if told[k, j]:
+                row += [
+                    micrometres(float(comparison.first[k, j]), signed=True),
+                    micrometres(float(comparison.second[k, j]), signed=True),
+                    plus_minus(float(comparison.difference[k, j]), float(comparison.u[k, j]), 1e6),
+                    f"{comparison.normalised[k, j]:+.2f}",
+                ]
+            else:
+                row += [""] * 4
+        rows.append(tuple(row))
+    return TextTable("Position errors by both maps", tuple(heads), tuple(rows), note)

@@ -13,12 +13,19 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.interface.show import Shown, printed
+from machine_tool_calibration.interface.show import Shown
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.reports.identification import session_headline
+from machine_tool_calibration.reports.information import show_session
+from machine_tool_calibration.session.folder import readings_frame, write_session
 from machine_tool_calibration.session.session import Session, distinct_labels, measurement_name, refuse_repeated
+from machine_tool_calibration.session.summary import summarize
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.methods.fitted import FitRequest
 
 __all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
 
@@ -41,8 +48,6 @@ class Measurement(Shown):
         self, model: str | None, effects: tuple[str, ...], own: tuple[Effect, ...], keep_all: bool = False
     ) -> FitRequest:
         """The sessions with a model, as the package itself uses them."""
-        from machine_tool_calibration.methods.fitted import FitRequest
-
         return FitRequest(self.sessions, self.labels, model, effects, own, keep_all)
 
     @property
@@ -57,32 +62,20 @@ class Measurement(Shown):
         The columns are those of `observations.csv` (`time` s, `setup`, `repeat`, `x` `y` `z` m, `c` rad,
         `displacement` m, …); of several sessions `session` comes first. A lost reading has the displacement NaN.
         """
-        from machine_tool_calibration.session.folder import readings_frame
-
         frames = [readings_frame(session) for session in self.sessions]
         return one_below_the_other(self.labels, frames)
 
     @property
     def headline(self) -> str:
         """What was measured, in one line."""
-        from machine_tool_calibration.reports.identification import session_headline
+        several = len(self.sessions) > 1
+        named = zip(self.labels, self.sessions, strict=True)
+        return "; ".join(f"{label}: " * several + session_headline(own) for label, own in named)
 
-        if len(self.sessions) == 1:
-            return session_headline(self.sessions[0])
-        return "; ".join(
-            f"{label}: {session_headline(own)}" for label, own in zip(self.labels, self.sessions, strict=True)
-        )
-
-    def report(self) -> str:
-        """Setups and columns, as `mtcal info` prints them; of several sessions one after the other."""
-        from machine_tool_calibration.reports.information import show_session
-        from machine_tool_calibration.session.summary import summarize
-
-        def show(screen: Any) -> None:
-            for session in self.sessions:
-                show_session(screen, session, summarize(session))
-
-        return printed(show)
+    def show(self, screen: Console, /) -> None:
+        """Print setups and columns, as `mtcal info` does; of several sessions one after the other."""
+        for session in self.sessions:
+            show_session(screen, session, summarize(session))
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write `session.yaml` and `observations.csv`; of several sessions each into a folder of its label in there.
@@ -94,8 +87,6 @@ class Measurement(Shown):
         Raises:
             SessionError: a session is already there, or the folder cannot be written.
         """
-        from machine_tool_calibration.session.folder import write_session
-
         for label, session in zip(self.labels, self.sessions, strict=True):
             own = Path(folder) if len(self.sessions) == 1 else Path(folder) / label
             write_session(session, own, overwrite=overwrite)
@@ -136,8 +127,6 @@ def load(*sources: Source | Sequence[Source]) -> Measurement:
 
 def _opened(source: Any) -> Iterator[tuple[str, Session, Mapping[str, Any] | None]]:
     """Name, session and truth of each session in a source."""
-    from machine_tool_calibration.recording.open import open_measurement
-
     if isinstance(source, str | os.PathLike):
         path = Path(os.fspath(source))
         session = open_measurement(path)  # first: of a name that cannot be there is no real path

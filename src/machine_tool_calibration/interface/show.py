@@ -1,29 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How what the interface returns shows itself: one line, the text of the command line, a notebook, a picture."""
+"""How what the interface returns shows itself: one line, the text of the command line, a document, a notebook."""
 
 from __future__ import annotations
 
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.documents import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-__all__ = ["Shown", "chosen", "notebook", "printed"]
+__all__ = ["Answer", "Shown", "chosen", "notebook", "printed"]
 
+Found = TypeVar("Found")
 # Columns of a text, as the commands have in a file.
 _WIDTH = 120
 
 
 class Shown(ABC):
-    """A result that says in one line what it is, and in a notebook everything that the command line prints of it."""
+    """What says in one line what it is, and in a notebook everything that the command line prints of it."""
 
     @property
     @abstractmethod
@@ -31,8 +34,12 @@ class Shown(ABC):
         """What it is, in one line."""
 
     @abstractmethod
+    def show(self, screen: Console, /) -> None:
+        """Print what the command line prints of it."""
+
     def report(self) -> str:
-        """What the command line prints of it."""
+        """What the command line prints of it, as text."""
+        return printed(self.show)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.headline}>"
@@ -40,6 +47,25 @@ class Shown(ABC):
     def _repr_html_(self) -> str:
         """For notebooks."""
         return f"<p><b>{escape(self.headline)}</b></p>\n<pre>{escape(self.report())}</pre>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Answer(Shown, Generic[Found]):
+    """What was found out.
+
+    Attributes:
+        found: all that was calculated, as the package itself uses it.
+    """
+
+    found: Found
+
+    @cached_property
+    @abstractmethod
+    def _document(self) -> dict[str, Any]: ...
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal` writes it with `--json`; None is not determined."""
+        return dict(plain(self._document))
 
 
 def printed(show: Callable[[Console], None]) -> str:

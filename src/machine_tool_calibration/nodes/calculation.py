@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
@@ -19,7 +18,6 @@ from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.goals import Progress
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
-from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session
@@ -116,6 +114,10 @@ def compared(request: Request, progress: Progress) -> tuple[Mapping[str, Any], s
     Raises:
         CalibrationError: the readings do not allow it.
     """
+    # Here, as they bring pandas.
+    from machine_tool_calibration.diagnosis.compare import compare
+    from machine_tool_calibration.reports.comparison import comparison_document
+
     progress("comparing", 0.0)
     content = comparison_document(compare(request.chosen()))
     return content, _json(content)

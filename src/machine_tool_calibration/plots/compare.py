@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
-from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import (
     arrow_scale,
@@ -33,7 +33,6 @@ __all__ = [
     "chosen_covariates",
     "draw",
     "draw_against",
-    "draw_joint",
     "draw_map",
     "draw_setups",
     "figures",
@@ -60,9 +59,15 @@ def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequen
     Raises:
         ModelError: a covariate that no session has.
     """
-    if isinstance(comparison, JointComparison):
-        return draw_joint(comparison, folder, against)
-    return save(figures(comparison, against), folder, comparison.provenance)
+    if isinstance(comparison, Comparison):
+        return save(figures(comparison, against), folder, comparison.provenance)
+    for name in against:
+        if all(name not in one.covariates for one in comparison.sessions):
+            comparison.sessions[0].covariate(name)
+    files = save({"setups": draw_setups(comparison)}, folder, comparison.provenance)
+    for label, one in zip(comparison.labels, comparison.sessions, strict=True):
+        files += draw(one, folder / label, [name for name in against if name in one.covariates])
+    return files
 
 
 def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Figure]:
@@ -76,26 +81,14 @@ def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Fi
     }
 
 
-def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
-    """The same of several sessions, with the setups of all of them in one picture; arguments as of `draw`."""
-    for name in against:
-        if all(name not in one.covariates for one in comparison.sessions):
-            comparison.sessions[0].covariate(name)
-    files = save({"setups": draw_setups(comparison)}, folder, comparison.provenance)
-    for label, one in zip(comparison.labels, comparison.sessions, strict=True):
-        files += draw(one, folder / label, [name for name in against if name in one.covariates])
-    return files
-
-
 def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     """Covariates whose running mean follows the residuals best, without those that would make the same picture."""
-    values, out = comparison.covariates, list[str]()
+    values = {name: pd.Series(own) for name, own in comparison.covariates.items()}
+    out: list[str] = []
     for name, _ in comparison.ranked:
-        if all(abs(_correlation(values[name], values[other])) < _SAME for other in out):
+        if not any(abs(values[name].corr(values[other], min_periods=3)) >= _SAME for other in out):
             out.append(name)
-        if len(out) == most:
-            break
-    return out
+    return out[:most]
 
 
 def _draw_fit(comparison: Comparison) -> Figure:
@@ -104,23 +97,21 @@ def _draw_fit(comparison: Comparison) -> Figure:
 
     figure = new_figure(13, 4.4)
     left, middle, right = figure.subplots(1, 3)
-    setup, ids = _setups(comparison)
-    fit = comparison.fit
-    predicted, measured = 1e6 * fit.predicted, 1e6 * fit.model.observations.readings.displacement
-    factor, unit = (1e-3, "mm") if np.ptp(predicted) > 1e4 else (1.0, "µm")
-    for k, name in enumerate(ids):
-        mine = setup == k
+    table = comparison.residuals
+    predicted = table["predicted"]
+    factor, unit = (1e3, "mm") if np.ptp(predicted) > 1e-2 else (1e6, "µm")
+    for k, (name, own) in enumerate(table.groupby("setup", observed=True)):
         style: dict[str, Any] = {"ls": "", "marker": ".", "ms": 3, "color": color(k), "label": name}
-        left.plot(factor * predicted[mine], factor * measured[mine], **style)
-        middle.plot(factor * predicted[mine], 1e6 * comparison.residual[mine], **style)
+        left.plot(factor * own["predicted"], factor * own["measured"], **style)
+        middle.plot(factor * own["predicted"], 1e6 * own["residual"], **style)
     ends = factor * np.array([predicted.min(), predicted.max()])
     left.plot(ends, ends, color="0.6", lw=0.8, zorder=0)
     left.set(xlabel=f"predicted, {unit}", ylabel=f"measured, {unit}", title="Measured against predicted")
     middle.set(xlabel=f"predicted, {unit}", ylabel="measured − predicted, µm", title="What the model leaves")
     _noise_band(middle, comparison)
-    if len(ids) <= _LISTED:
+    if len(comparison.setups) <= _LISTED:
         left.legend(title="setup", fontsize="small", markerscale=3)
-    normal = np.sort(comparison.studentized[np.isfinite(comparison.studentized)])
+    normal = np.sort(table["studentized"].dropna())
     if len(normal):
         expected = special.ndtri((np.arange(len(normal)) + 0.5) / len(normal))
         right.plot(expected, normal, ls="", marker=".", ms=3, color=COLORS[0])
@@ -143,10 +134,10 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     rows = -(-len(names) // columns) or 1
     figure = new_figure(4.4 * columns, 3.5 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    setup, ids = _setups(comparison)
+    setup = comparison.residuals["setup"].cat
+    ids, number = setup.categories, np.asarray(setup.codes, dtype=np.int64)
     for panel, name in zip(panels, names, strict=False):
-        values = comparison.covariate(name)
-        draw_residuals(panel, name, values, comparison.residual, setup)
+        draw_residuals(panel, name, comparison.covariate(name), comparison.fit.residuals, number)
         _noise_band(panel, comparison)
     for panel in panels[len(names) :]:
         panel.set_visible(False)
@@ -165,16 +156,17 @@ def draw_map(comparison: Comparison) -> Figure:
     Of readings along a line, in its direction, they stand up from it.
     """
     observations = comparison.fit.model.observations
-    position, arrow = observations.position, comparison.residual[:, None] * observations.direction
+    residual, position = comparison.fit.residuals, observations.position
+    arrow = residual[:, None] * observations.direction
     same = repeat_groups(observations)
     line, views = line_of(position, observations.direction), planes(position, observations.direction)
     if line is not None:
         figure = new_figure(9.0, 3.6)
         panel = figure.subplots()
         sign = sense_along(observations.direction, line)
-        more = comparison.residual >= 0
+        more = residual >= 0
         for which, own in ((more, color(1)), (~more, color(0))):
-            place, shown = 1e3 * position[which, line], 1e6 * (sign * comparison.residual)[which]
+            place, shown = 1e3 * position[which, line], 1e6 * (sign * residual)[which]
             panel.vlines(place, 0.0, shown, colors=own, lw=0.6, alpha=0.5)
             panel.plot(place, shown, ".", color=own, ms=4)
         panel.axhline(0.0, color="0.6", lw=0.8)
@@ -183,7 +175,7 @@ def draw_map(comparison: Comparison) -> Figure:
         figure = new_figure(6.4 * len(views), 6.0)
         scaled = arrow_scale(position, arrow, same)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
-            draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same, scaled=scaled)
+            draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
             panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     figure.suptitle("Residuals along the sensed direction (orange: more than predicted, blue: less)", fontsize=11)
     grids(figure)
@@ -192,39 +184,32 @@ def draw_map(comparison: Comparison) -> Figure:
 
 def draw_setups(comparison: Comparison | JointComparison) -> Figure:
     """Residuals of every setup in the order of the readings, worst first, with each repeat's mean; of all sessions."""
-    if isinstance(comparison, Comparison):
-        lines = [(share.name, comparison, share) for share in comparison.setups]
-        every = [comparison]
-    else:
-        by_label = dict(zip(comparison.labels, comparison.sessions, strict=True))
-        lines = [(f"{label}/{share.name}", by_label[label], share) for label, share in comparison.setups]
-        every = list(comparison.sessions)
-    residuals = np.abs(np.concatenate([one.residual for one in every]))
+    of = dict(zip(comparison.labels or ("",), comparison.sessions, strict=True))
+    setups = comparison.setups
+    lines = [(of[row.get("session", "")], row) for row in setups.to_dict("records")]
+    residuals = comparison.residuals["residual"].abs()
     figure = new_figure(11, max(3.2, 1.0 + 0.62 * len(lines)))
     strip, bars = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
-    spread = float(np.quantile(residuals, 0.98)) or 1e-12
-    for line, (_, one, share) in enumerate(lines):
-        setup, ids = _setups(one)
-        readings = one.fit.model.observations.readings
-        number = ids.index(share.name)
-        mine = np.flatnonzero(setup == number)
-        jitter = 0.5 * (np.arange(len(mine)) / max(len(mine) - 1, 1) - 0.5)
-        strip.plot(1e6 * one.residual[mine], line + jitter, ls="", marker=".", ms=3, color=color(number))
-        for repeat in np.unique(readings.repeat[mine]):
-            own = mine[readings.repeat[mine] == repeat]
-            at = line + jitter[np.isin(mine, own)]
-            mean = 1e6 * one.residual[own].mean()
-            strip.plot([mean, mean], [at.min() - 0.03, at.max() + 0.03], color="black", lw=1.2)
-        bars.barh(line, 1e6 * share.rms, height=0.5, color=color(number), alpha=0.8)
-        ratio = "" if share.ratio is None else f"{rounded(share.ratio)} ×"
-        bars.annotate(f" {ratio}", (1e6 * share.rms, line), va="center", fontsize=8)
-        sigma = 2e6 * one.overall.noise.declared
+    spread = float(residuals.quantile(0.98)) or 1e-12
+    for line, (one, part) in enumerate(lines):
+        own = one.residuals[one.residuals["setup"] == part["name"]]
+        number = color(own["setup"].cat.codes.iloc[0])
+        at = line + pd.Series(0.5 * (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5), own.index)
+        strip.plot(1e6 * own["residual"], at, ls="", marker=".", ms=3, color=number)
+        for _, repeat in own.groupby("repeat"):
+            mean, mine = 1e6 * repeat["residual"].mean(), at[repeat.index]
+            strip.plot([mean, mean], [mine.min() - 0.03, mine.max() + 0.03], color="black", lw=1.2)
+        bars.barh(line, 1e6 * part["rms"], height=0.5, color=number, alpha=0.8)
+        times = part["reduced_chi_square"] ** 0.5
+        ratio = f"{rounded(times)} ×" if np.isfinite(times) else ""
+        bars.annotate(f" {ratio}", (1e6 * part["rms"], line), va="center", fontsize=8)
+        sigma = 2e6 * one.noise.declared
         strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)
     if residuals.max() > 2.5 * spread:
         strip.set_xlim(-2.5e6 * spread, 2.5e6 * spread)
         beyond = f"{int((residuals > 2.5 * spread).sum())} readings beyond"
         strip.text(0.99, 0.02, beyond, transform=strip.transAxes, ha="right", fontsize=8, color="0.4")
-    strip.set_yticks(range(len(lines)), [name for name, _, _ in lines])
+    strip.set_yticks(range(len(lines)), ["/".join(names) for names in setups.filter(["session", "name"]).to_numpy()])
     strip.invert_yaxis()
     strip.set(xlabel="measured − predicted, µm", ylabel="setup, worst first")
     title = "Residuals, in order downwards (gray: twice the declared uncertainty; black: means of repeats)"
@@ -237,19 +222,5 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
 
 
 def _noise_band(panel: Axes, comparison: Comparison) -> None:
-    sigma = 2e6 * comparison.overall.noise.declared
+    sigma = 2e6 * comparison.noise.declared
     panel.axhspan(-sigma, sigma, color="0.92", zorder=0)
-
-
-def _setups(comparison: Comparison) -> tuple[IntArray, list[str]]:
-    """Number of each reading's setup among those that were read, and their names."""
-    session = comparison.fit.model.observations.session
-    present, number = np.unique(comparison.fit.model.observations.readings.setup, return_inverse=True)
-    return number.reshape(-1), [session.setup_ids[k] for k in present]
-
-
-def _correlation(a: Array, b: Array) -> float:
-    good = np.isfinite(a) & np.isfinite(b)
-    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
-        return 0.0
-    return float(np.corrcoef(a[good], b[good])[0, 1])

@@ -18,6 +18,7 @@ from machine_tool_calibration.plots.style import new_figure, save
 from machine_tool_calibration.reports.diagnosis_document import candidate_document
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import probability, quantity
+from machine_tool_calibration.reports.verdict import verdict_line
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -50,16 +51,10 @@ def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> 
 
 
 def _title(diagnosis: Diagnosis) -> str:
-    what = {
-        "adequate": "nothing is missing that this measurement could show",
-        "missing_effect": f"missing: {', '.join(diagnosis.accepted)}",
-        "unexplained": "structure that no effect explains",
-        "outliers": f"{len(diagnosis.outliers)} readings do not belong to the rest",
-    }
     method = " + ".join(dict.fromkeys(session.method.replace("_", " ") for session in diagnosis.chosen.sessions))
     pool = Pool(diagnosis.fits[0])
     residual = f"residual {quantity(rms(pool.residuals), 'm')} RMS"
-    return f"{method}, {len(pool.residuals)} readings used, {residual}: {what[diagnosis.verdict]}"
+    return f"{method}, {len(pool.residuals)} readings used, {residual}: {verdict_line(diagnosis)}"
 
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:

@@ -93,12 +93,11 @@ def _draw_injected(injected: Injected) -> Figure:
         panels[-1].set_axis_off()
     else:
         a, b = planes(observations.position, observations.direction)[0]
-        arrow = comparison.residual[:, None] * observations.direction
+        residual = comparison.fit.residuals
+        arrow = residual[:, None] * observations.direction
         same = repeat_groups(observations)
         scaled = arrow_scale(observations.position, arrow, same)
-        draw_arrows(
-            panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same, scaled=scaled
-        )
+        draw_arrows(panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
         panels[-1].set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     grids(figure)
     return figure
@@ -140,7 +139,7 @@ def _views(injected: Injected) -> list[_View]:
         # A displacement only where the effect is one of this axis, and enough readings sense it.
         if axis and (axis not in own or shown.sum() < len(observations) // 8):
             continue
-        parts = [np.asarray(v[shown] / along[shown]) for v in (comparison.residual, injected.change)]
+        parts = [np.asarray(v[shown] / along[shown]) for v in (comparison.fit.residuals, injected.change)]
         picked = {name: v[shown] for name, v in values.items() if not (axis and " along " in name)}
         picked = {name: v for name, v in picked.items() if np.ptp(v) > 0}
         for name, share in rank_covariates(picked, parts[1] if injected.taken_up else parts[0], _BINS):

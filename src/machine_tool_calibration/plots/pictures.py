@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,33 +18,27 @@ from machine_tool_calibration.session.session import Session
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["common_figures", "draw", "draw_common", "figures"]
+__all__ = ["draw", "figures"]
 
 
-def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the pictures of a result document into a folder.
-
-    A method without pictures of its own gets those of its map and of its tables of error motions.
+def draw(sessions: Sequence[Session], result: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the pictures of a result document (`figures`) into a folder.
 
     Returns:
         The files.
     """
-    return save(figures(session, result), folder, Provenance.read(result["provenance"]))
+    return save(figures(sessions, result), folder, Provenance.read(result["provenance"]))
 
 
-def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
-    """The same pictures by name, not written."""
-    own = spec_of(session).pictures
-    return common_figures(result) if own is None else dict(load(own).figures(session, result))
+def figures(sessions: Sequence[Session], result: Mapping[str, Any]) -> dict[str, Figure]:
+    """The pictures of a result document by name, not written.
 
-
-def draw_common(result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the map and the tables of error motions of any result, also of several sessions together."""
-    return save(common_figures(result), folder, Provenance.read(result["provenance"]))
-
-
-def common_figures(result: Mapping[str, Any]) -> dict[str, Figure]:
-    """The map and the tables of error motions of any result, where there are any."""
+    Of one session those that its method has; of several, or where the method has none of its own, the map and the
+    tables of error motions, where there are any.
+    """
+    own = spec_of(sessions[0]).pictures if len(sessions) == 1 else None
+    if own is not None:
+        return dict(load(own).figures(sessions[0], result))
     content = result.get("error_map") or {}
     mapped = content.get("points") and content.get("position_error")
     drawn = {

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
@@ -66,13 +67,11 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
     for k in np.unique(setup):
         mine = setup[good] == k
         panel.plot(x[mine], y[mine], ls="", marker=".", ms=3, color=color(int(k)), alpha=0.55, rasterized=True)
-    number = bins(x, most)
-    used = [k for k in np.unique(number) if (number == k).sum() > 1]
-    if used:
-        at = [float(x[number == k].mean()) for k in used]
-        mean = [float(y[number == k].mean()) for k in used]
-        bar = [2 * float(y[number == k].std(ddof=1)) / np.sqrt((number == k).sum()) for k in used]
-        panel.errorbar(at, mean, bar, color="black", marker="o", ms=3.5, lw=1.0, capsize=2, zorder=5)
+    binned = pd.DataFrame({"x": x, "y": y}).groupby(bins(x, most))
+    means, bar = binned.mean(), 2.0 * binned["y"].sem().dropna()
+    if len(bar):
+        at = means.loc[bar.index]
+        panel.errorbar(at["x"], at["y"], bar, color="black", marker="o", ms=3.5, lw=1.0, capsize=2, zorder=5)
     panel.set(xlabel=label, ylabel="measured − predicted, µm")
     panel.locator_params(axis="x", nbins=5)
     panel.ticklabel_format(axis="x", useOffset=False)

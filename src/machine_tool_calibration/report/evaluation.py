@@ -103,8 +103,7 @@ def evaluate(
     if tolerances:
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
-    comparisons = (held,) if isinstance(held, Comparison) else held.sessions
-    return Evaluation(measured, result, comparisons, improved, then, budget, general, verdicts)
+    return Evaluation(measured, result, held.sessions, improved, then, budget, general, verdicts)
 
 
 def _stated(measured: Measured, *, decide: bool) -> tuple[Contributor, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.plots.compare import chosen_covariates, draw_against, draw_map, draw_setups
 from machine_tool_calibration.plots.direct import standard_figures
-from machine_tool_calibration.plots.pictures import common_figures, figures
+from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.words import Words
@@ -123,9 +123,7 @@ def _wrap_titles(figure: Figure) -> None:
 
 def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
     """The map and what the method draws besides."""
-    sessions = found.measured.recorded
-    drawn = figures(sessions[0], found.document) if len(sessions) == 1 else common_figures(found.document)
-    for name, figure in drawn.items():
+    for name, figure in figures(found.measured.recorded, found.document).items():
         if name == "error_motions":  # one by one in motion_pictures
             continue
         if name.startswith("iso230_"):  # with the figures of the standard

@@ -25,6 +25,7 @@ from machine_tool_calibration.report.figures import (
 from machine_tool_calibration.report.turnable import turnable
 from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.budget import budget_tables
+from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.conformity import conformity_table, decision_words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.direct_deviations import direct_tables
@@ -283,9 +284,9 @@ def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTabl
 def _residuals(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
     labels = found.measured.chosen.labels or ("",)
     rows = [
-        (label, one.name, str(one.readings), micrometres(one.rms),
-         rounded(one.ratio))
-        for label, comparison in zip(labels, found.comparisons, strict=True) for one in comparison.setups
+        (label, one["name"], str(one["readings"]), micrometres(one["rms"]),
+         times_declared(one["reduced_chi_square"]))
+        for label, comparison in zip(labels, found.comparisons, strict=True) for one in records(comparison.setups)
     ]  # fmt: skip
     heads = (words("session"), words("setup"), words("readings"), words("residual_um"), words("over_declared"))
     note = words("more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""

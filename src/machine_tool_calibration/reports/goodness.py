@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a model fits: the levels of the p-value, for all that is said of it."""
+"""Whether a model fits: the levels of the p-value and the sentence, for all that is said of it."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-__all__ = ["Fits", "fits"]
+from machine_tool_calibration.reports.quantities import p_value as chance
+from machine_tool_calibration.reports.quantities import rounded
+
+__all__ = ["Fits", "fit_words", "fits"]
 
 Fits = Literal["bad", "nearly", "well", "too well"]
 
@@ -20,3 +23,21 @@ def fits(p_value: float | None) -> Fits:
     if p_value > 1.0 - _BAD:
         return "too well"
     return "bad" if p_value < _BAD else "nearly" if p_value < _NEARLY else "well"
+
+
+def fit_words(reduced_chi_square: float, p_value: float) -> str:
+    """How well a model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
+    how, ratio = fits(p_value), rounded(reduced_chi_square**0.5)
+    if how == "bad":
+        return (
+            f"The readings scatter {ratio} times their declared uncertainty about the model ({chance(p_value)}): "
+            "something is missing in it, or the declared uncertainty is too small."
+        )
+    if how == "too well":
+        return f"The readings scatter only {ratio} times their declared uncertainty: it is stated too large."
+    if how == "nearly":
+        return (
+            f"The model fits the readings nearly within their declared uncertainty ({chance(p_value)}): something "
+            "small may be missing in it."
+        )
+    return f"The model fits the readings within their declared uncertainty ({chance(p_value)})."

@@ -12,13 +12,12 @@ import numpy as np
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
-from machine_tool_calibration.reports.goodness import fits
+from machine_tool_calibration.reports.goodness import fit_words, fits
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
     micrometres,
     not_ruled_out,
-    p_value,
     quantity,
     reproducibility_words,
     rounded,
@@ -283,24 +282,8 @@ def session_headline(session: Session) -> str:
 
 def goodness_of_fit(document: Mapping[str, Any]) -> str:
     """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
-    chi, p = document["reduced_chi_square"], document["p_value"]
-    direct = scatter_words(document.get("error_map") or {}, p)
-    if direct is not None:
-        return direct
-    how, ratio = fits(p), rounded(chi**0.5)
-    if how == "bad":
-        return (
-            f"The readings scatter {ratio} times their declared uncertainty about the model ({p_value(p)}): "
-            "something is missing in it, or the declared uncertainty is too small."
-        )
-    if how == "too well":
-        return f"The readings scatter only {ratio} times their declared uncertainty: it is stated too large."
-    if how == "nearly":
-        return (
-            f"The model fits the readings nearly within their declared uncertainty ({p_value(p)}): something small may "
-            "be missing in it."
-        )
-    return f"The model fits the readings within their declared uncertainty ({p_value(p)})."
+    direct = scatter_words(document.get("error_map") or {}, document["p_value"])
+    return direct or fit_words(document["reduced_chi_square"], document["p_value"])
 
 
 def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:

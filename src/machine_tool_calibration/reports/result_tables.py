@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A result as tables: the same columns whatever the method, NaN and a flag where the data does not determine a value.
 
-SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (k = 2) is twice as large.
+SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (k = 2) is twice as large. The columns are
+described where people ask for them, at the attributes of `Fit` with these names.
 """
 
 from __future__ import annotations
@@ -15,15 +16,13 @@ import pandas as pd
 
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.identify import JointResult
-from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import decimals
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.session.folder import readings_frame
 
-__all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "residuals", "tidy", "workpiece"]
+__all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "tidy", "workpiece"]
 
 
 # Decimals of a place, mm or degrees, and of what has no uncertainty; U below which it has none, um or urad.
@@ -42,14 +41,7 @@ class _Value:
 
 
 def error_map(result: Result | JointResult) -> pd.DataFrame:
-    """Position errors, one place a row.
-
-    Returns:
-        `x y z` (m) the place, `ex ey ez` (m) the error there, `ux uy uz` (m) its standard uncertainty,
-        `determined_x` … whether the data determines it; where not, error and uncertainty are NaN. First come what the
-        method has besides: the `axis` along which a step diagonal gives them, `target` and angle (`c`, rad) of a
-        rotary axis, the direction of `approach` (`x+ y-`) of deviations that depend on it.
-    """
+    """Position errors, one place a row; first comes what the method says of the places besides where they are."""
     found = result.error_map
     columns: dict[str, Any] = {}
     if isinstance(result, Result):
@@ -81,27 +73,19 @@ def _places(result: Result) -> dict[str, Any]:
 
 
 def error_motions(result: Result | JointResult) -> pd.DataFrame:
-    """Error motions and squareness errors, named as in ISO 230-1, one value a row.
-
-    Returns:
-        `motion` (EXX, ECY, C0Y, …), `position` on its axis (NaN for a squareness) in the unit `position_unit` (m, or
-        rad of a rotary axis), `value` and standard uncertainty `u` in `unit` (m or rad), `determined`. Without rows
-        where the model has no error motions but every point by itself. The straightness of a step diagonal holds the
-        slopes from which its squareness is read.
-    """
+    """Error motions and squareness errors, one value a row; without rows where every point has errors of its own."""
     values = _joint(result) if isinstance(result, JointResult) else _single(result)
-    rows = [
-        {
-            "motion": entry.motion,
-            "position": entry.position,
-            "position_unit": "" if entry.motion in SQUARENESS else "rad" if entry.motion[2] in "ABC" else "m",
-            "value": entry.value if _known(entry) else np.nan,
-            "u": entry.u if _known(entry) else np.nan,
-            "unit": "rad" if entry.motion in SQUARENESS or parse_motion(entry.motion).is_rotation else "m",
-            "determined": _known(entry),
-        }
-        for entry in values
-    ]
+    rows = []
+    for one in values:
+        single = one.motion in SQUARENESS
+        known, turned = _known(one), single or parse_motion(one.motion).is_rotation
+        rows.append(
+            (
+                *(one.motion, one.position, "" if single else "rad" if one.motion[2] in "ABC" else "m"),
+                *((one.value, one.u) if known else (np.nan, np.nan)),
+                *("rad" if turned else "m", known),
+            )
+        )
     return pd.DataFrame(rows, columns=["motion", "position", "position_unit", "value", "u", "unit", "determined"])
 
 
@@ -169,73 +153,25 @@ def _unknowns(result: Result) -> Iterator[_Value]:
 
 
 def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.DataFrame:
-    """Every unknown of the model, by name.
-
-    Returns:
-        `value` and standard uncertainty `u` in `unit`, `determined`, `meaning` in words, and `why_not` the data
-        determines it.
-    """
+    """Every unknown of the model, by name."""
     from machine_tool_calibration.reports.unknowns import named_in_words
 
     unknowns = result.joint.assembly.unknowns
     words = named_in_words(result.joint, document["effects"])
-    rows: list[dict[str, Any]] = [
-        {
-            "name": entry["name"],
-            "value": entry["value"],
-            "u": entry["standard_uncertainty"],
-            "unit": entry["unit"],
-            "determined": True,
-            "why_not": "",
-        }
+    rows: list[tuple[Any, ...]] = [
+        (entry["name"], entry["value"], entry["standard_uncertainty"], entry["unit"], True, "")
         for entry in document["parameters"]
     ]
-    rows += [
-        {
-            "name": entry["name"],
-            "value": np.nan,
-            "u": np.nan,
-            "unit": unknowns[entry["name"]].unit if entry["name"] in unknowns else "",
-            "determined": False,
-            "why_not": entry["why"],
-        }
-        for entry in document["not_determined"]
-    ]
-    for row in rows:
-        row["meaning"] = words.get(row["name"], "")
-    columns = ["name", "value", "u", "unit", "determined", "meaning", "why_not"]
-    return pd.DataFrame(rows, columns=columns).set_index("name")
-
-
-def residuals(fit: Fit) -> pd.DataFrame:
-    """Every reading of one session that takes part in a fit.
-
-    Returns:
-        `row` of the recording (from 0), `measured`, `predicted` and `residual` (measured minus predicted), the declared
-        standard uncertainty `u_declared`, all in m; then the reading's other columns as they were recorded.
-    """
-    observations = fit.model.observations
-    readings = observations.readings
-    recorded = readings_frame(observations.session.with_readings(readings)).drop(columns="displacement")
-    own = pd.DataFrame(
-        {
-            "row": readings.row,
-            "measured": readings.displacement,
-            "predicted": fit.predicted,
-            "residual": fit.residuals,
-            "u_declared": fit.model.sigma,
-        }
-    )
-    return pd.concat([own, recorded], axis=1)
+    for entry in document["not_determined"]:
+        unit = unknowns[entry["name"]].unit if entry["name"] in unknowns else ""
+        rows.append((entry["name"], np.nan, np.nan, unit, False, entry["why"]))
+    table = pd.DataFrame(rows, columns=["name", "value", "u", "unit", "determined", "why_not"])
+    table.insert(5, "meaning", [words.get(name, "") for name in table["name"]])
+    return table.set_index("name")
 
 
 def workpiece(result: Result | JointResult) -> pd.DataFrame:
-    """Errors of a probed workpiece's points, by the point's id; without rows for other methods.
-
-    Returns:
-        Nominal place `x y` (m) and outward normal `nx ny`, `error` along it with `u`, and `form`, the same without what
-        a shift and turn of the whole workpiece explain, with `u_form` (m); `determined`, `form_determined`.
-    """
+    """Errors of a probed workpiece's points, by the point's id; without rows for other methods."""
     names = ["point", "x", "y", "nx", "ny", "error", "u", "determined", "form", "u_form", "form_determined"]
     description = result.fit.model.observations.session.description if isinstance(result, Result) else None
     if not isinstance(description, Probing):

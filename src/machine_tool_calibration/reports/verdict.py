@@ -13,6 +13,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.planning.advice import Advice, Separation
+from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (
     p_value,
@@ -36,6 +37,7 @@ __all__ = [
     "mounted_more_than_once",
     "next_step",
     "only_reversal",
+    "verdict_line",
     "verdict_words",
 ]
 
@@ -79,6 +81,18 @@ def verdict_words(
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
+
+
+def verdict_line(diagnosis: Diagnosis) -> str:
+    """The verdict in one line."""
+    if diagnosis.verdict == "missing_effect":
+        found = ((name, probability(diagnosis.search.of(name).probability)) for name in diagnosis.accepted)
+        return f"missing: {', '.join(f'{name} (probability {p})' for name, p in found)}"
+    if diagnosis.verdict == "outliers":
+        return f"no effect is missing; {stand_out(len(diagnosis.outliers))}"
+    if diagnosis.verdict == "adequate":
+        return "nothing is missing that these readings show"
+    return "something is missing that no effect of the catalogue explains"
 
 
 def good_enough(diagnosis: Diagnosis) -> bool:

@@ -12,7 +12,6 @@ import panel as pn
 from bokeh.models import AllIndices, BoxAnnotation, CDSView, FactorRange, IndexFilter, Span
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables
@@ -27,7 +26,6 @@ from machine_tool_calibration.workbench.look import (
     folded,
     new_figure,
     paragraphs,
-    sentence,
     tables,
     text,
     when_changed,
@@ -127,11 +125,8 @@ class ComparePage:
         model = self._state.model
         found = model.comparison
         every = list(comparison_tables(found))
-        if isinstance(found, Comparison):
-            setups = [share.name for share in found.setups]
-        else:
-            setups = [f"{label}/{share.name}" for label, share in found.setups]
-        self._words.object = paragraphs([sentence(in_words(found))])
+        setups = ["/".join(names) for names in found.setups.filter(["session", "name"]).to_numpy()]
+        self._words.object = paragraphs([in_words(found)])
         wide = 2e6 * rms(np.concatenate([one.fit.model.sigma for one in model.each]))
         for band in self._band:
             band.update(bottom=-wide, top=wide)
@@ -142,7 +137,7 @@ class ComparePage:
         for k in range(len(self._against)):
             self._draw_against(k, self._against[k].value)
         self._strip.y_range.factors = setups[::-1]
-        first = 2 if isinstance(found, Comparison) else 3
+        first = 2 if found.labels is None else 3
         self._setups.object, self._more.object = tables(every[:first]), tables(every[first:])
         self._back.disabled = not model.aside
         self._look.visible = bool(model.aside)

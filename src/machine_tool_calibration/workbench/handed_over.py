@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import pandas as pd
-
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.export.compensation import Exported, compensation
 from machine_tool_calibration.methods.identify import identify
@@ -17,7 +15,6 @@ from machine_tool_calibration.plots.style import save_as
 from machine_tool_calibration.report.evaluation import evaluate
 from machine_tool_calibration.report.page import write_report
 from machine_tool_calibration.report.words import words
-from machine_tool_calibration.reports.comparison import comparison_columns
 from machine_tool_calibration.reports.documents import to_json, write_table
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.result_tables import tidy
@@ -74,7 +71,7 @@ def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]
     result, origin, held = model.fit.result, model.fit.result.provenance, model.comparison
     errors = write_table(tidy(result), folder / TABLES[0], origin)
     progress("readings", 0.5)
-    readings = write_table(pd.DataFrame(comparison_columns(held)), folder / TABLES[1], origin)
+    readings = write_table(held.residuals, folder / TABLES[1], origin)
     document = folder / TABLES[2]
     document.write_text(to_json(result.document()) + "\n", encoding="utf-8")
     return [errors, readings, document]

@@ -134,7 +134,7 @@ class ImprovePage:
             "residual": [1e6 * step.result.rms_residual for step in steps],
             "tool": [np.nan if value is None else 1e6 * value for value in left],
         }
-        declared = self._state.models[0].each[0].overall.noise.declared
+        declared = self._state.models[0].each[0].noise.declared
         self._declared.location = 1e6 * declared
         self._fall.title.text = f"The error from model to model (dotted: declared, {quantity(declared, 'm')})"
 

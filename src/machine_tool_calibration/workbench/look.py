@@ -32,7 +32,6 @@ __all__ = [
     "new_figure",
     "packed",
     "paragraphs",
-    "sentence",
     "setup_color",
     "tables",
     "tell_faults",
@@ -94,11 +93,6 @@ def text(html: str = "", **style: Any) -> Any:
 def paragraphs(words: Iterable[str]) -> str:
     """Each text as a paragraph; what stands between backticks is what one types."""
     return "".join("<p>" + re.sub("`([^`]*)`", r"<code>\1</code>", escape(one)) + "</p>" for one in words)
-
-
-def sentence(words: str) -> str:
-    """Words that begin a paragraph."""
-    return words[:1].upper() + words[1:]
 
 
 def typed_out(words: str) -> str:

@@ -20,7 +20,6 @@ from machine_tool_calibration.workbench.look import (
     beside,
     new_figure,
     paragraphs,
-    sentence,
     setup_color,
     tables,
     text,
@@ -118,7 +117,7 @@ class MeasurementPage:
                 f"{stand_out(len(state.found))} (row {rows}): Compare shows, and puts back, what is set aside"
             )
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
-        fits = paragraphs([sentence(in_words(state.model.comparison))])
+        fits = paragraphs([in_words(state.model.comparison)])
         self._words.object = fits + (said or "<p>In the recording itself nothing is suspicious.</p>")
         self._setups.object, self._more.object = placed, more
         setups = [setup for session in measurement.sessions for setup in session.description.setups]

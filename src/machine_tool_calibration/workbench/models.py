@@ -61,7 +61,7 @@ class Model:
     @property
     def each(self) -> tuple[Comparison, ...]:
         """The comparisons of the sessions."""
-        return (self.comparison,) if isinstance(self.comparison, Comparison) else self.comparison.sessions
+        return self.comparison.sessions
 
     @property
     def labels(self) -> tuple[str, ...] | None:

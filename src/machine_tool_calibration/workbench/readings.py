@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.style import round_down
@@ -124,7 +124,7 @@ class Readings:
         if trial is None:
             pattern = np.full(len(self._number), np.nan)
         else:
-            pattern = 1e6 * (self._of(self._state.model, "residual") - self._of(trial, "residual"))
+            pattern = 1e6 * (self._residual(self._state.model) - self._residual(trial))
         self.show({"pattern": pattern})
         return pattern
 
@@ -180,11 +180,12 @@ class Readings:
         there = [np.isfinite(session.readings.displacement) for session in state.sessions]
         taken = [session.readings.select(one) for session, one in zip(state.sessions, there, strict=True)]
         self._number = np.concatenate([subject.numbers(k, one.row) for k, one in enumerate(taken)])
+        axes = [f"{what}_{axis}" for what in ("position", "direction") for axis in "xyz"]
+        found = self._of(first, *axes, *(f"c:{name}" for one in first.each for name in one.covariates))
         seen = [one.fit.model.observations for one in first.each]
-        place, direction = (np.concatenate([getattr(o, what) for o in seen]) for what in ("position", "direction"))
-        self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(place, direction)]
-        self._place = np.column_stack([self._of(first, f"position.{k}") for k in range(3)])
-        sensed = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
+        self._place, sensed = np.split(found[axes].to_numpy(), 2, axis=1)
+        known = np.isfinite(sensed[:, 0])
+        self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(self._place[known], sensed[known])]
         self._arrow = {view: sensed[:, VIEWS[view]] for view in self.planes}
         self.arrows = "Residuals"
         lines = [line_of(one.position, one.direction) for one in seen]
@@ -199,11 +200,8 @@ class Readings:
             self.arrows += ", those along " if None in lines else " along "
             self.arrows += ", ".join(along) + f", standing up from the line{'s' if len(along) > 1 else ''}"
         self.labels = {f"c:{name}": axis_label(name)[0] for one in first.each for name in one.covariates}
-        share: dict[str, float] = {}
-        for one in first.each:
-            for name, value in one.ranked:
-                share[f"c:{name}"] = max(value, share.get(f"c:{name}", 0.0))
-        self.ranked = sorted(share, key=lambda name: -share[name])
+        share = pd.DataFrame([dict(one.ranked) for one in first.each]).max().clip(lower=0.0)
+        self.ranked = [f"c:{name}" for name in share.sort_values(ascending=False, kind="stable").index]
         self.ranked += [name for name in self.labels if name not in self.ranked]
         color = 0
         setups, colors = [], []
@@ -219,18 +217,18 @@ class Readings:
             "color": np.array(colors, dtype=np.uint32),
             "measured": 1e6 * np.concatenate([one.displacement for one in taken]),
             **{name: 1e3 * values for name, values in zip("xyz", self._place.T, strict=True)},
-            **{column: axis_label(column[2:])[1] * self._of(first, column) for column in self.labels},
+            **{column: axis_label(column[2:])[1] * found[column].to_numpy() for column in self.labels},
         }
 
     def _changing(self) -> dict[str, object]:
-        model = self._state.model
-        residual = self._of(model, "residual")
+        found = self._of(self._state.model, "predicted", "residual", "studentized")
+        residual = found["residual"].to_numpy()
         self.magnification = self._magnification(residual)
         return {
             "aside": self._before(residual),
-            "predicted": 1e6 * self._of(model, "predicted"),
+            "predicted": 1e6 * found["predicted"].to_numpy(),
             "residual": 1e6 * residual,
-            "studentized": self._of(model, "studentized"),
+            "studentized": found["studentized"].to_numpy(),
             "pattern": np.full(len(self._number), np.nan),
             "arrow": np.where(residual > 0, _MORE, _LESS).astype(np.uint32),
             **self._arrows(residual, self.magnification),
@@ -242,7 +240,7 @@ class Readings:
         Returns:
             The magnification.
         """
-        both = {"before": self._of(before, "residual"), "after": self._of(after, "residual")}
+        both = {"before": self._residual(before), "after": self._residual(after)}
         factor = self._magnification(*both.values())
         for name, residual in both.items():
             self.show({f"{name}:{end}": at for end, at in self._arrows(residual, factor).items()})
@@ -293,28 +291,21 @@ class Readings:
         for model in reversed(self._state.models[:-1]):
             if not np.isnan(out).any():
                 break
-            out = np.where(np.isnan(out), 1e6 * self._of(model, "residual"), out)
+            out = np.where(np.isnan(out), 1e6 * self._residual(model), out)
         return np.where(np.isnan(residual), out, np.nan)
 
-    def _of(self, model: Model, what: str) -> Array:
-        """(n,) what a model says of every reading: a quantity of `_value`; NaN of those that it does not have."""
-        out = np.full(len(self._number), np.nan)
-        for k, found in enumerate(model.each):
-            values = _value(found, what)
-            if values is not None:
-                numbers = self._state.subject.numbers(k, found.fit.model.observations.readings.row)
-                out[np.searchsorted(self._number, numbers)] = values
-        return out
+    def _residual(self, model: Model) -> Array:
+        """(n,) m."""
+        return self._of(model, "residual")["residual"].to_numpy()
 
-
-def _value(found: Comparison, what: str) -> Array | None:
-    """What is predicted, an attribute of a comparison, `position.0` to `direction.2`, or a covariate (`c:time`)."""
-    if what.startswith("c:"):
-        return found.covariates.get(what[2:])
-    name, _, axis = what.partition(".")
-    if axis:
-        return np.asarray(getattr(found.fit.model.observations, name)[:, int(axis)])
-    return found.fit.predicted if what == "predicted" else np.asarray(getattr(found, name))
+    def _of(self, model: Model, *columns: str) -> pd.DataFrame:
+        """Columns of the residual table or covariates (`c:time`) of all readings; NaN of those not in a model."""
+        tables = []
+        for k, one in enumerate(model.each):
+            table = one.residuals.assign(**{f"c:{name}": values for name, values in one.covariates.items()})
+            numbers = self._state.subject.numbers(k, table["row"].to_numpy())
+            tables.append(table.reindex(columns=[*dict.fromkeys(columns)]).set_axis(numbers))
+        return pd.concat(tables).reindex(self._number)
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -21,7 +21,7 @@ from machine_tool_calibration.methods.identify import identify, identify_session
 from machine_tool_calibration.model.result import map_change
 from machine_tool_calibration.plots import direct as pictures
 from machine_tool_calibration.plots.error_map import draw_map
-from machine_tool_calibration.plots.pictures import draw_common
+from machine_tool_calibration.plots.pictures import draw
 
 matplotlib.use("agg")
 NODES = np.linspace(0.0, 0.4, 5)
@@ -137,4 +137,4 @@ def test_pictures_name_the_direction(direct: SimpleNamespace, tmp_path: Path) ->
     assert "not determined along y" in pictures.draw_map(document["error_map"]).axes[0].get_title()
     figure = draw_map(document["error_map"])
     assert "not determined along y, z" in figure.get_suptitle() and "largest error" in figure.get_suptitle()
-    assert draw_common(document, tmp_path)
+    assert draw((), document, tmp_path)
