@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lombscargle
 
-from machine_tool_calibration.residuals.periodogram import strongest_periods
+from machine_tool_calibration.diagnosis.search.structure import _strongest_periods as strongest_periods
 
 TIME = np.sort(np.random.default_rng(2).uniform(50.0, 1050.0, 200))
 
