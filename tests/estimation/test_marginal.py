@@ -84,7 +84,7 @@ def test_folding_one_after_the_other_is_folding_both() -> None:
     gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
     marginal = marginal_at(gram, (2.0,))
     one, two = np.array([0]), np.array([2])
-    apart = marginal.with_columns(one, np.array([0.4])).beside(two, np.array([1.1]))
+    apart = marginal.with_columns(one, np.array([0.4])).with_columns(two, np.array([1.1]))
     together = marginal.with_columns(np.array([0, 2]), np.array([0.4, 1.1]))
     assert apart.log_null == pytest.approx(together.log_null)
     assert apart.data == pytest.approx(together.data)
