@@ -18,8 +18,8 @@ from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.pictures import common_figures, figures
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
 from machine_tool_calibration.report.evaluation import Evaluation
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.result_tables import error_motions
+from machine_tool_calibration.words import Words
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,7 +23,6 @@ from machine_tool_calibration.report.figures import (
     translated,
 )
 from machine_tool_calibration.report.turnable import turnable
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.budget import budget_tables
 from machine_tool_calibration.reports.conformity import conformity_table, decision_words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
@@ -56,13 +55,12 @@ from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
+from machine_tool_calibration.words import Words
 
 __all__ = ["Section", "Turnable", "sections"]
 
 # Setups that are listed.
 _SETUPS = 20
-# Between two sentences.
-_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
 _ENVIRONMENT = ("temperature", "air_pressure", "relative_humidity")
 
 
@@ -265,7 +263,7 @@ def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pict
 def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     rows = [
         (
-            words.texts.get(f"spread_{one['family']}") or words.phrase(one["family"]),
+            words(f"spread_{one['family']}"),
             quantity(one["size"], "m"),
             f"{quantity(one['interval'][0], 'm')} … {quantity(one['interval'][1], 'm')}",
             probability(one["probability"]),
@@ -299,7 +297,7 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
         return
     told = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
     for paragraph in told.words:
-        yield " ".join(map(words.phrase, _SENTENCES.split(paragraph)))
+        yield words.phrase(paragraph)
     yield from told.tables
 
 

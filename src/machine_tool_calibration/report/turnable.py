@@ -14,9 +14,9 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.error_map import neighbours
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, round_down, spaced
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.result_tables import error_map
+from machine_tool_calibration.words import Words
 
 __all__ = ["library", "turnable"]
 

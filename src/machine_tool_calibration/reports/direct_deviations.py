@@ -9,6 +9,7 @@ from typing import Any
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.words import Said, say
 
 __all__ = ["direct_tables", "scatter_words"]
 
@@ -16,32 +17,27 @@ __all__ = ["direct_tables", "scatter_words"]
 _SIGNIFICANT = 0.01
 
 
-def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
+def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
         return None
     found, declared = scatter["found"], scatter["declared"]
-    both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
-    more = f"The readings scatter {rounded(found / declared)} times their declared uncertainty about the model ({both})"
+    both, ratio = _both(found, declared), rounded(found / declared)
     if fits(p_value) == "bad" and fits(scatter.get("one_direction_p_value", 0.0)) != "bad":
-        alone = f"{quantity(scatter['one_direction'], 'm')}, declared {quantity(declared, 'm')}"
-        return (
-            f"The readings of one direction agree within their declared uncertainty (scatter {alone}); both directions "
-            "differ by the reversal error, which is part of the result (ISO 230-2). Uncertainties of the map contain "
-            "it, as the map has one value for both."
-        )
+        return say("fit.one_direction", both=_both(scatter["one_direction"], declared))
     if scatter["uncertainties_from"] == "scatter":
-        return f"{more}: standard uncertainties use the scatter."
+        return say("fit.scatter_used", ratio=ratio, both=both)
     if fits(p_value) == "bad":
         # What differs from run to run takes it up, so that the scatter beside that is as declared.
-        return f"{more}: runs differ among themselves, which standard uncertainties contain."
+        return say("fit.runs_differ", ratio=ratio, both=both)
     if fits(p_value) == "too well":
-        return (
-            f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
-            f"declared; from the scatter alone they would be {rounded(found / declared)} times as large."
-        )
-    return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
+        return say("fit.declared_used", ratio=ratio, both=both)
+    return say("fit.scatter_as_declared", both=both)
+
+
+def _both(found: float, declared: float) -> Said:
+    return say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))
 
 
 def direct_tables(content: Mapping[str, Any]) -> Iterator[TextTable | str]:

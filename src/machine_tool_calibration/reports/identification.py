@@ -29,6 +29,7 @@ from machine_tool_calibration.reports.standards import STANDARDS, standard_table
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import value_tables
+from machine_tool_calibration.words import Said, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -280,26 +281,13 @@ def session_headline(session: Session) -> str:
     )
 
 
-def goodness_of_fit(document: Mapping[str, Any]) -> str:
+def goodness_of_fit(document: Mapping[str, Any]) -> Said:
     """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
     chi, p = document["reduced_chi_square"], document["p_value"]
     direct = scatter_words(document.get("error_map") or {}, p)
     if direct is not None:
         return direct
-    how, ratio = fits(p), rounded(chi**0.5)
-    if how == "bad":
-        return (
-            f"The readings scatter {ratio} times their declared uncertainty about the model ({p_value(p)}): "
-            "something is missing in it, or the declared uncertainty is too small."
-        )
-    if how == "too well":
-        return f"The readings scatter only {ratio} times their declared uncertainty: it is stated too large."
-    if how == "nearly":
-        return (
-            f"The model fits the readings nearly within their declared uncertainty ({p_value(p)}): something small may "
-            "be missing in it."
-        )
-    return f"The model fits the readings within their declared uncertainty ({p_value(p)})."
+    return say(f"fit.{fits(p).replace(' ', '_')}", ratio=rounded(chi**0.5), p=p_value(p))
 
 
 def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
