@@ -40,7 +40,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"mtcal = {PACKAGE}.cli.main:main",
-            *(f"mtcal-{name.replace('_', '-')} = {PACKAGE}.nodes.{name}:main" for name in NODES),
+            *(f"mtcal-{name.replace('_', '-')} = {PACKAGE}.nodes.__main__:console" for name in NODES),
         ],
     },
 )

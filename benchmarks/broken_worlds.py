@@ -43,6 +43,7 @@ from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.reports.improvement import improvement_document
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 
@@ -113,7 +114,7 @@ def rejected(document: Mapping[str, Any]) -> list[int]:
 
 def true_map(world: World, gone: Sequence[int]) -> Values:
     """The map from readings without noise and without these rows; with the effects where the map is to hold them."""
-    held = world.listed if world.session.spec.map_holds_effects else ()
+    held = world.listed if spec_of(world.session).map_holds_effects else ()
     if held and world.exact is not None:
         return world.exact
     session = world.showing(held)

@@ -203,7 +203,7 @@ def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def recorder(folder: Path) -> list[str]:
-    return ["-m", "machine_tool_calibration.nodes.recorder", "--ros-args", "-p", f"folder:={folder}"]
+    return ["-m", "machine_tool_calibration.nodes", "recorder", "--ros-args", "-p", f"folder:={folder}"]
 
 
 def live(seconds: float) -> None:

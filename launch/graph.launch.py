@@ -18,16 +18,15 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.launching import switches, unknown_arguments
+from machine_tool_calibration.nodes.launching import managed_nodes, refuse_unknown, switches
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
 
-PACKAGE = "machine_tool_calibration"
+CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
 ARGUMENTS = {
     "procedure": ("tracking_2d", "procedure to run: a name of config/procedures, or a YAML file"),
     "site": ("", "YAML file with what is true in the simulated workshop; empty: the usual one"),
@@ -38,6 +37,8 @@ ARGUMENTS = {
     "pointer": ("true", "whether the rotary pointer is simulated"),
     "record": ("true", "whether a recorder runs"),
     "bag": ("", "folder of the recording; empty: recording_<date>_<time>"),
+    "params_file": (str(CONFIG / "nodes.yaml"), "ROS parameters of the nodes; arguments count more"),
+    "autostart": ("true", "whether the nodes are configured and activated; false: by a lifecycle manager"),
 }
 OPTIONAL = ("estimator", "recorder")  # both can be started again: identify.launch.py
 
@@ -48,7 +49,8 @@ def ends(event, context):
     if context.is_shutdown:
         return None
     if name in OPTIONAL:
-        return LogInfo(msg=f"{name} has ended (status {event.returncode}); the other nodes go on without it")
+        again = "identify.launch.py starts it again, and it gets all readings"
+        return LogInfo(msg=f"{name} has ended (status {event.returncode}); the other nodes go on without it; {again}")
     why = f"{name} has ended (status {event.returncode}), and nothing can be measured without it"
     if event.returncode:
         raise CalibrationError(why)  # no action makes `ros2 launch` itself return an error
@@ -56,24 +58,27 @@ def ends(event, context):
 
 
 def nodes(context):
+    refuse_unknown("graph.launch.py", context.launch_configurations, ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    is_true = switches(given, ("use_sim_time", "axes", "pointer", "record"))
+    is_true = switches(given, ("use_sim_time", "axes", "pointer", "record", "autostart"))
     procedure = Path(given["procedure"])
     if not procedure.suffix:
-        procedure = Path(get_package_share_directory(PACKAGE), "config", "procedures", f"{procedure}.yaml")
+        procedure = CONFIG / "procedures" / f"{procedure}.yaml"
     measured = read_procedure(procedure)
     # the machine's chain and travel are the procedure's; what was simulated stays with the logs of the launch
     site = Path(launch_config.log_dir, "site.yaml")
     site.write_text(yaml.safe_dump(site_document(measured, read_site(given["site"])), sort_keys=False))
     common = {"use_sim_time": is_true["use_sim_time"]}
     world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
+    # a controller such as ros2_control's has joint_states, but no axes/executed
+    arrival = {} if is_true["axes"] else {"arrival": "joint_states"}
     parameters = {
         "axis_simulator": world,
         "rotary_pointer": world,
         "instrument": {**world, "driver": given["driver"]},
         "probe": world,
         "estimator": common,
-        "procedure": {**common, "procedure": str(procedure)},
+        "procedure": {**common, "procedure": str(procedure), **arrival},
         "recorder": {**common, "folder": given["bag"]},
     }
     left_out = {
@@ -81,26 +86,15 @@ def nodes(context):
         for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))
         if not is_true[key]
     } | set(method_spec(measured.session.method).unneeded)
-    if not is_true["axes"]:  # a controller such as ros2_control's has joint_states, but no axes/status
-        parameters["procedure"]["arrival"] = "joint_states"
-    # /clock is absolute: without this two graphs in one domain would share it
-    space = given["namespace"].strip("/")
-    remappings = [("/clock", f"/{space}/clock")] if space else []
-    unknown = [LogInfo(msg=text) for text in unknown_arguments(context.launch_configurations, ARGUMENTS)]
-    return unknown + [
-        Node(
-            package=PACKAGE,
-            executable=name,
-            name=name,
-            namespace=space,
-            parameters=[values],
-            remappings=remappings,
-            output="screen",
-            on_exit=ends,
+    chosen = {name: values for name, values in parameters.items() if name not in left_out}
+    said = []
+    if is_true["use_sim_time"] and not is_true["axes"]:
+        clock = (
+            "the nodes wait for a /clock of yours, as the simulated axes' is missing; without one: use_sim_time:=false"
         )
-        for name, values in parameters.items()
-        if name not in left_out
-    ]
+        said.append(LogInfo(msg=f"axes:=false with use_sim_time:=true: {clock}"))
+    started = managed_nodes(chosen, given["namespace"], given["params_file"], ends, autostart=is_true["autostart"])
+    return said + started
 
 
 def generate_launch_description():

@@ -7,19 +7,23 @@ ros2 service call /cell_1/estimator/diagnose std_srvs/srv/Trigger
 Beside a graph in simulated time, or a replay with a clock: use_sim_time:=true.
 """
 
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 
-from machine_tool_calibration.nodes.launching import switches, unknown_arguments
+from machine_tool_calibration.nodes.launching import managed_nodes, refuse_unknown, switches
 
-PACKAGE = "machine_tool_calibration"
+CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
 ARGUMENTS = {
     "namespace": ("", "namespace of the graph"),
     "use_sim_time": ("false", "whether the graph or the replay has a clock"),
     "model": ("", "variant of the model, such as rigid_body"),
     "bag": ("", "folder of the recording; empty: recording_<date>_<time>"),
+    "params_file": (str(CONFIG / "nodes.yaml"), "ROS parameters of the nodes; arguments count more"),
+    "autostart": ("true", "whether the nodes are configured and activated; false: by a lifecycle manager"),
 }
 
 
@@ -30,29 +34,15 @@ def ends(event, context):
 
 
 def nodes(context):
+    refuse_unknown("identify.launch.py", context.launch_configurations, ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    common = switches(given, ("use_sim_time",))
+    is_true = switches(given, ("use_sim_time", "autostart"))
+    common = {"use_sim_time": is_true["use_sim_time"]}
     parameters = {
-        "estimator": {**common, "model": given["model"]},
+        "estimator": {**common, **({"model": given["model"]} if given["model"] else {})},
         "recorder": {**common, "folder": given["bag"]},
     }
-    # a graph in a namespace has its clock there too
-    space = given["namespace"].strip("/")
-    remappings = [("/clock", f"/{space}/clock")] if space else []
-    unknown = [LogInfo(msg=text) for text in unknown_arguments(context.launch_configurations, ARGUMENTS)]
-    return unknown + [
-        Node(
-            package=PACKAGE,
-            executable=name,
-            name=name,
-            namespace=space,
-            parameters=[values],
-            remappings=remappings,
-            output="screen",
-            on_exit=ends,
-        )
-        for name, values in parameters.items()
-    ]
+    return managed_nodes(parameters, given["namespace"], given["params_file"], ends, autostart=is_true["autostart"])
 
 
 def generate_launch_description():

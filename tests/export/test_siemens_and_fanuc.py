@@ -80,10 +80,10 @@ def series_0i(files: Mapping[str, str], commands: Array) -> Array:
     points = {int(n): int(v) for n, v in re.findall(r"N1(\d{4})P(-?\d+);", files["pitch_error.txt"])}
     sent = commands.copy()
     for line in files["compensation.txt"].splitlines():
-        if not re.match(r"[XYZ]: 3620", line):
+        if not re.match(r"\([XYZ]: 3620", line):
             continue
         reference, low, high, times, interval = (float(v) for v in re.findall(r"=([\d.]+)", line))
-        j = "XYZ".index(line[0])
+        j = "XYZ".index(line[1])
         for k in range(int(low), int(high) + 1):
             amid = 1e-3 * interval * (k - reference - 0.5)
             there = (commands[:, j] > amid) if amid > 0 else -1.0 * (commands[:, j] < amid)
@@ -169,6 +169,12 @@ def test_a_steep_error_is_magnified(machine: AxisTables) -> None:
     files = write_tables("fanuc", steep, "cell 1")
     assert "X: 3620=0 3621=0 3622=5 3623=29 3624=100.000 mm" in files["compensation.txt"]
     assert "up to 14.5 um is left" in files["compensation.txt"]
+    # what people write of a measurement is never a line of a program
+    told = write_tables("fanuc", steep, "cell 1 (hall)\n%\nM30\nX: 3620=0 3621=0 3622=5 3623=1 3624=100.000 mm")
+    lines = told["compensation.txt"].splitlines()
+    assert "(measurement: cell 1 [hall])" in lines and {"(%)", "(M30)"} <= set(lines)
+    assert all(re.fullmatch(r"\([^()]*\)|", line) for line in lines)
+    assert str(read_tables("fanuc", told, machine).tables) == str(read_tables("fanuc", files, machine).tables)
     assert all(abs(int(v)) <= 7 for v in re.findall(r"P(-?\d+);", files["pitch_error.txt"]))
     commands = np.where(np.arange(3) == 0, nodes[:, None], 0.0)
     read = read_tables("fanuc", files, steep).field(commands)[:, 0]

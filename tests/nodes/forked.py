@@ -18,12 +18,9 @@ from importlib import import_module
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 
+from machine_tool_calibration.nodes.__main__ import NODES, main
 from machine_tool_calibration.nodes.graph import Graph, end_with_parent
 from machine_tool_calibration.recording.cdr import typestore
-
-NODES = (
-    "axis_simulator", "estimator", "instrument", "player", "probe", "procedure", "recorder", "rotary_pointer",
-)  # fmt: skip
 
 
 class Forked:
@@ -122,10 +119,8 @@ def begin(command: list[str], environment: dict[str, str], log: str, folder: str
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
-    module = import_module(command[2])
-    sys.argv = [str(module.__file__), *command[3:]]
     try:
-        os._exit(module.main())
+        os._exit(main(command[3], command[4:]))
     except BaseException:
         traceback.print_exc()
     os._exit(1)

@@ -12,6 +12,7 @@ from .conftest import PATIENCE
 from .pages import PAGES, rows, sections
 
 IGNORED = {"/rosout", "/parameter_events"}
+TRANSITIONS = "/transition_event"  # of every managed node
 
 
 def shown(profile):
@@ -25,7 +26,7 @@ def check_topics(node):
     """Whether the topics that there are have the type and the QoS of the table."""
     table = rows()
     for name, types in node.get_topic_names_and_types():
-        if name in IGNORED:
+        if name in IGNORED or name.endswith(TRANSITIONS):
             continue
         key = name if name in table else name[1:]
         assert key in table, f"{name} is not in msg_docs/README.md"
@@ -52,7 +53,7 @@ def check_ends(operator, names):
                 also |= {"/joint_states"}  # it listens until it starts
 
             def there(name=name, found=found, also=also):
-                return {topic for topic, _ in found(name, "/")} - also
+                return {topic for topic, _ in found(name, "/") if not topic.endswith(TRANSITIONS)} - also
 
             operator.wait(lambda there=there, told=told - also: there() == told, PATIENCE)
             assert there() == told - also, (name, ends)

@@ -7,6 +7,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
@@ -24,10 +25,13 @@ START = round(ORIGIN * 1e9)
 class Axes:
     def __init__(self, operator):
         self.operator = operator
-        self.states, self.reports, self.truth = [], [], []
-        node = operator._node
+        self.states, self.reports, self.truth, self.executed = [], [], [], []
+        node, executions = operator._node, Executions()
         node.create_subscription(JointState, "joint_states", self.states.append, STATE)
         node.create_subscription(DiagnosticArray, "axes/status", self.reports.append, STATE)
+        node.create_subscription(
+            JointTrajectory, "axes/executed", lambda message: self.executed.append(executions.take(message)), STATE
+        )
         node.create_subscription(PoseStamped, "truth/functional_point", self.truth.append, STATE)
         self.publisher = node.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         assert operator.wait(lambda: self.states and self.reports, PATIENCE)
@@ -52,6 +56,15 @@ class Axes:
         assert self.operator.wait(sent, PATIENCE)
         return [report for report in self.reports if values(report)["command"] == str(stamp)]
 
+    def done(self, stamp, points):
+        """What was executed of a command, once so many of its points have been reached."""
+
+        def reached():
+            return self.executed and self.executed[-1].command == stamp and len(self.executed[-1].reached) == points
+
+        assert self.operator.wait(reached, PATIENCE)
+        return self.executed[-1]
+
 
 def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     axes = Axes(
@@ -60,23 +73,26 @@ def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     stamp = START + 10**9
     report = values(axes.command(stamp, "x", ((0.2,), 0.0), ((0.2,), 3.0))[0])
     assert report["state"] == "arrived"
-    assert int(report["arrived"]) == stamp + 1_200_000_000  # 0.2 m at 0.2 m/s and 1 m/s^2
-    assert int(report["held"]) == stamp + 4_200_000_000
+    executed = axes.done(stamp, 2)
+    # 0.2 m at 0.2 m/s and 1 m/s^2
+    assert (executed.began, executed.reached) == (stamp, (stamp + 1_200_000_000, stamp + 4_200_000_000))
+    assert executed.arrival([{"x": 0.2}, {"x": 0.2}]) == stamp + 1_200_000_000
+    assert [place["x"] for place in executed.places] == [0.0, 0.2, 0.2]
+    held_until = executed.reached[-1]
 
     def held():
         return all(
-            messages and from_message(messages[-1].header.stamp) == int(report["held"])
-            for messages in (axes.states, axes.truth)
+            messages and from_message(messages[-1].header.stamp) == held_until for messages in (axes.states, axes.truth)
         )
 
     assert axes.operator.wait(held, PATIENCE)
     at = {from_message(state.header.stamp): dict(zip(state.name, state.position, strict=True)) for state in axes.states}
-    assert at[int(report["held"])] == {"x": 0.2, "y": 0.0, "z": 0.0, "c": 0.0}
+    assert at[held_until] == {"x": 0.2, "y": 0.0, "z": 0.0, "c": 0.0}
     # the command said nothing of the table: who comes to measure it hears where it stands all the same
     table = []
     axes.operator._node.create_subscription(PoseStamped, "truth/table", table.append, STATE)
     assert axes.operator.wait(lambda: table, PATIENCE)
-    assert from_message(table[-1].header.stamp) == int(report["held"])
+    assert from_message(table[-1].header.stamp) == held_until
     # the true point is off the encoders by the machine's errors: micrometres
     place = axes.truth[-1].pose.position
     assert 0.0 < abs(place.x - 0.2) + abs(place.y) + abs(place.z) < 1e-4
@@ -115,7 +131,14 @@ def test_real_time_motion_keeps_the_limits_and_can_be_stopped(bench):
     assert axes.operator.wait(lambda: values(axes.reports[-1])["state"] == "arrived", PATIENCE)
     assert axes.operator.wait(lambda: axes.states[-1].position[x] == 0.0, PATIENCE)
     # the true pose at the very end of the motion, between two ticks: nothing creeps after it
-    arrived = int(values(axes.reports[-1])["arrived"])
-    at = {from_message(pose.header.stamp): pose.pose.position.x for pose in axes.truth}
+    executed = axes.done(3, 1)
+    (arrived,) = executed.reached
+    assert executed.places[0]["x"] < 0.4 and executed.places[1]["x"] == 0.0
+
+    def true_places():
+        return {from_message(pose.header.stamp): pose.pose.position.x for pose in axes.truth}
+
+    assert axes.operator.wait(lambda: arrived in true_places(), PATIENCE)
+    at = true_places()
     later = [place for stamp, place in at.items() if stamp >= arrived]
-    assert arrived in at and set(later) == {at[arrived]}
+    assert set(later) == {at[arrived]}

@@ -6,7 +6,10 @@ import signal
 import time
 
 import pytest
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.srv import AddDiagnostics
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
@@ -74,11 +77,12 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     names = {"diagnosis": DiagnosticArray, "diagnosis__result": String, "comparison__result": String}
     names["estimator__status"] = DiagnosticArray
 
-    compared = json.loads(operator.call("estimator/compare", PATIENCE))
-    assert compared["reduced_chi_square"] > 2.0 and compared["summary"].startswith("the readings scatter")
-    diagnosed = json.loads(operator.call("estimator/diagnose", PATIENCE))
-    assert diagnosed["verdict"] == "missing_effect" and diagnosed["accepted"] == ["backlash_y"]
-    assert diagnosed["rms_after"] < 0.5 * diagnosed["rms_before"]
+    compared = operator.calculate("compare", PATIENCE)
+    assert float(compared["reduced_chi_square"]) > 2.0
+    assert operator.outcome.message.startswith("compared: the readings scatter")
+    diagnosed = operator.calculate("diagnose", PATIENCE)
+    assert diagnosed["verdict"] == "missing_effect" and diagnosed["accepted"] == "backlash_y"
+    assert float(diagnosed["rms_after"]) < 0.5 * float(diagnosed["rms_before"])
     heard = Heard(operator, **names)  # latched: they come after the fact
     assert json.loads(heard["comparison__result"].data) == printed("compare", folder)
     document = json.loads(heard["diagnosis__result"].data)
@@ -97,8 +101,9 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     assert [status.name for status in others] == [entry["effect"] for entry in document["candidates"][1:]]
     assert {status.level for status in others} == {b"\x00"}
 
-    improved = json.loads(operator.call("estimator/improve", PATIENCE))
-    assert improved["effects"] == ["backlash_y"] and improved["rms_after"] < 0.5 * improved["rms_before"]
+    improved = operator.calculate("improve", PATIENCE)
+    assert improved["effects"] == "backlash_y"
+    assert float(improved["rms_after"]) < 0.5 * float(improved["rms_before"])
     assert operator.wait(lambda: "µm RMS residual" in heard["estimator__status"].status[0].message, PATIENCE)
     assert operator.wait(lambda: bool(operator.document), PATIENCE)
     way = json.loads(Heard(operator, improvement__result=String)["improvement__result"].data)
@@ -108,8 +113,8 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     # the effect stays in the model
     found = ask(operator, GetParameters, "estimator/get_parameters", GetParameters.Request(names=["effects"]))
     assert list(parameter_value_to_python(found.values[0])) == ["backlash_y"]
-    again = json.loads(operator.call("estimator/diagnose", PATIENCE))
-    assert again["verdict"] == "adequate" and again["accepted"] == []
+    again = operator.calculate("diagnose", PATIENCE)
+    assert again["verdict"] == "adequate" and again["accepted"] == ""
 
 
 def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
@@ -172,9 +177,44 @@ def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
 
     assert put("effects_files", Parameter.Type.STRING_ARRAY, [own])
     assert put("effects", Parameter.Type.STRING_ARRAY, ["my_reversal"])
-    assert json.loads(operator.call("estimator/identify", PATIENCE))["reduced_chi_square"] < 1.5
+    assert float(operator.calculate("identify", PATIENCE)["reduced_chi_square"]) < 1.5
     # refused at once, and what was set before stays
     assert not put("effects", Parameter.Type.STRING_ARRAY, ["no_such"])
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, ["/nowhere.yaml"])
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, [""])  # an effect in use comes from there
-    assert json.loads(operator.call("estimator/compare", PATIENCE))["reduced_chi_square"] < 1.5
+    assert float(operator.calculate("compare", PATIENCE)["reduced_chi_square"]) < 1.5
+
+
+def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_requests_are_answered(bench, folder):
+    operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
+    client = operator._node.create_client(Trigger, "estimator/reset")
+    assert operator.wait(client.service_is_ready, PATIENCE)
+    operator.wait(lambda: bool(operator.estimator.entries), PATIENCE)  # then it knows its clients
+    asked = [client.call_async(Trigger.Request()) for _ in range(200)]
+    assert operator.wait(lambda: all(one.done() for one in asked), PATIENCE), "a usual queue holds 10"
+    feed(operator, open_measurement(folder))
+
+    def cancel(goal):
+        request = CancelGoal.Request()
+        request.goal_info.goal_id.uuid = list(bytes.fromhex(goal)) if goal else [0] * 16
+        return ask(operator, CancelGoal, "estimator/cancel", request)
+
+    assert not cancel("").goals_canceling, "nothing is under way"
+    said = operator.call("estimator/diagnose", PATIENCE)
+    goal = said.removeprefix("goal ").partition(":")[0]
+    assert cancel("f" * 32).return_code == CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
+    (cancelled,) = cancel(goal).goals_canceling
+    assert bytes(cancelled.goal_id.uuid).hex() == goal
+    assert operator.wait(lambda: operator.outcome.device == goal, PATIENCE)
+    assert (operator.outcome.level, operator.outcome.message) == (1, "cancelled: diagnosing from 200 readings")
+    (last,) = Heard(operator, estimator__goals=GoalStatusArray)["estimator__goals"].status_list
+    assert last.status == GoalStatus.STATUS_CANCELED
+    assert cancel(goal).return_code == CancelGoal.Response.ERROR_GOAL_TERMINATED
+
+    def add(name):
+        return ask(operator, AddDiagnostics, "estimator/add_effect", AddDiagnostics.Request(load_namespace=name))
+
+    assert not add("").success and "no effect is named, and none has been found" in add("").message
+    assert not add("no_such").success
+    assert add("backlash_y").message == "effects in the model: backlash_y"
+    assert float(operator.calculate("identify", PATIENCE)["reduced_chi_square"]) < 1.5

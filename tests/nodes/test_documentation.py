@@ -99,7 +99,7 @@ def test_topics_of_the_probe_and_the_player(bench):
 @pytest.mark.parametrize("name", [*NODES, "probe", "player"])
 def test_every_parameter_has_its_row(name):
     source = (SOURCE / f"{name}.py").read_text()
-    shared = {"declare_site": "site.py", "EnvironmentTopics": "environment.py"}
+    shared = {"declare_site": "site.py", "declare_period": "environment.py"}
     source += "".join((SOURCE / file).read_text() for call, file in shared.items() if f"{call}(" in source)
     declared = set(re.findall(r'\.declare\(\s*"(\w+)"', source))
     assert declared

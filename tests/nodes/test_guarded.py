@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes in this process, without a graph: parameters that cannot be, missing readings, starts that come too early."""
 
+import asyncio
 import gc
+import threading
 import time
 from types import SimpleNamespace
 
@@ -10,7 +12,8 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.exceptions import InvalidParameterValueException
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -25,9 +28,10 @@ from machine_tool_calibration.nodes.estimator import Estimator
 from machine_tool_calibration.nodes.heard import NodeState
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
+from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
-from machine_tool_calibration.nodes.ros.process import post, say_unknown_parameters
-from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
+from machine_tool_calibration.nodes.ros.process import post
+from machine_tool_calibration.nodes.ros.services import Answer
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
@@ -46,10 +50,12 @@ def made(tmp_path):
         given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
         rclpy.init(args=["--ros-args", *given])
         nodes.append(kind())
+        nodes[-1].start()
         return nodes[-1]
 
     yield make
     for node in nodes:
+        node.trigger_shutdown()
         node.destroy_node()
     rclpy.try_shutdown()
     # One that could not start hangs together with its error in a circle, and is seen in the graph until that is broken.
@@ -86,17 +92,28 @@ def test_a_status_is_said_again_only_where_something_has_changed(made):
     node._status._publisher = SimpleNamespace(publish=said.append)
     node._show()
     assert not said
-    node._level, before = Level.ERROR, node._last  # the same words and values
+    node.goals.level = Level.ERROR  # the same words and values
     node._show()
     (entry,) = said[-1].status
-    assert (entry.level, entry.message) == (b"\x02", before)
+    assert (entry.level, entry.message) == (b"\x02", "no identification yet")
     node._show()
     assert len(said) == 1
 
 
+class Tasks:
+    """Of an executor what posting needs."""
+
+    def add_node(self, node):
+        return True
+
+    def create_task(self, function):
+        function()
+
+
 def test_a_fault_of_posted_work_is_logged_once_with_its_place(made, monkeypatch):
     node, logged = made(Estimator), []
-    node._post = lambda function: function()
+    executor = Tasks()
+    node.executor = executor
     monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(error=logged.append))
 
     def work():
@@ -151,7 +168,7 @@ def test_a_node_does_not_start_with_values_that_cannot_be(made, name, value):
 
 def test_a_parameter_that_there_is_not_is_said(made, capfd):
     node = made(AxisSimulator, sped=1.0)
-    say_unknown_parameters(node)
+    assert not node.has_parameter("sped")
     assert "this node has no parameter 'sped' (did you mean 'speed'?)" in capfd.readouterr().err
 
 
@@ -162,15 +179,54 @@ def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, ca
         raise ZeroDivisionError("an axis without length")
 
     timer = node.create_timer(1.0, stumble)
-    service = deferred_service(node, "walk", stumble)
+    service = node.create_service(Trigger, "walk", stumble)
     for _ in range(3):
         timer.callback()
-        answer = service.callback(Trigger.Request(), Trigger.Response())
+        answer = asyncio.run(service.callback(Trigger.Request(), Trigger.Response()))
         assert (answer.success, answer.message) == (False, "ZeroDivisionError: an axis without length")
     said = capfd.readouterr().err
     for where in ("stumble", "walk"):
         assert said.count(f"{where}: ZeroDivisionError: an axis without length") == 1
     assert "in stumble" in said
+
+
+def test_what_the_handler_of_an_event_raises_is_logged_and_the_node_goes_on(made, capfd, monkeypatch):
+    node, stop = made(AxisSimulator), threading.Event()
+    turns = iter((ZeroDivisionError("no publisher"), None))
+
+    class Executor:
+        def add_node(self, node):
+            pass
+
+        def shutdown(self):
+            pass
+
+        def spin_once(self, timeout_sec):
+            raised = next(turns)
+            if raised is not None:
+                raise raised
+            stop.set()
+
+    monkeypatch.setattr(process, "SingleThreadedExecutor", Executor)
+    process._spin(node, stop)
+    assert "a callback: ZeroDivisionError: no publisher" in capfd.readouterr().err
+
+
+def test_a_node_that_is_deactivated_leaves_the_graph_and_begins_anew(made):
+    node = made(AxisSimulator)
+    (answer,) = node.set_parameters([Parameter("speed", value=0.1)])
+    assert not answer.successful and "cannot be set while the node is configured" in answer.reason
+    topics = {publisher.topic_name for publisher in node.publishers}
+    assert {"/joint_states", "/axes/executed"} <= topics
+    epoch = node._motion
+    assert node.trigger_deactivate() == node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    assert not {"/joint_states", "/axes/executed"} & {publisher.topic_name for publisher in node.publishers}
+    assert node.set_parameters([Parameter("speed", value=0.1), Parameter("site", value="/nowhere.yaml")])[0].successful
+    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE and node.fault == "/nowhere.yaml: no such file"
+    assert node.set_parameters([Parameter("site", value="")])[0].successful
+    node.start()
+    assert {publisher.topic_name for publisher in node.publishers} == topics
+    assert node._motion is not epoch and node.limits["x"].speed == 0.1
 
 
 # --- readings that are missing
@@ -194,7 +250,7 @@ def test_the_estimator_says_which_readings_never_came(made):
 
 def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
     node = made(Estimator)
-    executor = EventsExecutor()
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
 
     def comes_and_goes(*messages):
@@ -221,7 +277,7 @@ def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
     entry = comes_and_goes(reading(0, reading_index=0.0))
     assert entry.level == b"\0" and not entry.message.endswith(words)
     assert comes_and_goes().message.endswith(words), "another one"
-    node._reset(Answer(Trigger.Response()))
+    node._reset(Answer())
     assert shown(node).level == b"\0"
     executor.shutdown()
 
@@ -230,9 +286,9 @@ def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
     node = made(Estimator)
     for index in range(4):
         hear(node, "reading", reading(index, reading_index=float(index)))
-    answer = Answer(Trigger.Response())
+    answer = Answer()
     node._reset(answer)
-    assert answer.response.message == "4 readings forgotten"
+    assert asyncio.run(answer.into(Trigger.Response())).message == "4 readings forgotten"
     hear(node, "reading", reading(4, reading_index=4.0))
     assert {key: values_of(shown(node))[key] for key in ("readings", "missing", "resets")} == {
         "readings": "1",
@@ -299,10 +355,10 @@ def test_services_that_move_axes_can_be_refused(made):
 
 def test_a_touch_can_be_refused(made):
     node = made(Probe, services_move_axes="false")
-    answer = Answer(Trigger.Response())
+    answer = Answer()
     node._requested(answer)
-    assert answer.sent and not answer.response.success
-    assert "services_move_axes is false" in answer.response.message
+    response = asyncio.run(answer.into(Trigger.Response()))
+    assert not response.success and "services_move_axes is false" in response.message
 
 
 def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
@@ -350,6 +406,20 @@ def test_a_run_whose_procedure_has_gone_ends(monkeypatch):
     monkeypatch.setattr(measurement, "_GONE", 0.01)
     with pytest.raises(CalibrationError, match="the procedure has ended in the middle"):
         measurement._run(Gone(), 128, lambda text, done, total: None)
+
+
+def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
+    operator, states = Gone(), iter(("idle", "running", "idle"))
+    operator.has_node = lambda name: True
+
+    def wait(until, timeout):
+        for state in states:
+            operator.procedure = NodeState("procedure", "procedure", entries={"state": state})
+            assert not until()
+
+    operator.wait = wait
+    with pytest.raises(CalibrationError, match=r"started anew in the middle .*: run the procedure again"):
+        measurement._run(operator, 128, lambda text, done, total: None)
 
 
 def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():

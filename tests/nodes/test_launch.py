@@ -44,7 +44,7 @@ class Record:
         self.arguments, self.named = arguments, named
 
 
-KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LogInfo", "OpaqueFunction", "Shutdown", "Node")
+KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LogInfo", "OpaqueFunction", "Shutdown", "LifecycleNode")
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def launch(monkeypatch, tmp_path):
         "launch.logging": {"launch_config": SimpleNamespace(log_dir=str(tmp_path / "log"))},
         "launch.substitutions": {"LaunchConfiguration": configuration},
         "launch_ros": {},
-        "launch_ros.actions": {"Node": made["Node"]},
+        "launch_ros.actions": made,
         "ament_index_python": {},
         "ament_index_python.packages": {"get_package_share_directory": lambda name: str(LAUNCH.parent)},
     }
@@ -82,12 +82,18 @@ def started(found, **given):
     return found["nodes"](SimpleNamespace(launch_configurations={**usual, **given}))
 
 
+def nodes(found, **given):
+    """The node actions among what is started."""
+    return [action for action in started(found, **given) if type(action).__name__ == "LifecycleNode"]
+
+
 def test_what_is_simulated_stays_with_the_logs_of_the_launch(launch, monkeypatch, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
-    (node,) = [node for node in started(launch("graph.launch.py")) if node.named["name"] == "instrument"]
-    (parameters,) = node.named["parameters"]
+    (node,) = [node for node in nodes(launch("graph.launch.py")) if node.named["name"] == "instrument"]
+    file, parameters = node.named["parameters"]
+    assert file == str(LAUNCH.parent / "config" / "nodes.yaml")
     assert parameters["site"] == str(tmp_path / "log" / "site.yaml")
     assert read_site(parameters["site"]).machine.chain == "w-C-b-Y-X-Z-t"
     assert not list(elsewhere.iterdir())
@@ -96,18 +102,36 @@ def test_what_is_simulated_stays_with_the_logs_of_the_launch(launch, monkeypatch
 def test_switches_take_what_people_write_and_nothing_else(launch):
     found = launch("graph.launch.py")
     for record, count in (("1", 1), ("True", 1), ("on", 1), ("0", 0), ("no", 0)):
-        nodes = started(found, record=record, use_sim_time="1")
-        assert sum(node.named["name"] == "recorder" for node in nodes) == count
-        assert all(node.named["parameters"][0]["use_sim_time"] is True for node in nodes)
+        made = nodes(found, record=record, use_sim_time="1")
+        assert sum(node.named["name"] == "recorder" for node in made) == count
+        assert all(node.named["parameters"][1]["use_sim_time"] is True for node in made)
     with pytest.raises(CalibrationError, match="record:=maybe is neither true nor false"):
         started(found, record="maybe")
     with pytest.raises(CalibrationError, match="use_sim_time:= is neither"):
         started(launch("identify.launch.py"), use_sim_time="")
 
 
-def test_an_argument_that_there_is_not_is_said(launch):
-    first, *_ = started(launch("graph.launch.py"), recrod="1")
-    assert first.named["msg"] == "there is no argument 'recrod' (did you mean 'record'?)"
+def test_an_argument_that_there_is_not_is_refused(launch, monkeypatch):
+    found = launch("graph.launch.py")
+    assert nodes(found, of_the_file_that_includes_it="1")
+    monkeypatch.setattr("sys.argv", ["ros2", "launch", "machine_tool_calibration", "graph.launch.py", "recrod:=1"])
+    with pytest.raises(CalibrationError, match=r"^there is no argument 'recrod' \(did you mean 'record'\?\)"):
+        started(found, recrod="1")
+
+
+def test_who_has_no_axes_and_no_clock_is_told(launch):
+    first, *_ = started(launch("graph.launch.py"), axes="false")
+    assert first.named["msg"].startswith("axes:=false with use_sim_time:=true: the nodes wait for a /clock of yours")
+    made = started(launch("graph.launch.py"), axes="false", use_sim_time="false")
+    (procedure,) = [one for one in made if one.named.get("name") == "procedure"]
+    assert procedure.named["parameters"][1]["arrival"] == "joint_states"
+
+
+def test_each_node_goes_to_its_active_state_unless_a_manager_takes_it_there(launch):
+    for file in ("identify.launch.py", "graph.launch.py"):
+        for given, told in ({}, True), ({"autostart": "false"}, False):
+            made = nodes(launch(file), **given)
+            assert made and all(node.named["parameters"][1]["autostart"] is told for node in made)
 
 
 @pytest.mark.parametrize("name", ["instrument", "procedure", "axis_simulator"])
@@ -135,7 +159,7 @@ def test_a_node_that_is_not_needed_is_named_when_it_has_gone(launch, file, name)
 
 def exit_handler(found, name):
     """What a launch file does when the node of that name ends."""
-    (node,) = [node for node in started(found) if node.named["name"] == name]
+    (node,) = [node for node in nodes(found) if node.named["name"] == name]
     return node.named["on_exit"]
 
 

@@ -11,7 +11,6 @@ from std_msgs.msg import String
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Heard
 from machine_tool_calibration.nodes.listener import Listener
-from machine_tool_calibration.nodes.ros.guest import Guest
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, SLOW, to_message
 
 from .conftest import ORIGIN, PATIENCE
@@ -64,12 +63,3 @@ def test_a_namespace_that_is_none_is_refused_in_one_line(bench):
     with pytest.raises(CalibrationError, match=r"^'a b' is no namespace \(.*must not contain") as refused:
         Listener(Heard(), bench.domain, "a b")
     assert "\n" not in str(refused.value)
-
-
-def test_all_that_has_come_is_handled_at_once(ros_domain: int) -> None:
-    with closing(Guest("guest_of_the_test", ros_domain)) as guest:
-        done: list[int] = []
-        for k in range(5):
-            guest.executor.create_task(done.append, k)
-        guest.hear_all()
-        assert done == [0, 1, 2, 3, 4]

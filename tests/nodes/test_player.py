@@ -94,7 +94,7 @@ def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, pla
     ), operator.estimator
     drawn: list[MarkerArray] = []
     operator._node.create_subscription(MarkerArray, "/error_map/arrows", drawn.append, LATCHED_QOS)
-    operator.call("estimator/identify", PATIENCE)
+    operator.calculate("identify", PATIENCE)
     assert operator.wait(lambda: operator.error_map is not None and operator.document and drawn, PATIENCE)
     assert len(drawn[0].markers) == operator.error_map.width + 2
     direct = identify(open_measurement(bag))

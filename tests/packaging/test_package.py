@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration import __version__
+from machine_tool_calibration.nodes.__main__ import NODES as RUN
 
 PACKAGE = "machine_tool_calibration"
 ROOT = Path(__file__).parents[2]
@@ -39,9 +40,9 @@ KNOWN_KEYS = {
         "pytest", "pytest-timeout", "pytest-xdist", "rich", "rosbags-pip", "scipy", "serial", "weasyprint-pip",
         "yaml")),
     "mcap-ros2-support",
-    "ament_flake8", "ament_index_python", "ament_pep257", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs",
-    "launch", "launch_ros", "rcl_interfaces", "rclpy", "ros2launch", "rosgraph_msgs", "sensor_msgs", "std_msgs",
-    "std_srvs", "trajectory_msgs", "visualization_msgs",
+    "action_msgs", "ament_flake8", "ament_index_python", "ament_pep257", "builtin_interfaces", "diagnostic_msgs",
+    "geometry_msgs", "launch", "launch_ros", "rcl_interfaces", "rclpy", "ros2launch", "rosgraph_msgs",
+    "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "visualization_msgs",
 }  # fmt: skip
 
 
@@ -178,17 +179,12 @@ def test_wheel_has_the_commands(wheel: zipfile.ZipFile) -> None:
     parser.read_string(text)
     scripts = dict(parser["console_scripts"])
     assert scripts.pop("mtcal") == f"{PACKAGE}.cli.main:main"
-    assert scripts == {f"mtcal-{n.replace('_', '-')}": f"{PACKAGE}.nodes.{n}:main" for n in EXECUTABLES}
+    assert scripts == {f"mtcal-{n.replace('_', '-')}": f"{PACKAGE}.nodes.__main__:console" for n in EXECUTABLES}
 
 
 def test_every_node_is_an_executable() -> None:
-    with_main = {
-        path.stem
-        for path in (SOURCE / "nodes").glob("*.py")
-        if any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in ast.parse(path.read_bytes()).body)
-    }
-    assert with_main == set(EXECUTABLES), "each node has a link in scripts/nodes, and each link a node"
-    assert set(NODES) <= with_main
+    assert set(RUN) == set(EXECUTABLES), "each node has a link in scripts/nodes, and each link a node"
+    assert set(NODES) <= set(RUN)
 
 
 @pytest.mark.parametrize("name", EXECUTABLES)
@@ -213,4 +209,4 @@ def test_an_executable_without_a_script_starts_the_module(tmp_path: Path) -> Non
         [ROOT / "scripts" / "nodes" / "rotary_pointer", "-x"],
         capture_output=True, text=True, timeout=900, check=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
     )  # fmt: skip
-    assert done.stdout == f"-m {PACKAGE}.nodes.rotary_pointer -x\n"
+    assert done.stdout == f"-m {PACKAGE}.nodes rotary_pointer -x\n"

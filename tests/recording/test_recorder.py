@@ -55,7 +55,7 @@ class Recorder(Forked):
 
     def __init__(self, arguments: list[str], log: Path) -> None:
         self.log = log
-        command = [sys.executable, "-m", "machine_tool_calibration.nodes.recorder", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "machine_tool_calibration.nodes", "recorder", "--ros-args", *arguments]
         super().__init__(command, {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, log)
 
     def said(self) -> str:

@@ -151,18 +151,6 @@ def test_a_request_is_answered_or_its_node_has_gone() -> None:
     assert len(heard.calls) < 10
 
 
-def test_answers_are_told_in_the_units_of_people() -> None:
-    from machine_tool_calibration.workbench.live import answer_words
-
-    assert answer_words("measuring 288 readings") == "measuring 288 readings"
-    content = {"observations": 288, "rms_residual": 2.5e-7, "accepted": [], "reduced_chi_square": 1.04321, "missing": 0}
-    assert answer_words(json.dumps(content)) == (
-        "observations 288; RMS residual 0.250 µm; accepted none; reduced chi square 1.04"
-    )
-    assert answer_words('{"summary": "All is well.", "p_value": 0.5}') == "All is well."
-    assert answer_words("[1]") == "[1]"
-
-
 @pytest.mark.parametrize("most", [1, 4, 10])
 def test_however_many_readings_come_a_bounded_number_is_drawn_evenly(most: int) -> None:
     from machine_tool_calibration.workbench.live import Thinned

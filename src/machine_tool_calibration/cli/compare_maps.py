@@ -27,6 +27,7 @@ from machine_tool_calibration.cli.output import (
     write_json,
 )
 from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from machine_tool_calibration.reports.measured import Measured
@@ -99,12 +100,12 @@ def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
                 note(f"{path}: no model was tried yet; its method's own is compared")
         return out
     out = [replace(wanted, model=None, effects=()).open([path]) for path in paths]
-    known = sorted({name for one in out for name in one.recorded[0].spec.models})
+    known = sorted({name for one in out for name in spec_of(one.recorded[0]).models})
     if wanted.model is not None and wanted.model not in known:
         raise ModelError(f"neither measurement has a model {wanted.model!r}{did_you_mean(wanted.model, known)}")
     found: list[Measured] = []
     for one in out:
-        chosen, variants = one.chosen, one.recorded[0].spec.models
+        chosen, variants = one.chosen, spec_of(one.recorded[0]).models
         chosen = replace(chosen, model=wanted.model if wanted.model in variants else None)
         observations = chosen.base(chosen.sessions[0])[0].observations
         acting = (e.id for e in find_effects(wanted.effects, chosen.own) if e.why_not(observations) is None)

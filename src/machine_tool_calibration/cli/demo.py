@@ -21,6 +21,7 @@ from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import show_head
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 
@@ -104,7 +105,7 @@ def error_against_truth(measured: Measured, result: Result) -> MapError:
     The truth is the machine's own errors, without the hidden effect; for direct deviations, whose map says what the
     axis does from either side, with it.
     """
-    true, spec = read_site(str(measured.output / "site.yaml")), measured.session.spec
+    true, spec = read_site(str(measured.output / "site.yaml")), spec_of(measured.session)
     if spec.reads_machine:
         return _deviations(Site(true), result)
     site = Site(true.model_copy(update={"effects": ()}))
@@ -317,7 +318,7 @@ def _show(story: _Demonstration) -> None:
 
 
 def _show_error_of_map(session: Session, before: MapError, after: MapError, stated: float | None) -> None:
-    direct = session.spec.reads_machine
+    direct = spec_of(session).reads_machine
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
     known = stated is not None and not direct

@@ -13,6 +13,7 @@ from machine_tool_calibration.cli.diagnosing import Wanted, history_option, mode
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -163,7 +164,7 @@ def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str])
             number = measured.history[-1].number
             note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
         model = wanted.model or (None if chosen.model == "free" else chosen.model)
-        chosen = replace(chosen, model=model or chosen.sessions[0].spec.with_tables)
+        chosen = replace(chosen, model=model or spec_of(chosen.sessions[0]).with_tables)
     result = identify_sessions(chosen)
     said = [bad_fit(result.joint, result.error_map.content)]
     if isinstance(result, Result):

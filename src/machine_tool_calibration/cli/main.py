@@ -247,8 +247,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         # What is still buffered has no reader; without this the interpreter complains at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
-    except (KeyboardInterrupt, click.Abort):
-        return _fail("interrupted", INTERRUPTED)
+    except (KeyboardInterrupt, click.Abort) as error:  # the second is click's word for the first
+        return _fail(str(error.__cause__ or error) or "interrupted", INTERRUPTED)
     except click.UsageError as error:
         error.show()
         return error.exit_code

@@ -108,11 +108,14 @@ def command(
                 "readings": len(measured.session.readings),
                 "seconds": measured.seconds[1],
                 "counters": measured.counters,
+                "remarks": measured.remarks,
                 "result": measured.result,
             }
         )
         return
     screen = console()
+    for remark in measured.remarks:
+        screen.print(f"[yellow]{remark}[/]")
     show_result(screen, measured)
     show_files(screen, measured)
     if measured.result is not None and measured.session_folder is not None:

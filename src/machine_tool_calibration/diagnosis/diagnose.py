@@ -32,6 +32,7 @@ from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Diagnosis", "diagnose"]
@@ -108,7 +109,7 @@ class Diagnosis:
         reproduce from run to run is no contradiction.
         """
         first, last = self.fits[0], self.fits[-1]
-        if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
+        if any(spec_of(session).reads_machine for session in self.chosen.sessions) or self.noisy:
             return False
         dof = first.solution.degrees_of_freedom
         chance = special.chdtrc(dof, dof * self.search.variance)
@@ -211,7 +212,7 @@ def _search(
     candidates, excluded = effect_candidates(pool, [e for e in chosen.absent if e.id not in held])
     excluded |= {e.id: "the model has it already, as a random function" for e in chosen.absent if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    side_by_side = all(session.spec.reads_machine for session in chosen.sessions)
+    side_by_side = all(spec_of(session).reads_machine for session in chosen.sessions)
     structures = structure_candidates(pool)
 
     @cache

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ class Entry(Record):
         if len(sessions) == 1:
             return self.model
         # Of several, those that have the variant that was asked for took it, all others what they can share.
-        for part, spec in zip(said, (session.spec for session in sessions), strict=True):
+        for part, spec in zip(said, (spec_of(session) for session in sessions), strict=True):
             if part is not None and part.model != (spec.shared or next(iter(spec.models))):
                 return part.model
         return None

@@ -14,6 +14,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result, effect_estimates, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
@@ -63,7 +64,7 @@ class Step:
         are contradictions between readings of the same point.
         """
         pool = Pool(self.result.joint)
-        specs = {o.session.method: o.session.spec for o in pool.observations}
+        specs = {o.session.method: spec_of(o.session) for o in pool.observations}
         if len(specs) > 1 or self.result.model_name not in next(iter(specs.values())).by_axes:
             return 0.0
         beyond = max((self.reduced_chi_square or 1.0) - 1.0, 0.0) * float(np.mean(pool.sigma**2))

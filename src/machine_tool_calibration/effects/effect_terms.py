@@ -14,6 +14,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "displacement_field", "effect_term"]
 
@@ -32,7 +33,7 @@ def displacement_field(
         (k, n, 3), found by looking at the same readings along each axis; None for an effect on the reading itself, and
         for methods whose map holds no effects.
     """
-    if effect.kind != "position" or not observations.session.spec.map_holds_effects:
+    if effect.kind != "position" or not spec_of(observations.session).map_holds_effects:
         return None
     looks = [replace(observations, direction=np.tile(np.eye(3)[j], (len(observations), 1))) for j in range(3)]
     return np.stack([evaluate(look) for look in looks], axis=-1)

@@ -16,6 +16,7 @@ from machine_tool_calibration.machine.error_motions import (
     squareness_field,
 )
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]
 
@@ -113,7 +114,7 @@ class ErrorMotionEffect(Effect):
 
     def _nodes(self, observations: Observations) -> Array | None:
         """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""
-        if self.is_squareness or self.id[1] in "ABC" or not observations.session.spec.reads_machine:
+        if self.is_squareness or self.id[1] in "ABC" or not spec_of(observations.session).reads_machine:
             return None
         if observations.covered is not None:
             return None

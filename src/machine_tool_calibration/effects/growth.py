@@ -9,6 +9,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_direction, table_axis
 from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["TableThermalGrowth", "WorkpieceThermal"]
 
@@ -58,5 +59,7 @@ class WorkpieceThermal(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Growth in proportion to the distance from the axis, sensed through the workpiece."""
         excess = observations.readings.column("temperature_work") - REFERENCE_TEMPERATURE
-        sensed = observations.table_direction if observations.session.spec.probes_surface else -observations.direction
+        sensed = (
+            observations.table_direction if spec_of(observations.session).probes_surface else -observations.direction
+        )
         return np.asarray(excess * np.einsum("nj,nj->n", observations.position, sensed))[None]

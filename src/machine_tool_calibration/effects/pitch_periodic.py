@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["PitchPeriodic"]
 
@@ -51,7 +52,7 @@ class PitchPeriodic(Effect):
         steps = np.diff(position)
         even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
         shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST, float(steps.mean()))
-        direct = observations.session.spec.reads_machine
+        direct = spec_of(observations.session).reads_machine
         fewest = _WAVES_OF_MACHINE if direct else _WAVES
         frequency = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
         if len(frequency) > _MOST and direct:

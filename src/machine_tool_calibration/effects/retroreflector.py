@@ -10,6 +10,7 @@ from machine_tool_calibration.effects.effect import table_axis
 from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.effects.pointer import beam_azimuth
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["RetroreflectorForm"]
 
@@ -35,7 +36,7 @@ class RetroreflectorForm(HarmonicEffect):
     def angle(self, observations: Observations) -> Array:
         """The angle of incidence."""
         session = observations.session
-        if session.spec.on_turning_table:
+        if spec_of(session).on_turning_table:
             axis = table_axis(observations)
             i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
             about = np.arctan2(observations.direction[:, j], observations.direction[:, i])

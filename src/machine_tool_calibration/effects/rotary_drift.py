@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, table_axis
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["RotaryAxisDrift"]
 
@@ -33,7 +34,7 @@ class RotaryAxisDrift(Effect):
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Three shifts and the two tilts across the axis; two shifts where a part is probed in a plane."""
-        if observations.session.spec.probes_surface:
+        if spec_of(observations.session).probes_surface:
             return self.coefficients[:2]
         along = 3 + "ABC".index(table_axis(observations))
         return tuple(c for k, c in enumerate(self.coefficients) if k != along)

@@ -19,6 +19,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["ErrorStates", "displacement", "error_states"]
 
@@ -61,7 +62,7 @@ def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Eff
     if not acting or not len(error_map.points):
         return ErrorStates(error_map, np.zeros_like(error_map.points), names)
     added = np.concatenate([sum((displacement(e, fit) for e in acting), np.zeros((1, 3))) for fit in fits])
-    if len(observed) == 1 and observed[0].session.spec.map_holds_effects:
+    if len(observed) == 1 and spec_of(observed[0].session).map_holds_effects:
         # This map holds the effects, once for every state.
         readings = _mapped(fits[0], names)
         if len(readings) == len(error_map.points):

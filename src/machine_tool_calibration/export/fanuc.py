@@ -59,6 +59,7 @@ _USE = (
     "try the sign out on one axis before use",
 )
 _PLACES = re.compile(r"([XYZ]): 3620=(\d+) 3621=(\d+) 3622=(\d+) 3623=(\d+) 3624=(\d+\.\d+) mm")
+_BRACKETS = str.maketrans("()", "[]")  # a comment ends with the first of these
 _POINT = re.compile(r"N(\d{5})P(-?\d+);")
 
 
@@ -85,7 +86,13 @@ def write(tables: AxisTables, source: str) -> dict[str, str]:
         places.append(f"{table.axis}: {numbers} 3624={1e3 * interval:.3f} mm")
         lines.append(f"{table.name}: rounded to {times} um, so that up to {times / 2:g} um is left at the points")
         first = high + 1
-    return {_DATA: "\n".join(["%", *data, "%"]) + "\n", _REMARKS: "\n".join([*lines, "", *places]) + "\n"}
+    remarks = [*map(_comment, lines), "", *map(_comment, places)]
+    return {_DATA: "\n".join(["%", *data, "%"]) + "\n", _REMARKS: "\n".join(remarks) + "\n"}
+
+
+def _comment(line: str) -> str:
+    """As the control takes a comment, whatever the text is: `M30` of a name must not be a command."""
+    return f"({line.translate(_BRACKETS)})"
 
 
 def _sections(table: AxisTable) -> tuple[float, int, Array]:
@@ -140,7 +147,7 @@ def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
             if abs(int(match[2])) > _LARGEST:
                 raise CalibrationError(f"{_DATA}, line {k}: {match[2]} is more than {_LARGEST}")
     found = []
-    for axis, *entries in _PLACES.findall(files[_REMARKS]):
+    for axis, *entries in _PLACES.findall(files[_REMARKS].rpartition("\n\n")[2]):  # what comes before are words
         reference, low, high, times, interval = (number(entry, _REMARKS, 0) for entry in entries)
         points = np.arange(int(low), int(high) + 1)
         if not set(points.tolist()) <= set(value):

@@ -22,6 +22,7 @@ from machine_tool_calibration.machine.error_motions import (
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import Estimate, Result
 from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.identify import JointResult
@@ -165,15 +166,15 @@ def axis_tables(result: Result) -> AxisTables:
     tables: Sequence[MachineTable] = getattr(model, "tables", None) or ()
     left_out = [entry for entry in result.not_determined if entry.name[:3] in SQUARENESS or entry.name[:1] == "E"]
     squareness: dict[str, tuple[float, float]] = {}
-    if session.spec.profiles:
+    if spec_of(session).profiles:
         found, words = _profiles(result, left_out), _IN_PROFILES
     else:
         found, squareness = _terms(result.parameters, tables, left_out)
         words = _OWN_SLOPE
     if not found and not squareness:
         hint = "the result has none of a linear axis"
-        if session.spec.no_tables and not tables:
-            hint = session.spec.no_tables
+        if spec_of(session).no_tables and not tables:
+            hint = spec_of(session).no_tables
         elif left_out:
             hint = f"{left_out[0].name}: {left_out[0].why}"
         raise ModelError(f"{session.source}: no tables of error motions: {hint}")

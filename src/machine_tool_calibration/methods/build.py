@@ -11,7 +11,7 @@ from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Rejected
-from machine_tool_calibration.session.catalogue import method_names, method_spec
+from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
@@ -42,7 +42,7 @@ def sharing_variant(session: Session, model: str | None) -> str | None:
         model: what was asked for, of the methods that have it; otherwise tables of the machine's errors, which others
             can share.
     """
-    return model if model in session.spec.models else session.spec.shared
+    return model if model in spec_of(session).models else spec_of(session).shared
 
 
 def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:
@@ -51,19 +51,19 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     Raises:
         ModelError: no such model for this method, no reading, or the data does not allow it.
     """
-    models = session.spec.models
+    models = spec_of(session).models
     name = model or next(iter(models))
     if name not in models:
         hint = did_you_mean(name, models)
         raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
-    return cast(_Method, load(session.spec.model)).build(session, name), name
+    return cast(_Method, load(spec_of(session).model)).build(session, name), name
 
 
 def error_map(fit: Fit) -> ErrorMap:
     """The machine's errors from one session's share in a fit."""
-    spec = fit.model.observations.session.spec
+    spec = spec_of(fit.model.observations.session)
     return cast(_Method, load(spec.map or spec.model)).error_map(fit.model, fit)
 
 

@@ -20,6 +20,7 @@ from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
@@ -180,7 +181,7 @@ def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tupl
     effects, labels = chosen.present, chosen.labels or ()
     if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
-    known = list(dict.fromkeys(name for session in chosen.sessions for name in session.spec.models))
+    known = list(dict.fromkeys(name for session in chosen.sessions for name in spec_of(session).models))
     if chosen.model is not None and chosen.model not in known:
         hint = did_you_mean(chosen.model, known)
         raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")

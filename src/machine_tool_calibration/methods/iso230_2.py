@@ -17,6 +17,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, occurrence, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = [
     "FIGURES",
@@ -302,7 +303,7 @@ def _line(observations: Observations, mine: IntArray) -> Array | None:
     line = np.where(np.abs(far) > _STILL, far, 0.0) / length
     line = np.abs(line) if np.count_nonzero(line) == 1 else line
     # Only what moves in steps is read off its line between two places on it.
-    return line if observations.session.spec.ordered_moves or _on(position, line).all() else None
+    return line if spec_of(observations.session).ordered_moves or _on(position, line).all() else None
 
 
 def _on(position: Array, line: Array) -> BoolArray:
@@ -314,7 +315,7 @@ def _on(position: Array, line: Array) -> BoolArray:
 def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[Array, Array, Array]:
     """Target positions, those within a hair made equal, signs of approach, and deviations, m."""
     place = observations.position[mine] @ line
-    readings, spec = observations.readings, observations.session.spec
+    readings, spec = observations.readings, spec_of(observations.session)
     deviation = readings.displacement[mine] * np.sign(observations.direction[mine] @ line)
     if np.count_nonzero(line) > 1:
         place = place - place.min()

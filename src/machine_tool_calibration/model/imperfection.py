@@ -13,6 +13,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["IMPERFECT", "imperfection", "scaled_values"]
 
@@ -29,7 +30,7 @@ def imperfection(observations: Observations) -> Array:
     Legendre polynomials of the coordinates that vary, products of two of them, and waves in the angles. None where the
     machine's errors are read themselves: there a smooth function of place is an error motion, and to be named.
     """
-    if observations.session.spec.reads_machine:
+    if spec_of(observations.session).reads_machine:
         return np.zeros((0, len(observations)))
     place = {a: v for a, v in zip("xyz", observations.position.T, strict=True)}
     within = {a: s for a, s in ((a, scaled_values(v)) for a, v in place.items()) if s is not None}
@@ -51,7 +52,7 @@ def _angles(observations: Observations) -> list[Array]:
     angles = []
     if "c" in observations.readings.columns:
         angles.append(observations.readings.columns["c"])
-    spec = observations.session.spec
+    spec = spec_of(observations.session)
     if spec.beam_from_pointer:
         angles.append(np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
     if spec.probes_surface:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Readings, Session, joined
 
 __all__ = ["Observations", "together"]
@@ -70,7 +71,7 @@ class Observations:
         readings = self.readings
         keys = [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
         keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
-        if self.session.spec.reads_machine:
+        if spec_of(self.session).reads_machine:
             # Deviations of one hole along x and along y do not repeat each other.
             keys += list(np.round(self.direction.T * 1e6))
         return groups(readings.setup, *keys, *readings.labels.values())

@@ -16,7 +16,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.catalogue import needed_columns
+from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
 __all__ = ["Family", "PureError", "of_repeats", "reproducibility"]
 
@@ -103,7 +103,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     are one family where they are the same. Of direct deviations the passes over a single axis; of a plate its runs, and
     the rows and columns of a grid of holes that were drilled one after the other.
     """
-    if observations.session.spec.reads_machine:
+    if spec_of(observations.session).reads_machine:
         return tuple(family for family in _of_direct(observations) if family.shapes.any())
     clock, readings = observations.clock, observations.readings
     # Readings are in the order of time, in whatever order they are given.

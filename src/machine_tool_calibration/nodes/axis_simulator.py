@@ -8,8 +8,6 @@ it jumps to the end of each commanded trajectory, so a measurement runs as fast 
 
 from __future__ import annotations
 
-import uuid
-
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Quaternion
@@ -18,6 +16,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.executed import executed_message
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
@@ -32,25 +31,30 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Moment, declare_site
+from machine_tool_calibration.nodes.site import Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 
-__all__ = ["AxisSimulator", "main"]
+__all__ = ["AxisSimulator"]
 
 _HEARTBEAT = 0.2  # s of the wall clock
 _DAY = 86_400.0  # s
 _FARTHEST = 10 * _DAY  # a motion that ends later is a mistake, and simulated time would run out of its 32 bits
 
 
-class AxisSimulator(GuardedNode):
+class AxisSimulator(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
         super().__init__("axis_simulator")
-        self._declare()
+
+    def configure(self) -> None:
+        """See `ManagedNode`."""
+        self.site = Site(read_site(self._file))
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
         travel = self.site.travel
         rotary = {axis.lower() for axis in self.site.chain.rotary}
         self.limits = {name: self._rotary_limits if name in rotary else self._linear_limits for name in travel}
@@ -59,7 +63,7 @@ class AxisSimulator(GuardedNode):
         self._motion = Trajectory.through(home, [], self.limits)
         self._start = self._simulated_now = self._origin if self._jumping else now(self)
         self._directions = dict.fromkeys(travel, 1)
-        self._command = 0
+        self._command = self._carried_out = self._waypoints = 0
         self._report: tuple[Level, str, dict[str, object]] = (Level.OK, "waiting for a command", {"state": "idle"})
         self._pending_arrival = False
         self._offset = self._point = np.zeros(3)
@@ -68,7 +72,6 @@ class AxisSimulator(GuardedNode):
         self._turning = True
         self._known: object = None
         self._random = np.random.default_rng([self.site.spec.seed, 23])
-        self._epoch = uuid.uuid4().hex[:12]
 
         self._states = self.create_publisher(JointState, "joint_states", STATE)
         self._status = StatusTopic(
@@ -78,6 +81,7 @@ class AxisSimulator(GuardedNode):
             hardware_id=f"simulated machine {self.site.chain}",
             clock=self._now,
         )
+        self._executed = self.create_publisher(JointTrajectory, "axes/executed", STATE)
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
         self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
@@ -87,8 +91,9 @@ class AxisSimulator(GuardedNode):
             self.every(1.0 / self._rate, self._tick)
         self._heartbeat()
 
-    def _declare(self) -> None:
-        self.site, self._origin = declare_site(
+    def settings(self) -> None:
+        """See `ManagedNode`."""
+        self._file, self._origin = declare_site(
             self, "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
         )
         simulated = self.lives_in_simulated_time
@@ -118,6 +123,7 @@ class AxisSimulator(GuardedNode):
         stamp = from_message(message.header.stamp)
         if stamp and stamp == self._command:  # sent again, because the answer was lost or late
             self._send_report()
+            self._send_executed()
             return
         self._command = stamp
         try:
@@ -140,7 +146,7 @@ class AxisSimulator(GuardedNode):
         if ends > _FARTHEST:
             self._set_report(Level.ERROR, f"refused: it would end {ends / _DAY:.0f} days from now", state="refused")
             return
-        self._motion = motion
+        self._motion, self._waypoints, self._carried_out = motion, len(points), stamp or begin
         # who measures the table commands it; all others need not hear of it at every target, only now and then
         self._turning = self.site.table_axis.lower() in message.joint_names
         self._directions, self._start = directions, begin
@@ -151,6 +157,7 @@ class AxisSimulator(GuardedNode):
         else:
             self._pending_arrival = True
             self._set_report(Level.OK, "moving", state="moving")
+            self._send_executed()
             self._tick()
 
     def _jump(self) -> None:
@@ -161,7 +168,8 @@ class AxisSimulator(GuardedNode):
         stamps = sorted({arrival, held})
         for stamp in stamps:
             self._publish_truth(stamp)
-        self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=held)
+        self._set_report(Level.OK, "arrived", state="arrived")
+        self._send_executed()
         for stamp in stamps:
             self._publish_state(stamp)
 
@@ -176,7 +184,8 @@ class AxisSimulator(GuardedNode):
         self._publish_state(stamp)
         if arrives:
             self._pending_arrival = False
-            self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=arrival)
+            self._set_report(Level.OK, "arrived", state="arrived")
+            self._send_executed()
 
     def _heartbeat(self) -> None:
         self._publish_clock()
@@ -186,6 +195,7 @@ class AxisSimulator(GuardedNode):
         if not self._turning:  # who is about to measure the table must know where it stands
             self._publish_table(self._now())
         self._send_report()
+        self._send_executed()
 
     def _publish_clock(self) -> None:
         if self._ticks is not None:
@@ -228,13 +238,22 @@ class AxisSimulator(GuardedNode):
 
     def _send_report(self) -> None:
         level, text, entries = self._report
-        self._status.say(level, text, {**entries, "command": self._command, "epoch": self._epoch})
+        self._status.say(level, text, {**entries, "command": self._command})
 
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_process(AxisSimulator, args, grace=STOP_GRACE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    def _send_executed(self) -> None:
+        """How far the last command that was not refused has been carried out."""
+        if not self._carried_out:
+            self._executed.publish(executed_message(self._start, ()))
+            return
+        # what comes before the command's own moves is braking
+        moves = self._motion.moves[-self._waypoints :] if self._waypoints else self._motion.moves[-1:]
+        until = self._now()
+        if self._pending_arrival:  # told with the true pose there, at the next tick
+            until = min(until, self._start + nanoseconds(self._motion.arrival) - 1)
+        begin, first = moves[0]
+        points = [(self._start + nanoseconds(begin), first.start)]
+        for begin, part in moves[: self._waypoints]:
+            reached = self._start + nanoseconds(begin + part.duration)
+            if reached <= until:
+                points.append((reached, part.end))
+        self._executed.publish(executed_message(self._carried_out, points))

@@ -14,9 +14,9 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Result, plain
-from machine_tool_calibration.nodes.ros.services import Progress
+from machine_tool_calibration.nodes.ros.goals import Progress
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
 from machine_tool_calibration.reports.comparison import comparison_document
@@ -149,7 +149,8 @@ def _searched(search: Callable[..., Found], request: Request, progress: Progress
     return search(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
 
 
-def _identified(result: Result) -> Identified:
+def _identified(result: Result | JointResult) -> Identified:
+    assert isinstance(result, Result), "one session"
     return Identified(result, _json(result.document()))
 
 

@@ -15,7 +15,7 @@ from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from machine_tool_calibration.nodes.ros.messages import SLOW, dated, from_message, nanoseconds
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "interpolate"]
+__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "declare_period", "interpolate"]
 
 TOPICS = {
     **{f"temperature_{place}": (Temperature, "temperature") for place in ("air", "x", "y", "z", "table", "work")},
@@ -27,19 +27,25 @@ TOPICS = {
 _KEPT = 100
 
 
+def declare_period(node: GuardedNode) -> float:
+    """Declare the parameter of how often a node publishes the environment, s."""
+    usual = 60.0 if node.lives_in_simulated_time else 1.0
+    period: float = node.declare(
+        "environment_period", usual, "time between publications of the environment", unit="s", low=0.01, high=1e5
+    )
+    return period
+
+
 class EnvironmentTopics:
     """Publishes what the sensors of the environment show, now and then.
 
     Args:
         node: that publishes.
+        period: time between two publications, s.
         sensed: values by the session's column at a time, ns.
     """
 
-    def __init__(self, node: GuardedNode, sensed: Callable[[int], Mapping[str, float]]) -> None:
-        usual = 60.0 if node.lives_in_simulated_time else 1.0
-        period: float = node.declare(
-            "environment_period", usual, "time between publications of the environment", unit="s", low=0.01, high=1e5
-        )
+    def __init__(self, node: Node, period: float, sensed: Callable[[int], Mapping[str, float]]) -> None:
         self._period, self._sensed, self._stamp = nanoseconds(period), sensed, 0
         self._publishers = {
             name: node.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
@@ -52,7 +58,7 @@ class EnvironmentTopics:
         self._stamp = stamp
         for name, value in self._sensed(stamp).items():
             kind, field = TOPICS[name]
-            self._publishers[name].publish(dated(kind(**{field: value}), stamp, name))
+            self._publishers[name].publish(dated(kind(**{field: value}), stamp))
 
 
 class EnvironmentWatch:
@@ -87,4 +93,4 @@ def interpolate(samples: deque[tuple[int, float]], stamp: int, age: int) -> floa
         age: greatest distance of a sample, ns.
     """
     near = sorted((time - stamp, value) for time, value in samples if abs(time - stamp) <= age)
-    return float(np.interp(0.0, *zip(*near, strict=True))) if near else None
+    return float(np.interp(0.0, [time for time, _ in near], [value for _, value in near])) if near else None

@@ -2,15 +2,16 @@
 """Collects the readings of a session; on request identifies the machine's errors, and says what the model lacks.
 
 The map, the residuals, the verdict and all documents are latched, so a program that starts later gets them too. The
-calculations run in a thread of their own; readings go on being collected meanwhile.
+calculations are goals that can be followed and cancelled; readings go on being collected meanwhile.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar
 
+from diagnostic_msgs.srv import AddDiagnostics
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -29,55 +30,58 @@ from machine_tool_calibration.nodes.calculation import (
     identified,
     improved,
 )
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.publications import Publications, in_words
+from machine_tool_calibration.nodes.ros.goals import Goals, Progress
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
-from machine_tool_calibration.nodes.ros.names import offer
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
-from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.services import Answer, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.session.collect import Reading, Received
-from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["Estimator", "main"]
+__all__ = ["Estimator"]
 
 Outcome = TypeVar("Outcome")
 
 _PERIOD = 0.2  # s between publications of the count of readings
 
 
-class Estimator(GuardedNode):
+class Estimator(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
-        super().__init__("estimator")
         self._text = ""
-        self._declare()
+        super().__init__("estimator")
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
+        self._text = ""
         self._received = Received()
         self._resets = 0
         # Publishers of readings: all so far, and those that there are.
         self._sources = (0, 0)
         self._heard, self._unheard = False, False
-        self.background = Background(self)
-        self._last, self._level = "no identification yet", Level.OK
+        self._found: tuple[str, ...] = ()
         self._results = Publications(self)
         self._status = StatusTopic(self, "estimator")
+        self.goals = Goals(self, self._show)
         self.create_subscription(String, "session", self._described, LATCHED)
         matched = SubscriptionEventCallbacks(matched=self._matched)
         self.create_subscription(JointState, "reading", self._read, READINGS, event_callbacks=matched)
-        for name, doing, work, done in (
-            ("identify", "identifying", identified, self._identified),
-            ("compare", "comparing", compared, self._compared),
-            ("diagnose", "diagnosing", diagnosed, self._diagnosed),
-            ("improve", "improving the model", improved, self._improved),
-        ):
-            self._offer(name, doing, work, done)
-        offer(self, "estimator", "reset", self._reset)
+        for name, doing, work, done in _CALCULATIONS:
+            self.goals.offer(name, partial(self._begin, doing, work), partial(done, self))
+        offer(self, "~/reset", self._reset)
+        self.create_service(AddDiagnostics, "~/add_effect", self._add_effect)
         self.every(_PERIOD, self._show)
         self._show()
 
-    def _declare(self) -> None:
+    def deactivate(self) -> None:
+        """See `ManagedNode`."""
+        self.goals.close()
+
+    def settings(self) -> None:
+        """See `ManagedNode`."""
         self.declare(
             "effects_files",
             [""],
@@ -98,14 +102,10 @@ class Estimator(GuardedNode):
         )
         self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False)
 
-    def close(self) -> None:
-        """The node ends."""
-        self.background.stop()
-
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`: the effects must exist, and a method must have the model."""
         if wanted.get("model"):
-            method = parse_description(self._text, "session").method if self._text else None
+            method = description_of(self._text).method if self._text else None
             known = model_names(method)
             if wanted["model"] not in known:
                 raise CalibrationError(f"unknown model {wanted['model']!r}; known are {', '.join(known)}")
@@ -117,7 +117,7 @@ class Estimator(GuardedNode):
             find_effects([name for name in effects or () if name], own_effects(files or ()))
 
     def _described(self, message: String) -> None:
-        parse_description(message.data, "session")  # refused here, and not at the next request
+        description_of(message.data)  # refused here, and not at the next request
         self._text = message.data
 
     def _read(self, message: JointState) -> None:
@@ -141,48 +141,29 @@ class Estimator(GuardedNode):
         self._resets += 1
         self._show()
 
-    def _offer(
-        self,
-        name: str,
-        doing: str,
-        work: Callable[[Request, Progress], Outcome],
-        done: Callable[[Outcome], tuple[str, Mapping[str, Any]]],
-    ) -> None:
-        """Offer a calculation as a service.
+    def _begin(
+        self, doing: str, work: Callable[[Request, Progress], Outcome]
+    ) -> tuple[str, Callable[[Progress], Outcome]]:
+        if not self._text:
+            raise CalibrationError("no session has been described yet (topic session)")
+        request, missing = self._request(), self._received.missing
+        lacking = f" ({missing} are missing)" if missing else ""
+        return f"{doing} from {len(request.readings)} readings{lacking}", lambda progress: work(request, progress)
 
-        Args:
-            name: of the service, below the node's.
-            doing: what it does, for people.
-            work: calculates.
-            done: publishes the outcome; gives a sentence for the status, and the answer.
-        """
-
-        def called(answer: Answer) -> None:
-            if self.background.busy:
-                seconds = f"{self.background.seconds:.0f} s so far"
-                answer.send(False, f"busy: {self.background.doing} ({seconds}); ask again when that is done")
-                return
-            if not self._text:
-                answer.send(False, "no session has been described yet (topic session)")
-                return
-            request, missing = self._request(), self._received.missing
-
-            def finish(outcome: Outcome | str) -> None:
-                if isinstance(outcome, str):
-                    self._last, self._level = outcome, Level.ERROR
-                    answer.send(False, outcome)
-                else:
-                    words, content = done(outcome)
-                    self._last, self._level = words, Level.OK
-                    answer.send(True, json.dumps({**content, "missing": missing}, allow_nan=False, ensure_ascii=False))
-                self._show()
-
-            self.background.start(
-                f"{doing} from {len(request.readings)} readings", lambda progress: work(request, progress), finish
-            )
-            self._show()
-
-        offer(self, "estimator", name, called)
+    def _add_effect(
+        self, request: AddDiagnostics.Request, response: AddDiagnostics.Response
+    ) -> AddDiagnostics.Response:
+        """Into the model: the effect that is named, or those that the last diagnosis accepted."""
+        named = tuple(request.load_namespace.split())
+        added = named or self._found
+        if not added:
+            raise CalibrationError("no effect is named, and none has been found")
+        present = tuple(name for name in self.get_parameter("effects").value if name)
+        wanted = list(dict.fromkeys((*present, *added)))
+        (outcome,) = self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, wanted)])
+        response.success = outcome.successful
+        response.message = f"effects in the model: {', '.join(wanted)}" if outcome.successful else outcome.reason
+        return response
 
     def _request(self) -> Request:
         values = {name: self.get_parameter(name).value for name in ("model", "effects", "effects_files")}
@@ -209,17 +190,16 @@ class Estimator(GuardedNode):
     def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
         content, document = outcome
         self._results.show_comparison(document)
-        told = ("summary", "readings", "rms_residual", "reduced_chi_square", "p_value")
+        told = ("readings", "rms_residual", "reduced_chi_square", "p_value")
         return f"compared: {content['summary']}", {name: content[name] for name in told}
 
     def _diagnosed(self, outcome: Diagnosed) -> tuple[str, Mapping[str, Any]]:
         self._results.show_diagnosis(outcome)
         content = outcome.content
-        words = in_words(outcome)
-        return f"diagnosed: {words}", {
+        self._found = tuple(content["accepted"])
+        return f"diagnosed: {in_words(outcome)}", {
             "verdict": content["verdict"],
-            "accepted": content["accepted"],
-            "summary": words,
+            "accepted": " ".join(self._found),
             "rms_before": content["fit"]["before"]["rms_residual"],
             "rms_after": content["fit"]["after"]["rms_residual"],
         }
@@ -235,9 +215,9 @@ class Estimator(GuardedNode):
         words = f"improved by {', '.join(added) or 'nothing'}: {residual}"
         return words, {
             "verdict": outcome.diagnosed.content["verdict"],
-            "accepted": added,
-            "effects": effects,
-            "set_aside": [int(row) for row in last.set_aside[0]],
+            "accepted": " ".join(added),
+            "effects": " ".join(effects),
+            "set_aside": " ".join(str(row) for row in last.set_aside[0]),
             "rms_before": before,
             "rms_after": after,
             "reduced_chi_square_before": first.reduced_chi_square,
@@ -246,32 +226,33 @@ class Estimator(GuardedNode):
 
     def _show(self) -> None:
         """Publish the status where it has changed."""
-        background, received = self.background, self._received
+        goals, received = self.goals, self._received
         entries = {
             "readings": len(received),
             "missing": received.missing,
             "resets": self._resets,
             "session": "described" if self._text else "unknown",
-            "busy": background.busy,
-            "step": background.step,
-            "progress": f"{background.share:.2f}",
+            "busy": bool(goals.doing),
+            "goal": goals.number,
+            "step": goals.step,
+            "progress": f"{goals.share:.2f}",
         }
-        words = background.doing or self._last
+        words = goals.doing or goals.last or "no identification yet"
         if received.missing:
             first = "the first " if received.lacks_the_first else ""
             words += f"; {first}{received.missing} of {received.expected} readings are missing"
         if self._unheard:
             words += "; a publisher of readings came and went, and none of its readings was heard"
-        level = Level.OK if background.busy else self._level
+        level = Level.OK if goals.doing else goals.level
         if received.missing or self._unheard:
             level = max(level, Level.WARN)
         self._status.show(level, words, entries)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_process(Estimator, args, grace=STOP_GRACE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+_CALCULATIONS: tuple[tuple[str, str, Callable[[Request, Progress], Any], Any], ...] = (
+    ("identify", "identifying", identified, Estimator._identified),
+    ("compare", "comparing", compared, Estimator._compared),
+    ("diagnose", "diagnosing", diagnosed, Estimator._diagnosed),
+    ("improve", "improving the model", improved, Estimator._improved),
+)
+"""Verb, what it does for people, the calculation, and what publishes its outcome."""

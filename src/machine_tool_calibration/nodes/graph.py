@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,13 +77,14 @@ class Graph:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def start(self, name: str) -> None:
-        """Start one program, or start it again."""
+    def start(self, name: str, **changed: Any) -> None:
+        """Start one program, or start it again, with parameters that differ from the first time's."""
         program = self._programs[name]
+        program = self._programs[name] = replace(program, parameters={**program.parameters, **changed})
         parameters = self._folder / f"{name}.yaml"
         content = {"/**": {"ros__parameters": dict(program.parameters)}}
         parameters.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        command = [sys.executable, "-m", f"machine_tool_calibration.nodes.{name}", "--ros-args"]
+        command = [sys.executable, "-m", "machine_tool_calibration.nodes", name, "--ros-args"]
         command += ["--params-file", str(parameters)]
         if self._parameters is not None:
             command += ["--params-file", str(self._parameters)]
@@ -107,15 +108,22 @@ class Graph:
                 preexec_fn=end_with_parent if sys.platform == "linux" else None,
             )
 
+    def ended(self) -> dict[str, str]:
+        """Programs that have ended by themselves, with their status and the last line of their log."""
+        return {
+            name: f"{name} ended with status {process.returncode}: {self._last_line(name)}"
+            for name, process in self._running.items()
+            if process.poll() is not None
+        }
+
     def check(self) -> None:
-        """Raise if a process has ended by itself.
+        """Raise if a program has ended by itself.
 
         Raises:
             CalibrationError: with the last line of its log.
         """
-        for name, process in self._running.items():
-            if process.poll() is not None:
-                raise CalibrationError(f"{name} ended with status {process.returncode}: {self._last_line(name)}")
+        for why in self.ended().values():
+            raise CalibrationError(why)
 
     def process_id(self, name: str) -> int:
         """Of a running program."""

@@ -10,13 +10,14 @@ import re
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.session.collect import Reading, Received
-from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
 
@@ -150,7 +151,7 @@ class Heard:
         Raises:
             CalibrationError: it is none.
         """
-        setups = tuple(setup.id for setup in parse_description(text, "session").setups)
+        setups = tuple(setup.id for setup in description_of(text).setups)
         with self._lock:
             self.description, self.setups = text, setups
 
@@ -191,7 +192,7 @@ class Heard:
                 raise CalibrationError(f"more than {_NODES} nodes")
             states[key] = state
 
-    def publish(self, **changes: Mapping[str, Array] | str) -> None:
+    def publish(self, **changes: Any) -> None:
         """The estimator published a part of its result; the arguments are fields of `Published`."""
         self.published = replace(self.published, number=self.published.number + 1, **changes)
 

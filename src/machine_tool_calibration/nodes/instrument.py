@@ -13,21 +13,22 @@ import json
 import time
 import uuid
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
-from machine_tool_calibration.nodes.environment import EnvironmentTopics
+from machine_tool_calibration.nodes.descriptions import description_of
+from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
 from machine_tool_calibration.nodes.optics import make_optics
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
@@ -39,17 +40,14 @@ from machine_tool_calibration.nodes.ros.messages import (
     rotation_of,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
-from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.services import Answer, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
 from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
-from machine_tool_calibration.nodes.site import Beam, declare_site
-from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
-__all__ = ["Instrument", "main"]
+__all__ = ["Instrument"]
 
 _GRACE = 0.5  # s of the wall clock: messages about the axes and the beam may arrive in either order
 
@@ -61,13 +59,24 @@ class _Request:
     since: float
 
 
-class Instrument(GuardedNode):
+class Instrument(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
+        self._simulated: SimulatedSource | None = None
         super().__init__("instrument")
-        self._simulated_time = self.lives_in_simulated_time
-        self._declare()
+
+    def configure(self) -> None:
+        """See `ManagedNode`."""
+        self._site = Site(read_site(self._file))
+        self._is_simulated = self._driver == "simulated"
+        if not self._is_simulated:
+            if self._simulated_time:
+                raise CalibrationError("a real driver needs real time: use_sim_time must be false")
+            load_driver(Path(self._driver))  # refused here, and not when it is wanted
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
         self._epoch = uuid.uuid4().hex[:12]
         self._datums = 0
         self._datum: str = ""
@@ -79,11 +88,10 @@ class Instrument(GuardedNode):
         self._waiting: Target | None = None
         self._pairs = Pairs()
 
-        self._stream = OwnPublisher(self, "instrument", "displacement", Float64MultiArray, STATE)
-        self._environment = EnvironmentTopics(self, self._sensed)
+        self._stream = self.create_publisher(Float64MultiArray, "~/displacement", STATE)
+        self._environment = EnvironmentTopics(self, self._period, self._sensed)
         self.source: Source
-        self._simulated: SimulatedSource | None = None
-        if self._driver == "simulated":
+        if self._is_simulated:
             self._simulated = self.source = SimulatedSource(
                 self._site,
                 self._origin,
@@ -100,25 +108,25 @@ class Instrument(GuardedNode):
             self.create_subscription(PoseStamped, "truth/beam", partial(self._pointed, 0), STATE)
             self.create_subscription(JointState, "pointer/state", partial(self._pointed, 1), STATE)
             self.create_subscription(String, "session", self._described, LATCHED)
-        elif self._simulated_time:
-            raise CalibrationError("a real driver needs real time: use_sim_time must be false")
         else:
             self.source = DriverSource(load_driver(Path(self._driver)), now(self) - time.monotonic_ns())
         hardware_id = self.source.hardware_id or Path(self._driver).stem
         self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
-        offer(self, "instrument", "datum", lambda answer: self._requested(answer, is_datum=True))
-        offer(self, "instrument", "capture", lambda answer: self._requested(answer, is_datum=False))
+        offer(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
+        offer(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
         if not self._simulated_time:
             self.every(1.0 / self._batch_rate, self._flow)
-        self.add_on_set_parameters_callback(self._changed)
         self._show()
 
-    def _declare(self) -> None:
+    def settings(self) -> None:
+        """See `ManagedNode`."""
+        self._simulated_time = self.lives_in_simulated_time
         self._driver: str = self.declare(
             "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
         )
-        self._site, self._origin = declare_site(self)
+        self._file, self._origin = declare_site(self)
+        self._period = declare_period(self)
         self._rate: float = self.declare(
             "rate",
             1000.0 if self._simulated_time else 10000.0,
@@ -167,32 +175,36 @@ class Instrument(GuardedNode):
             "beam_blocked", False, "something stands in the simulated beam", read_only=False
         )
 
-    def _changed(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == "beam_blocked" and self._simulated is not None:
-                self._simulated.blocked = bool(parameter.value)
-                if parameter.value:
-                    self._simulated.lose("the beam is blocked")
-        self._note_loss()
-        return SetParametersResult(successful=True)
+    def check_parameters(self, wanted: Mapping[str, Any]) -> None:
+        """See `GuardedNode`; the simulated beam is blocked at once."""
+        if "beam_blocked" in wanted and self._simulated is not None:
+            self._simulated.blocked = bool(wanted["beam_blocked"])
+            if self._simulated.blocked:
+                self._simulated.lose("the beam is blocked")
+            self._note_loss()
 
     # --- what the simulated axes and pointer say
 
+    @property
+    def _world(self) -> SimulatedSource:
+        assert self._simulated is not None, "heard by a simulated instrument only"
+        return self._simulated
+
     def _described(self, message: String) -> None:
-        session = parse_description(message.data, "session")
+        session = description_of(message.data)
         self._setups = [setup.id for setup in session.setups]
         try:
-            self._simulated.look_at(make_optics(self._site, session))
+            self._world.look_at(make_optics(self._site, session))
         except CalibrationError as error:
             self.get_logger().error(str(error))
         if self._waiting is not None:
             self._commanded(self._waiting)
 
     def _body(self, message: PoseStamped, body: str) -> None:
-        if self._simulated.optics.body != body:
+        if self._world.optics.body != body:
             return
         stamp = from_message(message.header.stamp)
-        self._simulated.add_pose(stamp, place_of(message.pose.position), rotation_of(message.pose.orientation))
+        self._world.add_pose(stamp, place_of(message.pose.position), rotation_of(message.pose.orientation))
         if self._simulated_time:
             self._environment.tell(stamp)
             if self._requests:
@@ -200,7 +212,7 @@ class Instrument(GuardedNode):
 
     def _pointed(self, side: int, message: PoseStamped | JointState) -> None:
         """The true beam, and what the pointer says of itself: the setup that the beam belongs to."""
-        if not self._simulated.optics.aims:
+        if not self._world.optics.aims:
             return
         stamp = from_message(message.header.stamp)
         pair = self._pairs.put(side, stamp, message)
@@ -208,24 +220,24 @@ class Instrument(GuardedNode):
             return
         truth, state = pair
         setup = setup_named(state, self._setups)
-        if self._simulated.setup and not setup:
+        if self._world.setup and not setup:
             return  # a pointer that has just started again: the instrument stands where it stood
         beam = Beam(place_of(truth.pose.position), rotation_of(truth.pose.orientation)[:, 0])
         self._stand(stamp, setup, beam)
 
     def _commanded(self, target: Target) -> None:
         """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
-        self._simulated.expect(target.stamp)
+        self._world.expect(target.stamp)
         setup = target.setup(self._setups)
         self._waiting = None if setup else target  # the session that describes it may be under way
-        if self._simulated.optics.aims or not setup:
+        if self._world.optics.aims or not setup:
             return
         self._stand(target.stamp, setup)
 
     def _stand(self, stamp: int, setup: str, beam: Beam | None = None) -> None:
         """The instrument stands at a setup from a time on; that it was moved is no fault, but its count is void."""
         index = self._setups.index(setup) if setup in self._setups else 0
-        moved = self._simulated.set_setup(stamp, setup, index, beam)
+        moved = self._world.set_setup(stamp, setup, index, beam)
         if moved:
             self._lose_datum(moved, is_fault=False)
         self._note_loss()
@@ -361,19 +373,10 @@ class Instrument(GuardedNode):
         """The environment that this node knows itself; with a real driver the sensors publish it."""
         return self._site.sensed(seconds(stamp - self._origin)) if self._simulated is not None else {}
 
-    def close(self) -> None:
+    def deactivate(self) -> None:
         """Stop what runs beside the node's own thread."""
         self.source.close()
 
 
 def _refuse(answer: Answer, kind: str, reason: str) -> None:
     answer.send(False, json.dumps({"kind": kind, "reason": reason}))
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_process(Instrument, args, grace=STOP_GRACE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files check before they start anything; `launch` itself is not needed for it."""
+"""What the launch files share: arguments that are checked before anything is started, and managed nodes."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import sys
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 
-__all__ = ["switches", "unknown_arguments"]
+__all__ = ["managed_nodes", "refuse_unknown", "switches"]
 
 _WORDS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
 
@@ -28,6 +30,58 @@ def switches(given: Mapping[str, str], names: Collection[str]) -> dict[str, bool
     return {name: _WORDS[given[name].lower()] for name in names}
 
 
-def unknown_arguments(given: Collection[str], known: Collection[str]) -> list[str]:
-    """A sentence for each argument that nobody reads, which `ros2 launch` passes over without a word."""
-    return [f"there is no argument {name!r}{did_you_mean(name, known)}" for name in sorted(set(given) - set(known))]
+def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) -> None:
+    """Refuse an argument that nobody reads, which `ros2 launch` passes over without a word.
+
+    Where another launch file includes this one its own arguments are there too: then nothing is refused.
+
+    Args:
+        file: name of the launch file.
+        given: names of the arguments.
+        known: names of those that it has.
+
+    Raises:
+        CalibrationError: there is one.
+    """
+    unknown = sorted(set(given) - set(known))
+    if unknown and any(word.endswith(file) for word in sys.argv):
+        name = unknown[0]
+        raise CalibrationError(f"there is no argument {name!r}{did_you_mean(name, known)}; {file} --show-args has them")
+
+
+def managed_nodes(
+    parameters: Mapping[str, Mapping[str, Any]],
+    namespace: str,
+    file: str,
+    on_exit: Callable[..., Any],
+    *,
+    autostart: bool,
+) -> list[Any]:
+    """The actions that start nodes of this package.
+
+    That they go to their active state is told them by a parameter: a transition that `launch` asks for by a service is
+    lost, now and then, where the node has not discovered `launch` yet.
+
+    Args:
+        parameters: of each node, by its name; they count more than those of the file.
+        namespace: of all; `/clock` is remapped into it, as it is absolute and two graphs would share it.
+        file: of ROS parameters.
+        on_exit: called when one ends.
+        autostart: whether they are configured and activated; else a lifecycle manager does it.
+    """
+    from launch_ros.actions import LifecycleNode
+
+    space = namespace.strip("/")
+    return [
+        LifecycleNode(
+            package="machine_tool_calibration",
+            executable=name,
+            name=name,
+            namespace=space,
+            parameters=[file, {**values, "autostart": autostart}],
+            remappings=[("/clock", f"/{space}/clock")] if space else [],
+            output="screen",
+            on_exit=on_exit,
+        )
+        for name, values in parameters.items()
+    ]

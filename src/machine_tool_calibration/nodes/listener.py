@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.node import NodeNameNonExistentError
 from sensor_msgs.msg import JointState, PointCloud2
@@ -37,12 +36,11 @@ from machine_tool_calibration.session.collect import Reading
 
 __all__ = ["Listener"]
 
-_REST = 0.05  # s in which messages gather: to wake for each of a thousand a second costs twice as much
+_REST = 0.1  # s between looks at whether it is over
 _LOOK = 0.5  # s between looks at which services there are
-_PATIENCE = 5  # looks; a first answer is lost where the server does not know its client yet
 _NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
-_TYPES = {"std_srvs/srv/Trigger", "rcl_interfaces/srv/GetParameters"}
-_PERMISSION = "services_move_axes"
+_GOAL = re.compile("goal ([0-9a-f]{32}): ")
+_TRIGGER = "std_srvs/srv/Trigger"
 _FIELDS = {"error_map": FIELDS, "residuals": ("row", "setup", "residual")}
 _STATUSES = {
     **{topic.name: topic.latched for topic in GRAPH_TOPICS if topic.name.endswith("/status")},
@@ -67,11 +65,11 @@ class Listener:
         self._space = self._node.get_namespace().strip("/")
         self._names: tuple[str, ...] = ()
         self._clients: dict[str, Client] = {}
-        self._asked: dict[str, int] = {}
-        self._allowed: dict[str, bool] = {}
+        self._goals: dict[str, int] = {}  # which call began a calculation
         node = self._node
         node.create_subscription(String, "session", lambda message: heard.describe(message.data), LATCHED)
         node.create_subscription(JointState, "reading", self._read, READINGS)
+        node.create_subscription(DiagnosticArray, "estimator/outcome", self._ended, LATCHED)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, SLOW)
         for topic, latched in _STATUSES.items():
             tell = partial(self._said, topic.rpartition("/")[0])
@@ -102,15 +100,26 @@ class Listener:
                 self._heard.answer(number, False, "the service is not there")
                 return
             asked = client.call_async(Trigger.Request())
-            asked.add_done_callback(
-                lambda done: self._heard.answer(number, done.result().success, done.result().message)
-            )
+            asked.add_done_callback(lambda done: self._answered(number, done.result()))
 
         post(self._node, call)
 
+    def _answered(self, number: int, response: Trigger.Response) -> None:
+        goal = _GOAL.match(response.message) if response.success else None
+        if goal is None:
+            self._heard.answer(number, response.success, response.message)
+        else:  # a calculation has begun; what it gives is the answer
+            self._goals[goal[1]] = number
+
+    def _ended(self, message: DiagnosticArray) -> None:
+        for outcome in message.status[:1]:
+            number = self._goals.pop(outcome.hardware_id, None)
+            if number is not None:
+                self._heard.answer(number, not outcome.level[0], outcome.message)
+
     def _hear(self) -> None:
-        while not self._over.wait(_REST):
-            self._guest.hear_all()
+        while not self._over.is_set():
+            self._guest.hear(_REST)
 
     def _read(self, message: JointState) -> None:
         names = tuple(message.name)
@@ -146,8 +155,8 @@ class Listener:
             if state.kind not in SERVICES:
                 continue
             there = self._services(state.node)
-            allowed = self._allows(state.node, there) if state.kind == "procedure" else True
-            if allowed is False:
+            allowed = state.entries.get("services_move_axes") != "False"
+            if not allowed:
                 refusing.append(state.node)
             for verb, moves in SERVICES[state.kind].items():
                 service = f"{state.node}/{verb}"
@@ -166,26 +175,7 @@ class Listener:
             found = self._node.get_service_names_and_types_by_node(name, space)
         except NodeNameNonExistentError:
             return set()
-        return {service.removeprefix(space).lstrip("/") for service, types in found if set(types) & _TYPES}
-
-    def _allows(self, name: str, there: set[str]) -> bool | None:
-        """Whether a node allows its services to move axes; None as long as it has not said so."""
-        service = f"{name}/get_parameters"
-        if service not in there:
-            self._allowed.pop(name, None)  # whoever has this name next may say otherwise
-            return None
-        if name not in self._allowed and self._asked.get(name, 0) <= 0:
-            if service not in self._clients:
-                self._clients[service] = self._node.create_client(GetParameters, service)
-            if self._clients[service].service_is_ready():
-                asked = self._clients[service].call_async(GetParameters.Request(names=[_PERMISSION]))
-                asked.add_done_callback(lambda done: self._permitted(name, done.result().values))
-                self._asked[name] = _PATIENCE
-        self._asked[name] = self._asked.get(name, 0) - 1
-        return self._allowed.get(name)
-
-    def _permitted(self, name: str, values: list) -> None:
-        self._allowed[name] = bool(values and values[0].bool_value)
+        return {service.removeprefix(space).lstrip("/") for service, types in found if _TRIGGER in types}
 
 
 def _state(node: str, kind: str, status: DiagnosticStatus, *, repeats: bool) -> NodeState:

@@ -32,6 +32,8 @@ _IDENTIFY = 600.0
 _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and may blink
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
+_LISTENERS = ("estimator", "recorder")
+_STARTS = 4  # of one of these; more do not help it
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
 Progress = Callable[[str, int, int], None]
@@ -85,6 +87,7 @@ class Measured:
         domain: ROS domain id of the graph.
         seconds: from the start of the graph, and of the procedure alone.
         counters: what did not go straight, by name.
+        remarks: a sentence for each time that a node that only listens ended and was started again.
     """
 
     output: Path
@@ -96,6 +99,45 @@ class Measured:
     domain: int
     seconds: tuple[float, float]
     counters: dict[str, int]
+    remarks: tuple[str, ...]
+
+
+class _Listeners:
+    """Watches the graph: a node that only listens is started again when it ends, any other ends the measurement.
+
+    Attributes:
+        remarks: what was missed, a sentence for each time.
+    """
+
+    def __init__(self, graph: Graph, output: Path) -> None:
+        self._graph, self._output = graph, output
+        self.operator: Operator | None = None
+        self.remarks: list[str] = []
+
+    def watch(self) -> None:
+        """Look after the processes.
+
+        Raises:
+            CalibrationError: one has ended that the measurement cannot do without.
+        """
+        for name, why in self._graph.ended().items():
+            if name not in _LISTENERS or self.operator is None:
+                raise CalibrationError(why)
+            again = sum(name in remark for remark in self.remarks) + 2
+            if again > _STARTS:
+                self.remarks.append(f"{why}; it is not started again")
+                self._graph.kill(name)
+                continue
+            count = len(self.operator.readings)
+            if name == "recorder":
+                bag = self._output / f"bag_{again}"
+                self.remarks.append(
+                    f"{why} after {count} readings; {bag} has all readings, and the other topics from there on"
+                )
+                self._graph.start(name, folder=str(bag.resolve()))
+            else:
+                self.remarks.append(f"{why} after {count} readings; it gets them all again")
+                self._graph.start(name)
 
 
 def free_folder(name: str, given: Path | None) -> Path:
@@ -142,25 +184,27 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         programs = _programs(setting, copy, site, procedure.session.method)
         graph = Graph(programs, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
-        with graph, Operator(domain, graph.namespace, graph.check) as operator:
+        listeners = _Listeners(graph, output)
+        with graph, Operator(domain, graph.namespace, listeners.watch) as operator:
             try:
                 _await_ready(operator, [program.name for program in programs])
+                listeners.operator = operator
                 started = time.monotonic()
                 _run(operator, total, progress)
                 measured = time.monotonic() - started
-                document = _identify(operator, setting, total, progress) if setting.identify else None
-            except KeyboardInterrupt:
-                _save(operator, output)
-                raise
-            except CalibrationError as error:
+                document = _identify(operator, listeners, total, progress) if setting.identify else None
+            except (KeyboardInterrupt, CalibrationError) as error:
                 kept = _save(operator, output)
                 if kept is None:
                     raise
-                count = len(kept.readings)
-                raise CalibrationError(f"{error}; {count} readings are kept in {output / 'session'}") from error
+                why = str(error) or "interrupted"
+                where = f"{len(kept.readings)} of {total} readings are kept in {output / 'session'}"
+                raise type(error)(f"{why}; {where}") from error
             progress("closing the recording", total, total)
             graph.stop(["recorder"])
             session = _save(operator, output)
+            if session is None:
+                raise CalibrationError("the procedure ended without a reading")
             counters = {
                 name: operator.procedure.number(name)
                 for name in ("resent", "stale", "unstable", "recoveries", "restarts")
@@ -180,6 +224,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         domain=domain,
         seconds=(time.monotonic() - begin, measured),
         counters=counters,
+        remarks=tuple(listeners.remarks),
     )
 
 
@@ -248,17 +293,22 @@ def _await_ready(operator: Operator, names: Sequence[str]) -> None:
 
 def _run(operator: Operator, total: int, progress: Progress) -> None:
     operator.call("procedure/start", _COLLECT)
-    seen = time.monotonic()
+    seen, begun = time.monotonic(), False
 
     def over() -> bool:
-        nonlocal seen
+        nonlocal seen, begun
         if operator.has_node("procedure"):
             seen = time.monotonic()
         elif time.monotonic() - seen > _GONE:  # started elsewhere: its process cannot be watched
             raise CalibrationError("the procedure has ended in the middle of the measurement")
         status = operator.procedure
+        state = status.entries.get("state")
+        if begun and state == "idle":
+            again = "the datum is lost with it, so what is missing cannot be added: run the procedure again"
+            raise CalibrationError(f"the procedure was started anew in the middle of the measurement; {again}")
+        begun = begun or state == "running"
         progress(status.message, status.number("captured"), total)
-        return status.entries.get("state") in ("finished", "error", "aborted")
+        return state in ("finished", "error", "aborted")
 
     try:
         operator.wait(over, float("inf"))
@@ -271,7 +321,7 @@ def _run(operator: Operator, total: int, progress: Progress) -> None:
         raise CalibrationError(f"only {len(operator.readings)} of {total} readings were received")
 
 
-def _identify(operator: Operator, setting: Setting, total: int, progress: Progress) -> dict[str, Any]:
+def _identify(operator: Operator, listeners: _Listeners, total: int, progress: Progress) -> dict[str, Any]:
     progress("identifying", total, total)
 
     def collected() -> bool:  # the description may come later than the readings
@@ -282,13 +332,21 @@ def _identify(operator: Operator, setting: Setting, total: int, progress: Progre
             raise CalibrationError(f"estimator/reset was called during the measurement: {lost} to the estimator")
         return has >= total and status.entries.get("session") == "described"
 
-    if not operator.wait(collected, _COLLECT):
-        raise CalibrationError(f"the estimator has {operator.estimator.number('readings')} of {total} readings")
-    operator.call("estimator/identify", _IDENTIFY)
+    while True:
+        if not operator.wait(collected, _COLLECT):
+            raise CalibrationError(f"the estimator has {operator.estimator.number('readings')} of {total} readings")
+        if _is_identified(operator, listeners):
+            break
     if not operator.wait(lambda: bool(operator.document), _COLLECT):
         raise CalibrationError("the estimator's result did not arrive")
     document: dict[str, Any] = json.loads(operator.document)
     return document
+
+
+def _is_identified(operator: Operator, listeners: _Listeners) -> bool:
+    """Have the machine's errors identified; false where the estimator was started again meanwhile."""
+    before = len(listeners.remarks)
+    return bool(operator.calculate("identify", _IDENTIFY, lambda: len(listeners.remarks) != before))
 
 
 def _save(operator: Operator, output: Path) -> Session | None:

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -41,6 +43,7 @@ class Operator:
         self._guest = Guest(f"mtcal_{int(time.monotonic() * 1e3) % 1_000_000}", domain, namespace)
         self._node = self._guest.node
         self.procedure, self.estimator, self.recorder = (NodeState(node, node) for node in _STATUSES)
+        self.outcome = NodeState("estimator", "")
         self.session = ""
         self.readings: list[JointState] = []
         self.document = ""
@@ -48,13 +51,15 @@ class Operator:
         self._others: set[str] = set()
         # Before the subscriptions: nodes hear of both in this order, so one whose status came knows the clients.
         self._clients = {name: self._node.create_client(Trigger, name) for name in _SERVICES}
-        for topic, kind, keep, qos in (
+        heard: tuple[tuple[str, Any, Callable[[Any], None], QoSProfile], ...] = (
             *((f"{node}/status", DiagnosticArray, partial(self._keep_status, node), LATCHED) for node in _STATUSES),
+            ("estimator/outcome", DiagnosticArray, partial(self._keep_status, "outcome"), LATCHED),
             ("session", String, self._keep_session, LATCHED),
             ("reading", JointState, self.readings.append, READINGS),
             ("error_map/result", String, self._keep_document, LATCHED),
             ("error_map", PointCloud2, self._keep_map, LATCHED),
-        ):
+        )
+        for topic, kind, keep, qos in heard:
             self._node.create_subscription(kind, topic, keep, qos)
 
     def __enter__(self) -> Operator:
@@ -65,7 +70,8 @@ class Operator:
 
     def _keep_status(self, node: str, message: DiagnosticArray) -> None:
         status = message.status[0]
-        setattr(self, node, NodeState(node, status.name, status.level[0], status.message, values(message)))
+        said = NodeState(node, status.name, status.level[0], status.message, values(message), status.hardware_id)
+        setattr(self, node, said)
 
     def _keep_session(self, message: String) -> None:
         self.session = message.data
@@ -106,9 +112,7 @@ class Operator:
             self._clients[service] = self._node.create_client(Trigger, service)
             name = service.partition("/")[0]
             self._others.discard(name)  # what was heard before says nothing about this client
-            self._node.create_subscription(
-                DiagnosticArray, f"{name}/status", lambda _, name=name: self._others.add(name), LATCHED
-            )
+            self._node.create_subscription(DiagnosticArray, f"{name}/status", lambda _: self._others.add(name), LATCHED)
         return self._clients[service]
 
     def call(self, service: str, timeout: float) -> str:
@@ -128,3 +132,23 @@ class Operator:
         if not response.success:
             raise CalibrationError(f"{service}: {response.message}")
         return str(response.message)
+
+    def calculate(self, verb: str, timeout: float, in_vain: Callable[[], bool] = lambda: False) -> Mapping[str, str]:
+        """Have the estimator calculate something, wait for the outcome and give its values.
+
+        Args:
+            verb: such as `identify`.
+            timeout: s.
+            in_vain: whether the estimator that was asked has gone; then there are no values.
+
+        Raises:
+            CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout.
+        """
+        goal = self.call(f"estimator/{verb}", timeout).removeprefix("goal ").partition(":")[0]
+        if not self.wait(lambda: self.outcome.device == goal or in_vain(), timeout):
+            raise CalibrationError(f"estimator/{verb} is not done after {timeout:g} s")
+        if self.outcome.device != goal:
+            return {}
+        if self.outcome.level:
+            raise CalibrationError(f"estimator/{verb}: {self.outcome.message}")
+        return self.outcome.entries

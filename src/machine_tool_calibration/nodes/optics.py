@@ -60,20 +60,20 @@ class Optics(ABC):
     body = "functional_point"
     aims = False
 
-    def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
+    def target(self, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """(3,) where the target is, m, machine frame."""
         return pose.place
 
     @abstractmethod
-    def paths(self, targets: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """(n,) geometric paths to targets (n, 3), m; `pose` is the newest."""
 
-    def beside(self, target: Array, beam: Beam | None) -> float:
+    def beside(self, target: Array, beam: Beam) -> float:
         """How far the target is off the beam, m; 0 where the beam follows it or is wide enough."""
         return 0.0
 
     @abstractmethod
-    def look(self, target: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: Beam, moment: Moment) -> Look:
         """The direction of a reading."""
 
 
@@ -89,7 +89,7 @@ class OnTool(Optics):
     def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """See `Optics`; held on its direction the beam senses the projection (cosine error)."""
         line = targets - beam.origin
-        return np.linalg.norm(line, axis=1) if self.tracking else line @ beam.direction
+        return np.asarray(np.linalg.norm(line, axis=1) if self.tracking else line @ beam.direction)
 
     def beside(self, target: Array, beam: Beam) -> float:
         """See `Optics`."""
@@ -120,11 +120,11 @@ class OnTable(Optics):
         disturbance = self._site.live.disturbance(self._site.scene(moment))
         places = disturbance.grown(self._targets, self._axis) @ pose.rotation.T + pose.place
         is_ahead = (places - beam.origin) @ beam.direction > 0
-        return places[np.argmin(np.where(is_ahead, beam.off(places), np.inf))]
+        return np.asarray(places[np.argmin(np.where(is_ahead, beam.off(places), np.inf))])
 
     def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """See `Optics`."""
-        return np.linalg.norm(targets - beam.origin, axis=1)
+        return np.asarray(np.linalg.norm(targets - beam.origin, axis=1))
 
     def beside(self, target: Array, beam: Beam) -> float:
         """See `Optics`: a tracker finds its target near where it is sent."""
@@ -160,12 +160,12 @@ class FlatMirror(Optics):
             self._made[moment.setup] = first - _LASER * beam, beam, fixed
         return self._made[moment.setup]
 
-    def paths(self, targets: Array, pose: Pose, beam: None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """See `Optics`."""
         source, direction, fixed = self._setup(moment)
         return mirror_path(source, direction, targets, pose.rotation @ fixed)
 
-    def look(self, target: Array, pose: Pose, beam: None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: Beam, moment: Moment) -> Look:
         """See `Optics`."""
         return Look(self._setup(moment)[1], 0.0, 0.0)
 
@@ -176,11 +176,11 @@ class Along(Optics):
     def __init__(self, site: Site, description: Direct) -> None:
         self._direction = sensing_direction(description)
 
-    def paths(self, targets: Array, pose: Pose, beam: None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """See `Optics`."""
         return targets @ self._direction
 
-    def look(self, target: Array, pose: Pose, beam: None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: Beam, moment: Moment) -> Look:
         """See `Optics`."""
         return Look(self._direction, 0.0, 0.0)
 

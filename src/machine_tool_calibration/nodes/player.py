@@ -21,17 +21,15 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, to_message
-from machine_tool_calibration.nodes.ros.names import offer
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import run_process
-from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.services import Answer, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class
 from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
 
-__all__ = ["Pace", "Player", "main"]
+__all__ = ["Pace", "Player"]
 
 
 class Pace:
@@ -105,45 +103,50 @@ class _Outlet:
         self.unacknowledged = 0
 
 
-class Player(GuardedNode):
+class Player(ManagedNode):
     """See the module; says on `player/status` where it stands."""
 
     def __init__(self) -> None:
-        """Open the bag and create its publishers.
-
-        Raises:
-            CalibrationError: no bag, or a parameter is wrong.
-        """
+        self.sent, self.trouble = 0, ""
         super().__init__("player")
-        path = self.declare("bag", "", "the recording: a rosbag2 folder or an .mcap file")
+
+    def settings(self) -> None:
+        """See `ManagedNode`."""
+        self._path = self.declare("bag", "", "the recording: a rosbag2 folder or an .mcap file")
         self._rate = self.declare("rate", 1.0, "seconds of the bag per second; 0: as fast as possible", low=0.0)
-        offset = self.declare("offset", 0.0, "where in the bag to begin", unit="s", low=0.0)
+        self._offset = self.declare("offset", 0.0, "where in the bag to begin", unit="s", low=0.0)
         self._loop = self.declare("loop", False, "begin again at the end")
-        paused = self.declare("paused", False, "wait for the service player/resume")
-        frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
-        wanted = self.declare("topics", [""], "names of the topics to play; all if there are none")
-        self._leave = self.declare("exit_at_end", False, "end the node when the bag has been played")
-        delay = self.declare("delay", 0.0, "before the first message, so that subscribers are found", unit="s", low=0.0)
-        if not path:
+        self._paused = self.declare("paused", False, "wait for the service player/resume")
+        self._frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
+        self._wanted = self.declare("topics", [""], "names of the topics to play; all if there are none")
+        self._ends = self.declare("exit_at_end", False, "end the node when the bag has been played")
+        self._delay = self.declare(
+            "delay", 0.0, "before the first message, so that subscribers are found", unit="s", low=0.0
+        )
+
+    def configure(self) -> None:
+        """See `ManagedNode`."""
+        if not self._path:
             raise CalibrationError("the parameter bag is missing: which recording is to be played?")
-        self.bag = BagReader(Path(path))
-        self._start = self.bag.first + round(offset * 1e9)
+        self.bag = BagReader(Path(self._path))
+        self._start = self.bag.first + round(self._offset * 1e9)
         if self.bag.messages_in_all and self._start > self.bag.last:
             raise CalibrationError(
-                f"{path}: lasts {self.bag.duration:.3f} s; the offset {offset:g} s is behind its end"
+                f"{self._path}: lasts {self.bag.duration:.3f} s; the offset {self._offset:g} s is behind its end"
             )
-        self.sent = 0
-        self.trouble = ""
-        self.done = False
-        self._outlets = self._create_outlets({name for name in wanted if name}, with_clock=bool(frequency))
-        self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if frequency else None
-        self._period = round(1e9 / frequency) if frequency else 0
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
+        self.sent, self.trouble = 0, ""
+        self._outlets = self._create_outlets({name for name in self._wanted if name}, with_clock=bool(self._frequency))
+        self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if self._frequency else None
+        self._period = round(1e9 / self._frequency) if self._frequency else 0
         self._last_clock: int | None = None
         self._status = StatusTopic(self, "player", clock=time.time_ns)
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
-            offer(self, "player", name, action)
-        self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=paused)
-        self._begin: int | None = time.monotonic_ns() + round(delay * 1e9) if delay else None
+            offer(self, f"~/{name}", action)
+        self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=self._paused)
+        self._begin: int | None = time.monotonic_ns() + round(self._delay * 1e9) if self._delay else None
         self._messages: Iterator[Message] = iter(())
         self._next: Message | None = None
         self._ended = False
@@ -151,10 +154,10 @@ class Player(GuardedNode):
         self.every(_TICK, self._tick)
         self.every(_SHOW, self._show)
         if self._time_topic is not None:
-            self.every(1.0 / frequency, self._tell_time)
+            self.every(1.0 / self._frequency, self._tell_time)
         self._show()
 
-    def close(self) -> None:
+    def deactivate(self) -> None:
         """Let what was sent arrive."""
         for outlet in self._outlets.values():
             outlet.settle()
@@ -190,7 +193,9 @@ class Player(GuardedNode):
         """To the offset; what was latched before it is sent at once."""
         self._messages = self.bag.messages(self._outlets)
         self._next = None
-        latched = {name: deque(maxlen=outlet.depth) for name, outlet in self._outlets.items() if outlet.latched}
+        latched: dict[str, deque[Message]] = {
+            name: deque(maxlen=outlet.depth) for name, outlet in self._outlets.items() if outlet.latched
+        }
         for message in self._messages:
             if message.log_time >= self._start:
                 self._next = message
@@ -216,7 +221,7 @@ class Player(GuardedNode):
                     return
                 self._advance(message)
         except RecordingError as error:
-            self._fail(error)
+            self._stop(error)
 
     def _is_early(self) -> bool:
         """Whether the delay is not over yet; the time in the bag begins when it is."""
@@ -253,9 +258,9 @@ class Player(GuardedNode):
         self._pace.set(self.bag.last, time.monotonic_ns())
         self._tell_time()
         self._show()
-        self.done = self._leave
+        self.done = self._ends
 
-    def _fail(self, error: RecordingError) -> None:
+    def _stop(self, error: RecordingError) -> None:
         self.trouble = str(error)
         self.get_logger().error(self.trouble)
         self._next, self._loop = None, False
@@ -293,7 +298,7 @@ class Player(GuardedNode):
         try:
             self._advance(message)
         except RecordingError as error:
-            self._fail(error)
+            self._stop(error)
         self._answer(answer, message.topic)
 
     def _answer(self, answer: Answer, text: str) -> None:
@@ -341,12 +346,3 @@ def _profile(offered: Qos) -> QoSProfile:
         else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if offered.latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def main(args: list[str] | None = None) -> int:
-    """Entry point of the executable `player`."""
-    return run_process(Player, args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -23,7 +23,9 @@ from trajectory_msgs.msg import JointTrajectory
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
-from machine_tool_calibration.nodes.environment import EnvironmentTopics
+from machine_tool_calibration.nodes.descriptions import description_of
+from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
+from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
@@ -39,19 +41,16 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.names import OwnPublisher
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
-from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.services import Answer, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Site, declare_site
+from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["Pretravel", "Probe", "SimulatedPart", "main"]
+__all__ = ["Pretravel", "Probe", "SimulatedPart"]
 
 
 _FORM_STREAM = 41
@@ -117,6 +116,7 @@ class SimulatedPart:
 
 
 _CHECK = 0.1  # s of the wall clock
+_WAY = 2  # points of a touch's trajectory: there and back
 
 
 @dataclass
@@ -144,19 +144,23 @@ class _Cycle:
     moment: int
 
 
-class Probe(GuardedNode):
+class Probe(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
         super().__init__("probe")
-        self._simulated_time = self.lives_in_simulated_time
-        self._declare()
-        self._part: Part | None = None
+
+    def configure(self) -> None:
+        """See `ManagedNode`."""
+        self._site = Site(read_site(self._file))
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
         self._surface: SimulatedPart | None = None
         self._setups: dict[float, int] = {}
         self._axes: dict[str, float] | None = None
         self._axes_stamp = self._held = 0
-        self._epoch = ""
+        self._executions = Executions()
         self._answers: list[Answer] = []
         self._cycle: _Cycle | None = None
         self._touches = self._missed = self._early = 0
@@ -167,19 +171,23 @@ class Probe(GuardedNode):
         # it stands in the instrument's place, whatever its own name is
         told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
         self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
-        self._triggers = OwnPublisher(self, "probe", "trigger", JointState, STATE)
+        self._triggers = self.create_publisher(JointState, "~/trigger", STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        self._environment = EnvironmentTopics(self, self._sensed)
+        self._environment = EnvironmentTopics(self, self._period, self._sensed)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
-        deferred_service(self, "instrument/datum", self._no_datum)
-        deferred_service(self, "instrument/capture", self._requested)
+        self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
+        offer(self, "instrument/datum", self._no_datum)
+        offer(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
         self._show()
 
-    def _declare(self) -> None:
-        self._site, self._origin = declare_site(self)
+    def settings(self) -> None:
+        """See `ManagedNode`."""
+        self._simulated_time = self.lives_in_simulated_time
+        self._file, self._origin = declare_site(self)
+        self._period = declare_period(self)
         self._speed: float = self.declare("speed", 0.005, "speed of the approach", unit="m/s", low=1e-5, high=1.0)
         self._reaction: float = self.declare(
             "reaction", 0.004, "from the trigger until the axes turn back", unit="s", low=0.0, high=1.0
@@ -228,13 +236,12 @@ class Probe(GuardedNode):
     # --- what the others say
 
     def _described(self, message: String) -> None:
-        description = parse_description(message.data, "session")
+        description = description_of(message.data)
         if isinstance(description, Probing):
-            self._part = Part(description)
-            self._surface = SimulatedPart(self._site, self._part, self._form, self._pretravel)
+            self._surface = SimulatedPart(self._site, Part(description), self._form, self._pretravel)
             self._setups = {setup.c: index for index, setup in enumerate(description.setups)}
         else:
-            self._part = self._surface = None
+            self._surface = None
         self._show()
 
     def _moved(self, message: JointState) -> None:
@@ -248,24 +255,17 @@ class Probe(GuardedNode):
         self._show()
 
     def _axes_status(self, message: DiagnosticArray) -> None:
-        entries = values(message)
-        state, epoch = entries.get("state", ""), entries.get("epoch", "")
-        command = stamp_among(entries, "command") if state in ("arrived", "refused") else 0
-        held = 0
-        if state == "arrived":
-            held = stamp_among(entries, "held")
-        elif state == "moving":
-            held = from_message(message.header.stamp)
-        if epoch != self._epoch:  # the axes started anew, and simulated time with them
-            self._epoch, self._held, self._floor = epoch, 0, 0
-        self._held = max(self._held, held)
-        cycle = self._cycle
-        if cycle is None or command != cycle.command:
-            return
-        if state == "refused":
+        entries, cycle = values(message), self._cycle
+        if entries.get("state") == "refused" and cycle and stamp_among(entries, "command") == cycle.command:
             self._cycle = None
             self._refuse(f"axes: {message.status[0].message}")
-        elif state == "arrived":
+
+    def _executed(self, message: JointTrajectory) -> None:
+        executed, cycle = self._executions.take(message), self._cycle
+        if not executed.places:  # the axes started anew, and simulated time with them
+            self._held = self._floor = 0
+        held = self._held = max((self._held, executed.began, *executed.reached))
+        if cycle is not None and executed.command == cycle.command and len(executed.reached) == _WAY:
             self._floor = max(self._floor, held)
             self._finish(cycle, held)
 
@@ -287,7 +287,7 @@ class Probe(GuardedNode):
         """Set off if the axes stand and it is known where: their arrival may be heard of before their position is."""
         if self._cycle is not None:
             return
-        if self._part is None:
+        if self._surface is None:
             self._refuse("no probing session has been published")
         elif self._axes is None:
             self._refuse("the axes have not said where they are")
@@ -296,16 +296,19 @@ class Probe(GuardedNode):
 
     def _begin(self, attempt: int, begin: int, position: dict[str, float]) -> None:
         """Set off from a position in front of a point."""
+        surface = self._surface
+        if surface is None:
+            return
         try:
-            touch = self._part.meant(position, self._farthest)
+            touch = surface.part.meant(position, self._farthest)
         except CalibrationError as error:
             self._refuse(str(error))
             return
         c, z = position.get("c", 0.0), position.get("z", 0.0)
         setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
         time = seconds(begin - self._origin)
-        exact = self._surface.trigger(touch, c, z, time, setup)
-        declared = self._part.description.standard_uncertainty.displacement
+        exact = surface.trigger(touch, c, z, time, setup)
+        declared = surface.part.description.standard_uncertainty.displacement
         spread = declared if self._repeatability < 0 else self._repeatability
         displacement = exact + spread * self._random.normal()
         problem = judge(displacement, touch.standoff, self._limits)
@@ -322,7 +325,11 @@ class Probe(GuardedNode):
     def _finish(self, cycle: _Cycle, held: int) -> None:
         """The axes are back where the touch began."""
         self._cycle = None
-        point = self._part.description.workpiece[cycle.touch.point].id
+        point = (
+            cycle.touch.point
+            if self._surface is None
+            else self._surface.part.description.workpiece[cycle.touch.point].id
+        )
         if cycle.problem:
             early = cycle.problem.startswith("touch too early")
             self._early += early
@@ -378,7 +385,7 @@ class Probe(GuardedNode):
     def _show(self) -> None:
         """Publish the status where it has changed."""
         problem = ""
-        if self._part is None:
+        if self._surface is None:
             problem = "waiting for a probing session"
         elif self._axes is None:
             problem = "waiting for the axes"
@@ -391,12 +398,3 @@ class Probe(GuardedNode):
 
 def _refusal(reason: str) -> str:
     return json.dumps({"kind": "other", "reason": reason})
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_process(Probe, args, grace=STOP_GRACE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

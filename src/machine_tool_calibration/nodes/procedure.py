@@ -27,7 +27,9 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.descriptions import require_readable
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
+from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
@@ -44,10 +46,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.names import offer
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
-from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.services import answer_by, offer
 from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import setup_named, target_message
@@ -73,7 +73,7 @@ from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 
-__all__ = ["ProcedureNode", "event_of", "main"]
+__all__ = ["ProcedureNode", "event_of"]
 
 
 def event_of(
@@ -124,21 +124,22 @@ _TICK = 0.1  # s of the wall clock
 _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
 
 
-class ProcedureNode(GuardedNode):
+class ProcedureNode(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
         super().__init__("procedure")
+
+    def settings(self) -> None:
+        """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        file: str = self.declare("procedure", "", "YAML file of the procedure")
-        if not file:
-            raise CalibrationError("the parameter procedure must name a procedure's YAML file")
-        timing = self._declare_timing()
+        self._file: str = self.declare("procedure", "", "YAML file of the procedure")
+        self._timing = self._declare_timing()
         self._arrival_source: str = self.declare(
             "arrival",
-            "status",
-            "how the end of a motion is known: `status` (axes/status), or `joint_states` for a controller without it",
-            choices=("status", "joint_states"),
+            "executed",
+            "how the end of a motion is known: `executed` (axes/executed), or `joint_states` where there is none",
+            choices=("executed", "joint_states"),
         )
         self._position_tolerance: float = self.declare(
             "position_tolerance",
@@ -148,7 +149,7 @@ class ProcedureNode(GuardedNode):
             low=1e-12,
             high=1.0,
         )
-        maximum_age: float = self.declare(
+        self._maximum_age: float = self.declare(
             "environment_age", 120.0, "an environment sample older than this is not used", unit="s", low=0.1, high=1e5
         )
         self._moves: bool = self.declare(
@@ -156,14 +157,25 @@ class ProcedureNode(GuardedNode):
             True,
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
         )
-        self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
+
+    def configure(self) -> None:
+        """See `ManagedNode`."""
+        if not self._file:
+            raise CalibrationError("the parameter procedure must name a procedure's YAML file")
+        self._plan = plan(read_procedure(Path(self._file)))
+        self._text = require_readable(description_yaml(self._plan.procedure.session))
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
+        self.sequencer = Sequencer(self._plan, self._timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
-        self._environment = EnvironmentWatch(self, maximum_age)
+        self._environment = EnvironmentWatch(self, self._maximum_age)
         self._starts_with_clock = False
         self._resets: int | None = None
         self._remark = ""
         self._here: dict[str, float] | None = None
         self._motion: Motion | None = None
+        self._executions = Executions()
         self._seen: set[str] = set()
 
         self._session = self.create_publisher(String, "session", LATCHED)
@@ -177,6 +189,7 @@ class ProcedureNode(GuardedNode):
         self._pointer = self.create_publisher(JointState, "pointer/target", COMMAND)
         self._point = self.create_publisher(PointStamped, "pointer/command", COMMAND)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
+        self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
         self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
@@ -187,10 +200,15 @@ class ProcedureNode(GuardedNode):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, "procedure", name, partial(_answer_by, handler))
+            offer(self, f"~/{name}", partial(answer_by, handler))
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()
+
+    def deactivate(self) -> None:
+        """Nobody will hear of the axes' arrival any more: they stop."""
+        if self.sequencer.state is State.RUNNING:
+            self._carry_out(self.sequencer.abort(now(self)))
 
     def _declare_timing(self) -> Timing:
         return Timing(
@@ -248,7 +266,7 @@ class ProcedureNode(GuardedNode):
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)
             self._publish_session()
-        if self._arrival_source == "status" and self._joints is not None:
+        if self._arrival_source == "executed" and self._joints is not None:
             # where the axes stand before the first move is all that is needed of it
             self.destroy_subscription(self._joints)
             self._joints = None
@@ -285,20 +303,23 @@ class ProcedureNode(GuardedNode):
     # --- what the partners say
 
     def _axes_status(self, message: DiagnosticArray) -> None:
-        entries, motion = values(message), self._motion
-        state = entries.get("state") if self._arrival_source == "status" else ""
-        event: Event | None = None
-        if state == "refused":
-            event = Refused(stamp_among(entries, "command"), message.status[0].message)
-        elif motion is not None and state in ("idle", "moving", "arrived"):
-            command, epoch = stamp_among(entries, "command"), entries.get("epoch", "")
-            if command != motion.stamp:
-                event = MovedAway(from_message(message.header.stamp), epoch)
-            elif state == "arrived":
-                event = Arrived(command, stamp_among(entries, "arrived"), stamp_among(entries, "held"), epoch)
+        """Why the axes refuse a command; what becomes of one that they carry out is told by `axes/executed`."""
+        entries = values(message)
+        if entries.get("state") == "refused":
+            self._hear(Refused(stamp_among(entries, "command"), message.status[0].message))
+
+    def _executed(self, message: JointTrajectory) -> None:
+        executed, motion = self._executions.take(message), self._motion
         self._seen.add("axes")
-        if event is not None:
-            self._hear(event)
+        if motion is None or self._arrival_source != "executed":
+            return
+        # one of an earlier command comes late
+        if executed.command > motion.stamp or not executed.places:
+            self._hear(MovedAway(executed.began or now(self), executed.epoch))
+        elif executed.command == motion.stamp:
+            arrived = executed.arrival([point.position for point in motion.points])
+            if arrived is not None:
+                self._hear(Arrived(motion.stamp, arrived, executed.reached[-1], executed.epoch))
 
     def _joint_states(self, message: JointState) -> None:
         self._here = positions(message)
@@ -388,7 +409,7 @@ class ProcedureNode(GuardedNode):
         future.add_done_callback(lambda done: self._answer(token, done.result(), is_datum=is_datum))
 
     def _publish_session(self) -> None:
-        self._session.publish(String(data=description_yaml(self.sequencer.plan.procedure.session)))
+        self._session.publish(String(data=self._text))
 
     def _partners(self) -> str:
         aims = any(step.aim is not None and step.points for step in self.sequencer.plan.steps[:1])
@@ -415,6 +436,7 @@ class ProcedureNode(GuardedNode):
             "repeat": step.repeat if step is not None else "",
             "waiting_for": waiting,
             "duration": f"{sequencer.plan.duration:.0f}",
+            "services_move_axes": self._moves,
             **vars(sequencer.counters),
         }
         text = sequencer.message
@@ -424,20 +446,3 @@ class ProcedureNode(GuardedNode):
             text = f"{text}; {self._remark}"
         level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
         self._status.show(level, text, entries)
-
-
-def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
-    """Answer a request by a function that says what it did or raises what it cannot do."""
-    try:
-        answer.send(True, handler())
-    except CalibrationError as error:
-        answer.send(False, str(error))
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_process(ProcedureNode, args, grace=STOP_GRACE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

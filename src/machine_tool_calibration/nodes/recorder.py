@@ -9,16 +9,14 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, now, status
-from machine_tool_calibration.nodes.ros.names import own_names
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import run_process
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.writer import BagWriter
 
-__all__ = ["Recorder", "main"]
+__all__ = ["Recorder"]
 
 _TAKE = 0.004  # s
 _DISCOVER = 0.2  # s
@@ -26,34 +24,37 @@ _SHOW = 0.5  # s
 _NEVER = ("/rosout", "/parameter_events", "/clock")
 
 
-class Recorder(GuardedNode):
+class Recorder(ManagedNode):
     """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
 
     def __init__(self) -> None:
-        """Declare the parameters, create the bag and subscribe.
-
-        Raises:
-            CalibrationError: the bag cannot be created, or a parameter is wrong.
-        """
         super().__init__("recorder")
+
+    def settings(self) -> None:
+        """See `ManagedNode`."""
         topics = self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")
         self._wanted = {self.resolve_topic_name(name) for name in topics if name}
         self._everything = self.declare("all_topics", False, "record every topic that is discovered")
-        folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
-        split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
-        split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
-        flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
+        self._folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
+        self._split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
+        self._split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
+        self._flush = self.declare(
+            "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8
+        )
+
+    def activate(self) -> None:
+        """See `ManagedNode`: a recording begins, in a bag of its own."""
         self._status = StatusTopic(self, "recorder")
-        self._ignored = {*_NEVER, *map(self.resolve_topic_name, own_names(self, "recorder", "status"))}
+        self._ignored = {*_NEVER, self.resolve_topic_name("~/status")}
         self._refused: dict[str, str] = {}
         self._taken = 0
         self.trouble = ""
         self._waiting = self.lives_in_simulated_time
         self.bag = BagWriter(
-            Path(folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
-            flush_seconds=flush,
-            split_bytes=split_bytes,
-            split_seconds=split_time,
+            Path(self._folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
+            flush_seconds=self._flush,
+            split_bytes=self._split_bytes,
+            split_seconds=self._split_time,
         )
         self.taps = Taps(self, self.resolve_topic_name("/clock") if self._waiting else "")
         self._subscribe_known()
@@ -64,7 +65,7 @@ class Recorder(GuardedNode):
         self.every(_SHOW, self._show)
         self.get_logger().info(f"recording to {self.bag.folder}")
 
-    def close(self) -> None:
+    def deactivate(self) -> None:
         """Take what has come, end the bag and say what it holds."""
         try:
             self._take(last=True)
@@ -179,12 +180,3 @@ class Recorder(GuardedNode):
             }
             topics.append(status(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
         self._status.say(level, text, overall, topics)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Entry point of the executable `recorder`."""
-    return run_process(Recorder, args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

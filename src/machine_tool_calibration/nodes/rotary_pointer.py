@@ -17,7 +17,9 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.instruments.tracking import pointing
+from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     STATE,
@@ -29,30 +31,31 @@ from machine_tool_calibration.nodes.ros.messages import (
     quaternion_along,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import SETUP, Target, hear_targets
-from machine_tool_calibration.nodes.site import Beam, Moment, declare_site
+from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
-from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["RotaryPointer", "main"]
+__all__ = ["RotaryPointer"]
 
 _ANGLES = ("azimuth", "elevation")
 _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears where the beam is
 
 
-class RotaryPointer(GuardedNode):
+class RotaryPointer(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
         super().__init__("rotary_pointer")
-        self.site, self._origin = declare_site(
+
+    def settings(self) -> None:
+        """See `ManagedNode`."""
+        self._file, self._origin = declare_site(
             self, "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
         )
-        rate: float = self.declare(
+        self._rate: float = self.declare(
             "state_rate", 50.0, "rate of pointer/state in real time", unit="Hz", low=1.0, high=1000.0
         )
         speed: float = self.declare(
@@ -63,6 +66,13 @@ class RotaryPointer(GuardedNode):
         )
         self._simulated = self.lives_in_simulated_time
         self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
+
+    def configure(self) -> None:
+        """See `ManagedNode`."""
+        self.site = Site(read_site(self._file))
+
+    def activate(self) -> None:
+        """See `ManagedNode`."""
         self._session: Description | None = None
         self._waiting: Target | None = None
         self._setup = ""
@@ -77,30 +87,30 @@ class RotaryPointer(GuardedNode):
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
-        self.every(_HEARTBEAT if self._simulated else 1.0 / rate, self._tick)
+        self.every(_HEARTBEAT if self._simulated else 1.0 / self._rate, self._tick)
 
     def _described(self, message: String) -> None:
-        self._session = parse_description(message.data, "session")
-        if self._setup not in self._ids():
+        self._session = description_of(message.data)
+        if self._setup not in self._stations():
             self._setup = ""  # it belonged to another session
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             self._commanded(waiting)
 
-    def _ids(self) -> list[str]:
-        """The setups between which the pointer is carried; none where the instrument of the method is fixed."""
+    def _stations(self) -> dict[str, Array]:
+        """(3,) estimated station by setup, between which the pointer is carried; none where the instrument is fixed."""
         setups = self._session.setups if self._session is not None else ()
-        return [setup.id for setup in setups if isinstance(setup, StationSetup)]
+        return {setup.id: np.array(setup.position) for setup in setups if isinstance(setup, StationSetup)}
 
     def _commanded(self, target: Target) -> None:
-        ids = self._ids()
-        if self._session is not None and not ids:
+        stations = self._stations()
+        if self._session is not None and not stations:
             return
-        setup = target.setup(ids)
+        setup = target.setup(list(stations))
         if not setup:  # the session that describes it may be under way
             self._waiting = target
             if self._session is not None:
-                text = f"the session has no setup {target.named}; it has {', '.join(ids)}"
+                text = f"the session has no setup number {target.index:g}; it has {', '.join(stations)}"
                 self.get_logger().warning(text, throttle_duration_sec=10.0)
             return
         self._waiting = None
@@ -108,8 +118,7 @@ class RotaryPointer(GuardedNode):
         if setup != self._setup:
             self._setup = setup
             self._setup_starts[setup] = max(stamp, now(self))
-        station = np.array(self._session.setups[ids.index(setup)].position)
-        azimuth, elevation = pointing(target.point[None], station)
+        azimuth, elevation = pointing(target.point[None], stations[setup])
         flat = getattr(self._session, "dimension", 3) == 2
         begin = stamp if self._simulated else max(stamp, now(self))
         here = self._motion.position(seconds(begin - self._start))
@@ -141,14 +150,14 @@ class RotaryPointer(GuardedNode):
         beam = self._beam(stamp, **values)
         self._truth.publish(pose_message(stamp, beam.origin, quaternion_along(beam.direction)))
         if self._setup:
-            values[SETUP], rate = float(self._ids().index(self._setup)), {**rate, SETUP: 0.0}
+            values[SETUP], rate = float(list(self._stations()).index(self._setup)), {**rate, SETUP: 0.0}
         self._states.publish(joint_state(stamp, values, rate))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""
         if self._session is None or not self._setup:
             return self.site.beam(np.zeros(3), azimuth, elevation, Moment(0.0, {}, {}))
-        index = self._ids().index(self._setup)
+        index = list(self._stations()).index(self._setup)
         moment = Moment(
             time=seconds(stamp - self._origin),
             position={},
@@ -157,12 +166,3 @@ class RotaryPointer(GuardedNode):
             setup_start=seconds(self._setup_starts[self._setup] - self._origin),
         )
         return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_process(RotaryPointer, args, grace=STOP_GRACE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

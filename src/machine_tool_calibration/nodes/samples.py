@@ -14,7 +14,7 @@ from machine_tool_calibration.instruments.drivers import Driver, InstrumentError
 from machine_tool_calibration.nodes.averaging import NOTHING, Batch, NotYet, Window
 from machine_tool_calibration.nodes.optics import OnTool, Optics, Pose
 from machine_tool_calibration.nodes.ros.messages import nanoseconds, seconds
-from machine_tool_calibration.nodes.site import Beam, Moment, Site
+from machine_tool_calibration.nodes.site import NO_BEAM, Beam, Moment, Site
 
 __all__ = ["DriverSource", "SimulatedSource"]
 
@@ -63,8 +63,7 @@ class DriverSource:
             for sample in samples:
                 if not sample.beam:
                     self._reason = f"the instrument says that the beam is broken {sample.status}".rstrip()
-                is_valid = sample.beam and sample.displacement is not None
-                value = float(sample.displacement) if is_valid else math.nan
+                value = math.nan if sample.displacement is None or not sample.beam else float(sample.displacement)
                 self._samples.append((round(sample.time * 1e9) + self._offset, value))
             health = self._driver.health()
             self._problem = "" if health.state == "streaming" else health.problem or f"the instrument is {health.state}"
@@ -139,7 +138,7 @@ class SimulatedSource:
         self._origin, self._step = origin, nanoseconds(1.0 / rate)
         self._sample_noise, self._radius = sample_noise, beam_radius
         self._poses: deque[Pose] = deque(maxlen=keep)
-        self._beam: Beam | None = None
+        self._beam = NO_BEAM
         self._beam_stamp = self._due = self._setup_start = 0
         self._beside_since: int | None = None
         self._random = np.random.default_rng([site.spec.seed, 31, seed])
@@ -222,7 +221,7 @@ class SimulatedSource:
         Raises:
             NotYet: nothing has come yet, or nothing since the last command.
         """
-        if self.optics.aims and self._beam is None:
+        if self.optics.aims and self._beam is NO_BEAM:
             raise NotYet("other", "no beam: the rotary pointer has not pointed anywhere yet")
         if not self._poses:
             raise NotYet("other", "the axes have not said where they are")
@@ -284,7 +283,7 @@ class SimulatedSource:
 
     def take(self, now: int) -> Batch:
         """See `Source`; as far as true positions are known."""
-        if not self._poses or (self.optics.aims and self._beam is None):
+        if not self._poses or (self.optics.aims and self._beam is NO_BEAM):
             return NOTHING
         until = self._poses[-1].stamp
         oldest = self._poses[0].stamp
@@ -338,7 +337,7 @@ class SimulatedSource:
         """See `Source`."""
         if not self._poses:
             return "waiting for the axes' true position"
-        if self.optics.aims and self._beam is None:
+        if self.optics.aims and self._beam is NO_BEAM:
             return "waiting for the rotary pointer's beam"
         return "the beam is blocked" if self.blocked else ""
 

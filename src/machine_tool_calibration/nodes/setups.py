@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """At which setup an instrument is to stand, and stands: what messages of the pointer say of it.
 
-Their frame is the machine's, and the setup stands beside the values by its place in the description (`setup_index`). In
-messages of earlier releases the frame's id was the setup's; they are understood as well.
+Their frame is the machine's, and the setup stands beside the values by its place in the description (`setup_index`).
 """
 
 from __future__ import annotations
@@ -12,14 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, place_of, positions
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, positions
 from machine_tool_calibration.procedure.events import Aim
-from machine_tool_calibration.recording.graph import MACHINE
 
 __all__ = ["SETUP", "Pairs", "Target", "hear_targets", "setup_named", "target_message"]
 
@@ -28,13 +26,11 @@ SETUP = "setup_index"
 
 def setup_named(message: JointState, ids: Sequence[str]) -> str:
     """Id of the setup that a message's values belong to; empty where it names none of these."""
-    return _id(positions(message).get(SETUP), message.header.frame_id, ids)
+    return _id(positions(message).get(SETUP), ids)
 
 
-def _id(index: float | None, frame: str, ids: Sequence[str]) -> str:
-    if index is None:
-        return frame if frame in ids else ""
-    return ids[int(index)] if index in range(len(ids)) else ""
+def _id(index: float | None, ids: Sequence[str]) -> str:
+    return ids[int(index)] if index is not None and index in range(len(ids)) else ""
 
 
 @dataclass(frozen=True)
@@ -44,23 +40,16 @@ class Target:
     Attributes:
         stamp: its identity, ns.
         point: (3,) the target, m, machine frame.
-        index: place of the setup in the description; None where `frame` is the setup's id.
-        frame: of the message.
+        index: place of the setup in the description.
     """
 
     stamp: int
     point: Array
-    index: float | None
-    frame: str
+    index: float
 
     def setup(self, ids: Sequence[str]) -> str:
         """Id of the setup from which to point; empty where it is none of these."""
-        return _id(self.index, self.frame, ids)
-
-    @property
-    def named(self) -> str:
-        """How the command names the setup, for people."""
-        return repr(self.frame) if self.index is None else f"number {self.index:g}"
+        return _id(self.index, ids)
 
 
 def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
@@ -70,21 +59,16 @@ def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
 
 
 def hear_targets(node: Node, heard: Callable[[Target], None]) -> None:
-    """Subscribe to commands: `pointer/target`, and `pointer/command` as in earlier releases, which named the setup."""
+    """Subscribe to commands, the topic `pointer/target`."""
 
     def target(message: JointState) -> None:
         values = positions(message)
-        if {"x", "y", "z", SETUP} <= set(values):
-            point = np.array([values[axis] for axis in "xyz"])
-            heard(Target(from_message(message.header.stamp), point, values[SETUP], message.header.frame_id))
-
-    def command(message: PointStamped) -> None:
-        if message.header.frame_id != MACHINE:  # else it only shows where a target is
-            stamp, point = from_message(message.header.stamp), place_of(message.point)
-            heard(Target(stamp, point, None, message.header.frame_id))
+        if not {"x", "y", "z", SETUP} <= set(values):
+            raise CalibrationError(f"it lacks x, y, z or {SETUP}")
+        point = np.array([values[axis] for axis in "xyz"])
+        heard(Target(from_message(message.header.stamp), point, values[SETUP]))
 
     node.create_subscription(JointState, "pointer/target", target, COMMAND)
-    node.create_subscription(PointStamped, "pointer/command", command, COMMAND)
 
 
 _KEPT = 100

@@ -36,7 +36,7 @@ from machine_tool_calibration.simulation.spec import FlawSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["Beam", "Moment", "Site", "SiteSpec", "declare_site", "read_site"]
+__all__ = ["NO_BEAM", "Beam", "Moment", "Site", "SiteSpec", "declare_site", "read_site"]
 
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
@@ -101,7 +101,11 @@ class Beam:
 
     def off(self, points: Array) -> Array:
         """(n,) distance of points (n, 3) from the beam, m."""
-        return np.linalg.norm(np.cross(points - self.origin, self.direction), axis=-1)
+        return np.asarray(np.linalg.norm(np.cross(points - self.origin, self.direction), axis=-1))
+
+
+NO_BEAM = Beam(np.full(3, np.nan), np.full(3, np.nan))
+"""Stands for the beam of an instrument that has not been told of any, or whose beam is fixed."""
 
 
 class Site:
@@ -182,14 +186,14 @@ class Site:
     def functional_point(self, moment: Moment) -> Array:
         """(3,) where the functional point really is, m, workpiece frame."""
         if not self.chosen:  # the errors depend on the position alone
-            return self.machine.functional_point(_linear(moment))[0]
-        return self.live.functional_point(self.scene(moment))[0]
+            return np.asarray(self.machine.functional_point(_linear(moment))[0])
+        return np.asarray(self.live.functional_point(self.scene(moment))[0])
 
     def tool_rotation(self, moment: Moment) -> Array:
         """(3, 3) rotation of the tool with respect to the workpiece."""
         if not self.chosen:
-            return self.machine.tool_rotation(_linear(moment))[0]
-        return self.live.tool_rotation(self.scene(moment))[0]
+            return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
+        return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
 
     def table(self, moment: Moment) -> tuple[Array, Array]:
         """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""
@@ -253,24 +257,21 @@ def _linear(moment: Moment) -> Array:
 
 def declare_site(
     node: GuardedNode, description: str = "YAML file with what is true in the simulated workshop; empty: the usual one"
-) -> tuple[Site, int]:
-    """The site that a node's parameters `site` and `time_origin` name.
+) -> tuple[str, int]:
+    """Declare the parameters `site` and `time_origin` of a node.
 
     Args:
         node: whose parameters they are.
         description: of the file.
 
     Returns:
-        The site, and the ROS time at which its time is zero, ns.
-
-    Raises:
-        CalibrationError: as for `read_site` and `Site`.
+        The site's file, and the ROS time at which the site's time is zero, ns.
     """
     file: str = node.declare("site", "", description)
     origin: float = node.declare(
         "time_origin", 0.0, "ROS time at which the site's time is zero; 0: this node's start", unit="s", low=0.0
     )
-    return Site(read_site(file)), round(origin * 1e9) or time.time_ns()
+    return file, round(origin * 1e9) or time.time_ns()
 
 
 def read_site(path: str) -> SiteSpec:

@@ -75,7 +75,7 @@ def usage(node: str, about: str) -> str:
         ),
         _listed("Publishes", [(f"{t.name} ({t.type})", t.content) for t in known if node in t.publishers]),
         _listed("Listens to", [(f"{t.name} ({t.type})", t.content) for t in known if node in t.subscribers]),
-        _listed("Services (std_srvs/Trigger)", services),
+        _listed("Services", services),
         f"More in {shared_file(f'msg_docs/{own}.md')}",
     ]
     return "\n\n".join(part for part in parts if part)

@@ -11,6 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.planning.sensing import Changed, appended, approached, first_repetition
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
@@ -96,7 +97,7 @@ def mounted_again(session: Session, rows: IntArray) -> Mounting:
     any further reading: then the setup's unknowns are new ones. A part on the rotary table stays where it is.
     """
     description = session.description
-    mounted = session.spec.mounted(description)
+    mounted = spec_of(session).mounted(description)
     if not mounted:
         return Mounting(session, description, {}, "", "")
     setups: list[Any] = list(description.setups)
@@ -131,11 +132,11 @@ def further_options(session: Session, setups: Sequence[int] | None = None) -> li
         return []
     what = "everything"
     if setups is not None and len(session.setup_ids) > 1:
-        what = f"{session.spec.setup_word} {', '.join(session.setup_ids[s] for s in setups)}"
+        what = f"{spec_of(session).setup_word} {', '.join(session.setup_ids[s] for s in setups)}"
     measure = f"one more repetition of {what}" if np.ptp(session.readings.repeat) else f"measure {what} once more"
     out = list(_repeated(session, rows, measure))
     if setups is None:
-        further = session.spec.further_places
+        further = spec_of(session).further_places
         out += [] if further is None else load(further)(session, session.description)
     return out
 
@@ -167,7 +168,7 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
         yield option("swing", how, Changed(rows, kelvin=swing), "the temperature must change meanwhile")
         how = f", when everything is {_WARMER:g} K warmer or colder"
         yield option("warmer", how, Changed(rows, kelvin=np.full(len(rows), _WARMER)), "waiting for the temperature")
-    part, effects = session.spec.turned_part
+    part, effects = spec_of(session).turned_part
     for angle in _TURNS if part else ():
         turned = dict.fromkeys(effects, float(np.radians(angle)))
         how = f", with {part} turned by {angle:g}° (orient the spindle)"
@@ -177,7 +178,7 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
 def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     """The readings in reverse within each run, and the directions of approach that follow."""
     columns = session.readings.columns
-    if session.spec.probes_surface:
+    if spec_of(session).probes_surface:
         # A touch comes from outside whatever the order: only the table can be turned the other way.
         if "dir_c" not in columns:
             return None
@@ -187,14 +188,14 @@ def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     order = np.concatenate([np.flatnonzero(group == g)[::-1] for g in dict.fromkeys(group.tolist())])
     rows, group = rows[order], group[order]
     approaches = _approaches(session, rows, group, -1.0)
-    if not approaches and not session.spec.ordered_moves:
+    if not approaches and not spec_of(session).ordered_moves:
         return None
     return Changed(rows, approaches), ", running backwards (order and direction of all moves reversed)"
 
 
 def _both_ways(session: Session, rows: IntArray) -> Changed | None:
     """Every run of a rotary axis followed by the same angles in reverse; None where the runs turn back already."""
-    if not session.spec.turns_one_axis:
+    if not spec_of(session).turns_one_axis:
         return None
     group = _runs(session, rows)
     axis = next(a for a in "cab" if a in session.readings.columns)
@@ -233,7 +234,7 @@ def _runs(session: Session, rows: IntArray) -> IntArray:
 
 def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     """The grid of targets with that axis moving most often that moved least often."""
-    if not session.spec.free_order:
+    if not spec_of(session).free_order:
         return None
     position = session.readings.position()[rows]
     moves = (np.abs(np.diff(position, axis=0)) > 1e-9).sum(axis=0)

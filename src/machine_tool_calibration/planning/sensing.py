@@ -16,6 +16,7 @@ from machine_tool_calibration.estimation.reduction import gram, project
 from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.model.model import Assembly, Term, assemble
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.session import Session, joined
 
@@ -133,7 +134,7 @@ def appended(
         columns=columns,
         row=np.arange(len(rows), dtype=np.int64) + int(old.row.max(initial=-1)) + 1,
     )
-    if session.spec.counts_from_run:
+    if spec_of(session).counts_from_run:
         first = first_of_group(new.setup, new.repeat, *(new.labels[n] for n in ("target",) if n in new.labels))
         new = replace(new, displacement=new.displacement - new.displacement[first])
     return replace(session, description=description or session.description, readings=joined([old, new])), seconds

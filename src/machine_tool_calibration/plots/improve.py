@@ -19,6 +19,7 @@ from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.improvement import step_document
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +72,7 @@ def _along(step: Step) -> str | None:
     """What the residuals of a single session are drawn over where arrows would lie on each other."""
     observations = step.result.joint.fits[0].model.observations
     line = line_of(observations.position, observations.direction)
-    return observations.session.spec.along or (None if line is None else "xyz"[line])
+    return spec_of(observations.session).along or (None if line is None else "xyz"[line])
 
 
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
@@ -124,7 +125,7 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
 def _sensed(observations: Observations) -> Array:
     """(n, 3) along what a reading senses the tool, or the part where that is what moves."""
     table = observations.table_direction
-    turned = observations.session.spec.probes_surface and np.abs(table).max(initial=0.0) > 0
+    turned = spec_of(observations.session).probes_surface and np.abs(table).max(initial=0.0) > 0
     return table if turned else observations.direction
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
@@ -33,7 +34,7 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The same pictures by name, not written."""
-    own = session.spec.pictures
+    own = spec_of(session).pictures
     return common_figures(result) if own is None else dict(load(own).figures(session, result))
 
 

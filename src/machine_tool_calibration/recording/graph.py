@@ -57,6 +57,7 @@ GRAPH_TOPICS = (
     GraphTopic("reading", "sensor_msgs/msg/JointState", latched=True, depth=20000),
     GraphTopic("axes/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", depth=10),
     GraphTopic("joint_states", "sensor_msgs/msg/JointState", depth=100),
+    GraphTopic("axes/executed", "trajectory_msgs/msg/JointTrajectory", depth=100),
     GraphTopic("axes/status", _STATUS, depth=100),
     GraphTopic("truth/functional_point", "geometry_msgs/msg/PoseStamped", depth=100),
     GraphTopic("truth/table", "geometry_msgs/msg/PoseStamped", depth=100),
@@ -85,6 +86,8 @@ GRAPH_TOPICS = (
     GraphTopic("diagnosis/result", "std_msgs/msg/String", latched=True),
     GraphTopic("improvement/result", "std_msgs/msg/String", latched=True),
     GraphTopic("estimator/status", _STATUS, latched=True),
+    GraphTopic("estimator/goals", "action_msgs/msg/GoalStatusArray", latched=True),
+    GraphTopic("estimator/outcome", _STATUS, latched=True),
 )
 """Subscribed from the start, so that a node that comes later loses nothing."""
 

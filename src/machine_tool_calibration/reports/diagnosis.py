@@ -29,6 +29,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -112,7 +113,7 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
-    known, surface = _effects(diagnosis), diagnosis.chosen.sessions[0].spec.probes_surface
+    known, surface = _effects(diagnosis), spec_of(diagnosis.chosen.sessions[0]).probes_surface
     return [a for a in diagnosis.search.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
 
 
@@ -131,7 +132,7 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
     if absorbed.effect in absorbed.families:
         return "unknowns of this model themselves"
     chosen = [unknown for unknown in absorbed.by if unknown.in_map or not of_map]
-    if chosen == [POINTS] and diagnosis.chosen.sessions[0].spec.probes_surface:
+    if chosen == [POINTS] and spec_of(diagnosis.chosen.sessions[0]).probes_surface:
         return "form of the workpiece: each probed point has an error of its own"
     return unknowns_in_words(chosen) or "the model"
 

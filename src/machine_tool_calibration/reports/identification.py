@@ -29,6 +29,7 @@ from machine_tool_calibration.reports.standards import STANDARDS, standard_table
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import value_tables
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Said, say
 
 if TYPE_CHECKING:
@@ -271,7 +272,7 @@ def session_headline(session: Session) -> str:
     """What was measured, in one line."""
     ids = session.setup_ids
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
-    words = session.spec.words
+    words = spec_of(session).words
     kind = session.method.replace("_", " ") if words is None else words(session.description)
     repeats = len(np.unique(session.readings.repeat))
     return (

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration
 from machine_tool_calibration.reports.tables import TextTable, show_head, show_suspicions, show_table
+from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,7 +52,7 @@ def measurement_document(
     if session is not None and summary is not None:
         document["measurement"] = {
             **plain(summary),
-            "models": dict(session.spec.models),
+            "models": dict(spec_of(session).models),
             "description": session.description.model_dump(mode="json", exclude_none=True),
         }
     else:
@@ -138,8 +139,8 @@ def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTa
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     yield TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note)
-    if len(session.spec.models) > 1:
-        yield TextTable("Models (--model)", ("name", "when"), tuple(session.spec.models.items()))
+    if len(spec_of(session).models) > 1:
+        yield TextTable("Models (--model)", ("name", "when"), tuple(spec_of(session).models.items()))
 
 
 def setup_place(setup: Any) -> str:

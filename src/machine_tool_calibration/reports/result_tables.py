@@ -19,6 +19,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import decimals
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.folder import readings_frame
 
@@ -65,9 +66,9 @@ def error_map(result: Result | JointResult) -> pd.DataFrame:
 def _places(result: Result) -> dict[str, Any]:
     """What a method says of the places of its map besides where they are."""
     content, session = result.error_map.content, result.fit.model.observations.session
-    if session.spec.profiles:
+    if spec_of(session).profiles:
         return {"axis": np.repeat(list("xyz"), [len(content[axis]) for axis in "xyz"])}
-    if session.spec.turns_one_axis:
+    if spec_of(session).turns_one_axis:
         axis = (session.description.machine.axis or "C").lower()
         targets = content["target_ids"]
         return {"target": targets * len(content[axis]), axis: np.repeat(content[axis], len(targets))}
@@ -118,11 +119,11 @@ def _single(result: Result) -> Iterator[_Value]:
     content, session = result.error_map.content, result.fit.model.observations.session
     if "tables" in content:
         yield from _tables(content["tables"])
-    elif session.spec.turns_one_axis:
+    elif spec_of(session).turns_one_axis:
         axis = (session.description.machine.axis or "C").upper()
         for name in (f"E{component}{axis}" for component in "XYZABC"):
             yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
-    elif session.spec.profiles:
+    elif spec_of(session).profiles:
         yield from _profiles(content)
     else:
         yield from _unknowns(result)

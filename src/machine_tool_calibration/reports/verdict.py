@@ -25,6 +25,7 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import Said, say, together
@@ -112,7 +113,7 @@ def _verdict(diagnosis: Diagnosis) -> Said:
         return together((say("diagnosis.outliers", n=len(diagnosis.outliers)), say(without, residual=residual)))
     if diagnosis.likely:
         return together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
-    if diagnosis.chosen.sessions[0].spec.reads_machine and fits(look.fit.p_value) == "bad":
+    if spec_of(diagnosis.chosen.sessions[0]).reads_machine and fits(look.fit.p_value) == "bad":
         return say("diagnosis.no_pattern", residual=residual)
     if good_enough(diagnosis):
         return say("diagnosis.nothing_matters", residual=residual)
@@ -240,7 +241,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, joint = diagnosis.noise, diagnosis.fits[-1]
     ratio = float(np.sqrt(joint.reduced_chi_square))
     again = mounted_more_than_once(diagnosis.chosen.sessions[0])
-    if diagnosis.chosen.sessions[0].spec.reads_machine:
+    if spec_of(diagnosis.chosen.sessions[0]).reads_machine:
         yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fits(joint.p_value) == "bad":

@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.residuals.noise import Noise, noise_of
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["mean_places"]
@@ -34,7 +35,7 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     """
     observations = fit.model.observations
     session, readings = observations.session, observations.readings
-    if not session.spec.reads_machine or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
+    if not spec_of(session).reads_machine or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
         return None
     place = observations.place
     count = np.bincount(place)

@@ -9,6 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["bins", "covariates", "rank_covariates", "sensed"]
 
@@ -30,10 +31,10 @@ def covariates(observations: Observations) -> dict[str, Array]:
     out |= {name: values for name, values in readings.columns.items() if name not in ("gx", "gy", "gz")}
     if np.ptp(observations.path) > 0:
         out["path"] = observations.path
-    if observations.session.spec.beam_from_pointer:
+    if spec_of(observations.session).beam_from_pointer:
         out.setdefault("azimuth", np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
         out.setdefault("elevation", np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0)))
-    if observations.session.spec.probes_surface:
+    if spec_of(observations.session).probes_surface:
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
     for axis in _AXES:
         approach = readings.columns.get(f"dir_{axis}")

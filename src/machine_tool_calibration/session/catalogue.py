@@ -10,14 +10,23 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.method import MethodSpec, load
+from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from machine_tool_calibration.session.description import Description
 
-__all__ = ["ENTRY_POINT_GROUP", "METHODS", "method_names", "method_spec", "needed_columns", "require_columns"]
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "METHODS",
+    "method_names",
+    "method_spec",
+    "needed_columns",
+    "require_columns",
+    "spec_of",
+]
 
 
 ENTRY_POINT_GROUP = "machine_tool_calibration.methods"
@@ -76,6 +85,11 @@ def method_spec(name: str) -> MethodSpec:
 
 
 _AXES = ("x", "y", "z", "a", "b", "c")
+
+
+def spec_of(session: Session) -> MethodSpec:
+    """What the package knows of a session's method."""
+    return method_spec(session.description.method)
 
 
 def needed_columns(description: Description) -> tuple[str, ...]:

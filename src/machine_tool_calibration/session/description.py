@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -228,7 +228,12 @@ class Description(Record):
         trust_units: whether sizes, units and places are taken as they are, however implausible.
         about: who, what, when: machine, serial numbers, instruments, certificates, operator, place, date, …
         budget: contributors to the uncertainty of the readings, beside their own scatter.
+        reads: the instrument, unless the session says it.
+        turns: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
     """
+
+    reads: ClassVar[str | None] = None
+    turns: ClassVar[int] = 1
 
     if TYPE_CHECKING:
         method: str
@@ -259,6 +264,8 @@ class Description(Record):
 class StepDiagonal(Description):
     """Laser step diagonal measurement, Ibaraki and Hata 2010."""
 
+    reads: ClassVar[str | None] = "laser_interferometer"
+
     method: Literal["step_diagonal"]
     step: tuple[Positive, Positive, Positive]
     blocks: Annotated[int, Field(ge=1)]
@@ -267,6 +274,8 @@ class StepDiagonal(Description):
 
 class TrackingInterferometer(Description):
     """Tracking interferometer, open-loop or with a beam that follows the target, Ibaraki et al. 2014."""
+
+    reads: ClassVar[str | None] = "tracking_interferometer"
 
     method: Literal["tracking_interferometer"]
     dimension: Literal[2, 3]
@@ -277,6 +286,8 @@ class TrackingInterferometer(Description):
 class RotaryAxis(Description):
     """Rotary axis by sequential multilateration, Zhang et al. 2015."""
 
+    reads: ClassVar[str | None] = "laser_tracker"
+
     method: Literal["rotary_axis"]
     targets: Annotated[tuple[Target, ...], Field(min_length=1)]
     setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
@@ -285,6 +296,9 @@ class RotaryAxis(Description):
 
 class Probing(Description):
     """Probing self-calibration of a free-form part on a rotary table."""
+
+    reads: ClassVar[str | None] = "touch_probe"
+    turns: ClassVar[int] = -1
 
     method: Literal["probing"]
     workpiece: Annotated[tuple[WorkpiecePoint, ...], Field(min_length=1)]

@@ -11,15 +11,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.arrays import BoolArray
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.session.checks.contradictions import Held
-    from machine_tool_calibration.session.checks.mistakes import Judgement
-    from machine_tool_calibration.session.description import Description, Place
-    from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.description import Description, Place
+from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.session import Session
 
 __all__ = ["MethodSpec", "load"]
 
@@ -49,8 +46,6 @@ class MethodSpec:
         held: of a session, places, beams and displacements held against the geometry that it states.
         suspicious: of a session, what in it hardly can be, in words, a sentence each.
         any_axis: whether some column of an axis's position is needed, of whichever axis.
-        instrument: what reads, unless the session says it.
-        rotation_sign: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
         words: of a description, what is measured, in words.
         setup_word: what people call a setup.
         mounted: of a description, what has to be mounted again for further readings in a setup, whose unknowns then are
@@ -99,8 +94,6 @@ class MethodSpec:
     held: Callable[[Session], Iterator[Held]] = _nothing
     suspicious: Callable[[Session], Iterator[str]] = _nothing
     any_axis: bool = False
-    instrument: str | None = None
-    rotation_sign: int = 1
     words: Callable[[Any], str] | None = None
     setup_word: str = "setup"
     mounted: Callable[[Any], str] = lambda description: "the instrument"

@@ -15,8 +15,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, in_order_of_appearance
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.method import MethodSpec
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
@@ -122,11 +120,6 @@ class Session:
         """The measuring method's name."""
         return self.description.method
 
-    @property
-    def spec(self) -> MethodSpec:
-        """What the package knows of the method."""
-        return method_spec(self.description.method)
-
     @cached_property
     def setup_ids(self) -> tuple[str, ...]:
         """Ids of the setups, in the order of the description."""
@@ -141,14 +134,14 @@ class Session:
     def instrument(self) -> str | None:
         """What read; None for direct deviations whose session does not say it."""
         own = getattr(self.description, "instrument", None)
-        return self.spec.instrument if own is None else str(own)
+        return self.description.reads if own is None else str(own)
 
     @property
     def rotation_sign(self) -> int:
         """+1 where C positive turns the workpiece counter-clockwise seen from +Z, -1 clockwise."""
         own = getattr(self.description, "rotation_sign", None)
         sign = own if own is not None else self.description.machine.rotation_sign
-        return self.spec.rotation_sign if sign is None else int(sign)
+        return self.description.turns if sign is None else int(sign)
 
     def with_readings(self, readings: Readings) -> Session:
         """The same measurement with other readings."""

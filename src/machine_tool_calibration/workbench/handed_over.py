@@ -20,6 +20,7 @@ from machine_tool_calibration.reports.comparison import comparison_columns
 from machine_tool_calibration.reports.documents import to_json, write_table
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.result_tables import tidy
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import words
 from machine_tool_calibration.workbench.models import Model, Progress, Subject
 
@@ -87,7 +88,7 @@ def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple
     fit, result = model.fit, model.fit.result
     sessions = fit.measurement.sessions
     if len(sessions) == 1:
-        variant = sessions[0].spec.with_tables
+        variant = spec_of(sessions[0]).with_tables
         if variant is not None and variant != result.model_name:
             progress(f"fitting with the model {variant}", 0.1)
             result = identify(sessions[0], model=variant, effects=fit.effects, own=subject.own, keep_all=True)

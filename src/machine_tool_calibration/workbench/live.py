@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -21,7 +20,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.quantities import millimetres, quantity, rounded
+from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, beside, new_figure, setup_color, text, when_changed
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
@@ -29,7 +28,7 @@ from machine_tool_calibration.workbench.models import Opened
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["LivePage", "Thinned", "answer_words", "node_table"]
+__all__ = ["LivePage", "Thinned", "node_table"]
 
 _PERIOD = 500  # ms between looks at what was heard
 _DRAWN = 2000  # readings in a plot
@@ -386,26 +385,4 @@ def _call(call: Call) -> str:
     if call.success is None:
         return f"<p><b>{escape(call.service)}</b> …</p>"
     kind = "" if call.success else ' class="error"'
-    return f"<p><b>{escape(call.service)}</b>: <span{kind}>{escape(answer_words(call.message))}</span></p>"
-
-
-def answer_words(message: str) -> str:
-    """An answer for people: a sentence as it is, a JSON object's values with their units."""
-    try:
-        content = json.loads(message)
-    except (ValueError, RecursionError):
-        return message
-    if not isinstance(content, Mapping):
-        return message
-    if isinstance(content.get("summary"), str):
-        return str(content["summary"])
-    told = []
-    for key, value in content.items():
-        name = key.replace("_", " ").replace("rms", "RMS")
-        if isinstance(value, float):
-            told.append(f"{name} {quantity(value, 'm') if key.startswith('rms') else rounded(value)}")
-        elif isinstance(value, list):
-            told.append(f"{name} {', '.join(map(str, value)) or 'none'}")
-        elif not (key == "missing" and value == 0):
-            told.append(f"{name} {value}")
-    return "; ".join(told)
+    return f"<p><b>{escape(call.service)}</b>: <span{kind}>{escape(call.message)}</span></p>"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Circles with a double ball bar in the XY plane (ISO 230-4), as a record."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -21,6 +21,8 @@ class CircleSetup(Setup):
 class BallBar(Description):
     """Deviations of the distance between tool and centre from the nominal radius."""
 
+    reads: ClassVar[str | None] = "ball_bar"
+
     method: Literal["ball_bar"]
     setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
 
@@ -32,7 +34,6 @@ SPEC = MethodSpec(
     enough=lambda session, measured, place: enough_in_a_setup(session, measured, place, needed=6),
     model="ball_bar.model",
     models={"circle": "the only one"},
-    instrument="ball_bar",
     words=lambda description: "circles with a ball bar",
     setup_word="circle",
     mounted=lambda description: "the ball bar",

@@ -16,6 +16,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.covariates import covariates
 from machine_tool_calibration.residuals.periodogram import strongest_periods
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["structure_candidates"]
 
@@ -126,7 +127,7 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     out = {name: values for name, values in known.items() if name not in ("order", "repeat") and " along " not in name}
     if "path" in out:
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
-        if not observations.session.spec.reads_deviations:
+        if not spec_of(observations.session).reads_deviations:
             # There the reading is the deviation itself, which explains itself.
             out["displacement"] = observations.readings.displacement
     return out

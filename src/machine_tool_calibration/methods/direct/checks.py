@@ -14,15 +14,8 @@ from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.checks.mistakes import (
-    LENGTHS,
-    UNITS,
-    Judgement,
-    Supposition,
-    explanation,
-    scaled,
-    with_columns,
-)
+from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, explanation, scaled, with_columns
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["refuse_mistakes"]

@@ -36,6 +36,7 @@ from machine_tool_calibration.model.rigid_body import (
     table_datum,
     thinned,
 )
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["CommonModels", "common_models", "tables_of"]
 
@@ -144,7 +145,7 @@ def _determined_together(models: Sequence[MethodModel], chain: Chain) -> list[st
     A single station senses one direction at each place: it cannot distinguish an angle from a straightness, which two
     can.
     """
-    trackers = [m for m in models if m.observations.session.spec.beam_from_pointer and tables_of(m)]
+    trackers = [m for m in models if spec_of(m.observations.session).beam_from_pointer and tables_of(m)]
     if len(trackers) < 2:
         return []
     nodes: dict[str, list[Array]] = {}

@@ -43,8 +43,9 @@ from machine_tool_calibration.model.model import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
-from machine_tool_calibration.session.checks.mistakes import UNITS, Judgement, explanation, scaled
+from machine_tool_calibration.session.checks.mistakes import UNITS, explanation, scaled
 from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.judgements import Judgement
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["ProbingModel", "build"]

@@ -10,9 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.checks.contradictions import Held
 from machine_tool_calibration.session.checks.mistakes import (
-    Judgement,
     described,
     exchanged_axes,
     explanation,
@@ -22,6 +20,7 @@ from machine_tool_calibration.session.checks.mistakes import (
 )
 from machine_tool_calibration.session.checks.nominal_geometry import badly_exchanged, judged_by_worst, turned, wrapped
 from machine_tool_calibration.session.description import Description, Place, Probing
+from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.session import Session, places_among
 
 __all__ = ["held_probing", "nominal_probing"]

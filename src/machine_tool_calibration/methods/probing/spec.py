@@ -22,8 +22,6 @@ SPEC = MethodSpec(
     models={
         "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
     },
-    instrument="touch_probe",
-    rotation_sign=-1,
     setup_word="angle of C",
     mounted=lambda description: "",
     turned_part=("the probe", ("probe_pretravel",)),

@@ -12,10 +12,11 @@ from machine_tool_calibration.errors import ModelError, SessionError, suspected
 from machine_tool_calibration.methods.rotary_axis.geometry import table_readings
 from machine_tool_calibration.methods.rotary_axis.nominal import turning_mistakes
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
-from machine_tool_calibration.session.checks.contradictions import Held, refuse_contradictions
-from machine_tool_calibration.session.checks.mistakes import Judgement, Supposition, exchanged, explanation, shifted
+from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
+from machine_tool_calibration.session.checks.mistakes import exchanged, explanation, shifted
 from machine_tool_calibration.session.checks.nominal_geometry import off_prediction
 from machine_tool_calibration.session.description import Place, RotaryAxis, StationSetup, Target
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["refuse_mistakes", "refuse_wrong_rows", "suppositions"]

@@ -9,15 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
-from machine_tool_calibration.session.checks.mistakes import (
-    SENSES,
-    UNITS,
-    Judgement,
-    Supposition,
-    in_degrees,
-    scaled,
-    turned_round,
-)
+from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, in_degrees, scaled, turned_round
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
     judged_by_worst,
@@ -26,6 +18,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     turned,
 )
 from machine_tool_calibration.session.description import Place, RotaryAxis, rotary_column
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Readings, Session, places_among
 
 __all__ = ["nominal_rotary", "on_table", "turning_mistakes"]

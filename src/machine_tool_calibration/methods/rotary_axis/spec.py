@@ -19,7 +19,6 @@ SPEC = MethodSpec(
     models={
         "free": "the only one: six error motions at every angle, targets and stations unknown",
     },
-    instrument="laser_tracker",
     setup_word="station",
     mounted=lambda description: "the instrument",
     beam_from_pointer=True,

@@ -10,8 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
-from machine_tool_calibration.session.checks.contradictions import Held
-from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, Judgement, exchanged_axes, scaled
+from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, exchanged_axes, scaled
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
     judged_by_worst,
@@ -20,6 +19,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     typical_extent,
 )
 from machine_tool_calibration.session.description import DiagonalSetup, Place, StepDiagonal
+from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 

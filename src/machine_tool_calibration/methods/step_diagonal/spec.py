@@ -32,7 +32,6 @@ SPEC = MethodSpec(
         "aligned_mirror": "no angular errors, and mirrors exactly square to their beams, as the conventional "
         "formulation assumes: only to compare with it",
     },
-    instrument="laser_interferometer",
     setup_word="run",
     mounted=lambda description: "the mirror",
     profiles=True,

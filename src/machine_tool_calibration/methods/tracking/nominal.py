@@ -8,13 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, unit_vectors
-from machine_tool_calibration.session.checks.contradictions import Held
 from machine_tool_calibration.session.checks.mistakes import (
     LENGTHS,
     SENSES,
     UNITS,
-    Judgement,
-    Supposition,
     described,
     exchanged_axes,
     in_degrees,
@@ -31,6 +28,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 )
 from machine_tool_calibration.session.checks.places import allowed
 from machine_tool_calibration.session.description import Place, TrackingInterferometer
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 

@@ -37,7 +37,6 @@ SPEC = MethodSpec(
         "rigid_body": "the axes are rigid bodies, their errors tables over their positions: few stations do, other "
         "sessions can share the tables, and places between the targets are told",
     },
-    instrument="tracking_interferometer",
     words=_words,
     setup_word="station",
     mounted=lambda description: "the instrument",

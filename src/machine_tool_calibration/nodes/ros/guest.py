@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.validate_namespace import validate_namespace
 
 from machine_tool_calibration.errors import CalibrationError
@@ -43,20 +43,12 @@ class Guest:
         self.context = Context()
         self.context.init(domain_id=domain)
         self.node = GuardedNode(name, context=self.context, namespace=space)
-        self.executor = EventsExecutor(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.node._post = self.executor.create_task
 
     def hear(self, timeout: float) -> None:
         """Handle what comes next, or nothing within the timeout, s."""
         self.executor.spin_once(timeout_sec=timeout)
-
-    def hear_all(self) -> None:
-        """Handle all that has come until now."""
-        # What has come before it is handled before it.
-        last = self.executor.create_task(lambda: None)
-        while not last.done() and self.context.ok():
-            self.hear(0.1)
 
     def close(self) -> None:
         """Leave the graph."""

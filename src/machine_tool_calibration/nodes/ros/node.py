@@ -1,32 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of every node: it survives any message, and refuses values of parameters that cannot be."""
+"""The base of every node: it survives any message, refuses values of parameters that cannot be, and has a lifecycle."""
 
 from __future__ import annotations
 
+import inspect
 import math
 import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.sound import require_sound
 
-__all__ = ["GuardedNode"]
+__all__ = ["GuardedNode", "ManagedNode"]
 
 _BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
 _TOLD = 200  # characters of a reason
+# A service's usual queue holds 10 requests of all its clients, and each client's 10 answers, those to the other clients
+# among them: what comes in a burst beyond that is lost without a word.
+CALLS = QoSProfile(depth=1000)
+_OF_ROS = ("use_sim_time", "start_type_description_service")  # parameters that every node has
 
 
-class GuardedNode(Node):
+class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     """A node that goes on whatever it is sent.
 
     All that calls the node passes here: its subscriptions, that of its clock included, its timers, and its services. A
@@ -47,8 +55,16 @@ class GuardedNode(Node):
         self._last_ignored = ""
         self._failed: set[str] = set()
         self.choices: dict[str, tuple[str, ...]] = {}
-        super().__init__(name, **more)
+        self._fixed: set[str] = set()
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **more)
+        # what was given, until the node declares it
+        self._given = set(self.get_parameters_by_prefix("")) - set(_OF_ROS)
         self.add_on_set_parameters_callback(self._set)
+
+    @property
+    def is_configured(self) -> bool:
+        """Whether what the parameters name is in use."""
+        return False
 
     @property
     def ignored_entries(self) -> dict[str, object]:
@@ -72,7 +88,7 @@ class GuardedNode(Node):
         choices: tuple[str, ...] = (),
         read_only: bool = True,
     ) -> Any:
-        """Declare a parameter and return its value.
+        """Declare a parameter and return its value; of one that is declared already the present value.
 
         Args:
             name: its name.
@@ -82,13 +98,21 @@ class GuardedNode(Node):
             low: least value.
             high: greatest value.
             choices: of a text.
-            read_only: whether it can be set at the start only.
+            read_only: whether it can be set only as long as the node is not configured.
         """
+        if self.has_parameter(name) and name not in self._given:
+            return self.get_parameter(name).value
+        if name in self._given:
+            self._given.discard(name)
+            self.undeclare_parameter(name)
+        constraints = [f"one of {', '.join(choices)}"] if choices else []
+        if read_only:
+            self._fixed.add(name)
+            constraints.append("set while the node is not configured")
         descriptor = ParameterDescriptor(
             name=name,
             description=f"{description} [{unit}]" if unit else description,
-            read_only=read_only,
-            additional_constraints=f"one of {', '.join(choices)}" if choices else "",
+            additional_constraints="; ".join(constraints),
         )
         if low is not None or high is not None:
             low, high = (-1e308 if low is None else low), (1e308 if high is None else high)
@@ -100,6 +124,16 @@ class GuardedNode(Node):
         if choices:
             self.choices[name] = choices
         return self.declare_parameter(name, default, descriptor).value
+
+    def say_unknown_parameters(self) -> None:
+        """A parameter that was given and that the node does not have would be passed over without a word."""
+        known = sorted(set(self.get_parameters_by_prefix("")) - self._given)
+        for name in sorted(self._given):
+            if not name.startswith("qos_overrides."):
+                hint = did_you_mean(name, known) or f"; it has {', '.join(known)}"
+                self.get_logger().warning(f"this node has no parameter {name!r}{hint}")
+                self.undeclare_parameter(name)
+        self._given = set()
 
     def every(self, period: float, callback: Callable[[], None]) -> Timer:
         """Have a function called every so many seconds of a clock that neither jumps nor follows `/clock`."""
@@ -136,23 +170,28 @@ class GuardedNode(Node):
             try:
                 callback()
             except Exception as error:
-                self._fail(getattr(callback, "__name__", "a callback"), error)
+                self.note_fault(getattr(callback, "__name__", "a callback"), error)
 
         return call
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **more: Any) -> Service:
-        """As of any node; a handler that fails answers so, where the answer has room for it."""
+        """As of any node, whose handler may be a coroutine; one that fails answers so, where the answer has room."""
 
-        def guarded(request: Any, response: Any) -> Any:
+        async def guarded(request: Any, response: Any) -> Any:
             try:
-                return callback(request, response)
+                answered = callback(request, response)
+                return await answered if inspect.isawaitable(answered) else answered
             except Exception as error:
-                self._fail(srv_name, error)
+                self.note_fault(srv_name, error)
                 if hasattr(response, "success"):
                     response.success, response.message = False, _reason(error)
                 return response
 
-        return super().create_service(srv_type, srv_name, guarded, **more)
+        return super().create_service(srv_type, srv_name, guarded, **{"qos_profile": CALLS, **more})
+
+    def create_client(self, srv_type: Any, srv_name: str, **more: Any) -> Client:
+        """As of any node, with a queue that other clients' answers do not fill."""
+        return super().create_client(srv_type, srv_name, **{"qos_profile": CALLS, **more})
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """Refuse values that the node could not use; for nodes to override.
@@ -171,7 +210,7 @@ class GuardedNode(Node):
         if first:
             self.get_logger().warning(f"a message on {topic} was ignored: {reason}; more of them are only counted")
 
-    def _fail(self, what: str, error: Exception) -> None:
+    def note_fault(self, what: str, error: Exception) -> None:
         """A fault of the node's own: the log says once where."""
         text = f"{what}: {_reason(error)}"
         if text not in self._failed:
@@ -182,6 +221,8 @@ class GuardedNode(Node):
         wanted = {parameter.name: parameter.value for parameter in parameters}
         try:
             for name, value in wanted.items():
+                if name in self._fixed and self.is_configured:
+                    raise CalibrationError(f"parameter {name} cannot be set while the node is configured")
                 if isinstance(value, float) and not math.isfinite(value):
                     raise CalibrationError(f"parameter {name} is {value}, not a finite number")
                 choices = self.choices.get(name)
@@ -191,6 +232,138 @@ class GuardedNode(Node):
         except CalibrationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
+    """A managed node: what `ros2 lifecycle` and a lifecycle manager can configure, activate and take down again.
+
+    *Unconfigured* it has its parameters, which can be set. *Inactive* it has read what they name (files, a device) and
+    is in nobody's way. *Active* it takes part in the graph: only then it has its topics, services and timers, so that
+    nothing that was latched is heard, and lost, before anything is done with it. Whoever deactivates a node and
+    activates it again has one that begins anew.
+
+    Args:
+        name: of the node.
+
+    Attributes:
+        fault: why the last transition failed; empty if it did not.
+        done: whether the node has nothing more to do, which ends its process.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._is_configured = self._is_active = False
+        GuardedNode.__init__(self, name)
+        LifecycleNodeMixin.__init__(self)
+        self.fault, self.done = "", False
+        self._kept: set[Any] = set()  # what the node has before it is activated
+        self.autostart: bool = self.declare(
+            "autostart", True, "whether the node configures and activates itself; false: a lifecycle manager does"
+        )
+        self.settings()
+        self.say_unknown_parameters()
+
+    @property
+    def is_configured(self) -> bool:
+        """Whether what the parameters name is in use."""
+        return self._is_configured
+
+    # --- for nodes to override; they raise CalibrationError where it cannot be done
+
+    def settings(self) -> None:
+        """Declare the parameters and take their values; called at the start, and again when it is configured."""
+
+    def configure(self) -> None:
+        """Read what the parameters name."""
+
+    def activate(self) -> None:
+        """Begin anew: create topics, services and timers."""
+
+    def deactivate(self) -> None:
+        """Leave in order; topics, services and timers are destroyed afterwards."""
+
+    def cleanup(self) -> None:
+        """Let go of what `configure` has taken."""
+
+    # --- the transitions
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take the parameters as they are now, and read what they name."""
+
+        def configure() -> None:
+            self.settings()
+            self.configure()
+
+        return self._transit("configured", configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Join the graph."""
+        self._kept = set(self._entities())
+        outcome = self._transit("activated", self.activate)
+        self._is_active = outcome == TransitionCallbackReturn.SUCCESS
+        if not self._is_active:
+            self._leave_graph()
+        return outcome
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave the graph."""
+        self.guarded(self.deactivate)()
+        self._leave_graph()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Be as at the start."""
+        self.guarded(self.cleanup)()
+        self._is_configured = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End in order, from whatever state; the process ends with it."""
+        if self._is_active:
+            self.on_deactivate(state)
+        if self._is_configured:
+            self.on_cleanup(state)
+        self.done = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def start(self) -> None:
+        """Configure and activate the node.
+
+        Raises:
+            CalibrationError: it cannot be.
+        """
+        for transition in (self.trigger_configure, self.trigger_activate):
+            if transition() != TransitionCallbackReturn.SUCCESS:
+                raise CalibrationError(self.fault)
+
+    def _transit(self, what: str, transition: Callable[[], None]) -> TransitionCallbackReturn:
+        self.fault = ""
+        try:
+            transition()
+        except Exception as error:
+            self.fault = _reason(error)
+            if not isinstance(error, CalibrationError):
+                self.note_fault(what, error)
+            elif not self.autostart:  # else who starts it says so
+                self.get_logger().error(f"not {what}: {self.fault}")
+            return TransitionCallbackReturn.FAILURE
+        self._is_configured = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def _entities(self) -> list[Any]:
+        return [*self.subscriptions, *self.publishers, *self.timers, *self.services, *self.clients]
+
+    def _leave_graph(self) -> None:
+        self._is_active = False
+        gone = set(self._entities()) - self._kept
+        for entities, destroy in (
+            (self.timers, self.destroy_timer),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.publishers, self.destroy_publisher),
+        ):
+            for entity in [one for one in entities if one in gone]:
+                destroy(entity)
 
 
 def _reason(error: Exception) -> str:

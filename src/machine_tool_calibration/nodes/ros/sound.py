@@ -38,9 +38,14 @@ def require_sound(message: Any) -> None:
         CalibrationError: a stamp that is no time, a number that is not finite or absurdly large, names without values
             or values without names, a rotation that is none, or far more than any message of the graph holds.
     """
-    fault = _check_of(type(message))(message)
+    fault = _fault(message)
     if fault:
         raise CalibrationError(fault.lstrip(". "))
+
+
+def _fault(message: Any) -> str:
+    kind: Any = type(message)
+    return _check_of(kind)(message)
 
 
 @cache
@@ -69,7 +74,7 @@ def _check_of_field(type_: str) -> _Check | None:
     many = re.fullmatch(r"sequence<([^,]+)(?:, \d+)?>|(.+)\[\d+\]", type_)
     single = type_ if many is None else many[1] or many[2]
     if "/" in single:
-        return (lambda message: _check_of(type(message))(message)) if many is None else _messages
+        return _fault if many is None else _messages
     if single in ("double", "float"):
         return _number if many is None else _numbers
     return None if many is None else _length
@@ -95,7 +100,7 @@ def _messages(messages: Sequence[Any]) -> str:
     if fault:
         return fault
     for index, message in enumerate(messages):
-        fault = _check_of(type(message))(message)
+        fault = _fault(message)
         if fault:
             return f"[{index}]{fault}"
     return ""

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.publisher import Publisher
 
 from machine_tool_calibration.nodes.ros.messages import LATCHED, NO_HARDWARE, SLOW, Level, now, status, to_message
-from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
 __all__ = ["StatusTopic"]
@@ -43,7 +42,7 @@ class StatusTopic:
         clock: Callable[[], int] | None = None,
     ) -> None:
         self._node = node
-        self._publisher = publisher or OwnPublisher(node, name, "status", DiagnosticArray, LATCHED)
+        self._publisher = publisher or node.create_publisher(DiagnosticArray, "~/status", LATCHED)
         self._name, self._hardware = name, hardware_id
         self._clock = clock or (lambda: now(node))
         self._said: tuple[Level, str, Mapping[str, object], Sequence[DiagnosticStatus]] | None = None

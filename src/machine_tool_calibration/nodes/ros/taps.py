@@ -90,7 +90,7 @@ class Tap:
     @property
     def publishers(self) -> int:
         """Publishers that are matched."""
-        return self.subscription.get_publisher_count()
+        return int(self.subscription.get_publisher_count())
 
     def count(self, number: int) -> None:
         """Note a message's publication number; gaps are losses, as long as there is one publisher."""
@@ -197,7 +197,8 @@ class Taps:
         """Messages with the simulated time at which each was sent, however late they come or are taken."""
         self._hear_clock()
         told, overdue = self._ticks[-1][0] if self._ticks else 0, time.time_ns() - _OVERTAKEN
-        ready, waiting = [], []
+        ready: list[Taken] = []
+        waiting: list[Taken] = []
         for message in (*self._undated, *taken):
             (ready if last or message.sent < told or message.received < overdue else waiting).append(message)
         self._undated = waiting
@@ -277,6 +278,7 @@ def message_class(message_type: str) -> type:
     """
     parts = message_type.split("/")
     try:
-        return getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
+        found: type = getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
+        return found
     except (ImportError, AttributeError, IndexError):
         raise CalibrationError(f"the message type {message_type} is not installed") from None

@@ -7,7 +7,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.catalogue import needed_columns
+from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
 from machine_tool_calibration.session.checks.mistakes import check_consistency
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
@@ -43,7 +43,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_doubled(session, place)
     check_units(session, place)
     read = np.isfinite(session.readings.displacement)
-    session.spec.enough(session, read, place)
+    spec_of(session).enough(session, read, place)
     if not session.description.trust_units:
         with suspected():
             check_consistency(session, place)

@@ -9,56 +9,26 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.checks.mistakes import Judgement, Supposition, explanation, shifted, with_values
+from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.checks.mistakes import explanation, shifted, with_values
 from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["GROSS", "Held", "refuse_contradictions"]
+__all__ = ["refuse_contradictions"]
 
-GROSS = 0.2
-"""Share of a setup's readings up to which those that contradict are single gross errors, which are set aside."""
 _FEWEST = 3  # readings: fewer are single whatever their share
 _ROWS = 20_000  # enough to judge by
 # Share of a setup's readings that may be left, and of those that contradict, where a mistake explains them: the ends.
 _LEFT, _BETTER = 0.06, 0.2
 # What a column may have been multiplied by.
 _TIMES = ((2.0, "doubled"), (0.5, "halved"), (-1.0, "of the opposite sign"))
-
-
-@dataclass(frozen=True)
-class Held:
-    """What was commanded or read, held against the stated geometry.
-
-    Attributes:
-        what: was held, such as `azimuth`.
-        against: what the geometry says, in words.
-        off: (n,) how far each reading is off it, m or rad; NaN where it says nothing.
-        allowed: (n,) how far a machine and a survey may be off.
-        unit: m, rad, or empty for what only agrees or not.
-        share: of a group's readings up to which the contradicting ones are no contradiction.
-        group: (n,) of each reading, such as its run; its setup if absent.
-        hint: of a setup, what its readings say instead; may be empty.
-    """
-
-    what: str
-    against: str
-    off: Array
-    allowed: Array
-    unit: str = "m"
-    share: float = GROSS
-    group: IntArray | None = None
-    hint: Callable[[int], str] = lambda setup: ""
-
-    @property
-    def bad(self) -> BoolArray:
-        """(n,) readings that contradict."""
-        return np.asarray(self.off > self.allowed)
 
 
 Expected = Callable[[Session], Iterable[Held]]
@@ -78,7 +48,7 @@ def refuse_contradictions(session: Session, place: Place, expected: Expected | N
             what is likelier meant.
     """
     with np.errstate(all="ignore"):
-        _refuse(session, place, expected or session.spec.held)
+        _refuse(session, place, expected or spec_of(session).held)
 
 
 def _refuse(session: Session, place: Place, expected: Expected) -> None:

@@ -10,23 +10,23 @@ is refused merely because it fits badly: that is for the model and its diagnosis
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "LENGTHS",
     "SENSES",
     "UNITS",
-    "Judgement",
-    "Supposition",
     "check_consistency",
     "described",
     "exchanged",
@@ -52,38 +52,6 @@ SENSES = (
 # Exchanges are tried among so many setups, targets or points.
 _MOST = 8
 _SLIPPED = (1, -1, 2, -2)  # rows
-
-
-@dataclass(frozen=True)
-class Supposition:
-    """One mistake that may have been made.
-
-    Attributes:
-        what: the mistake in words.
-        session: the measurement as it would be without it.
-    """
-
-    what: str
-    session: Session
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """How a measurement is judged, and what may have gone wrong with it.
-
-    Attributes:
-        misfit: how badly a measurement fits.
-        suppositions: mistakes that may have been made, the likeliest first; made on demand.
-        absurd: misfit beyond which mistakes are looked for.
-        good: what the misfit must be below without the mistake.
-        better: the same as a share of the misfit as it is.
-    """
-
-    misfit: Callable[[Session], float]
-    suppositions: Iterable[Supposition]
-    absurd: float
-    good: float
-    better: float = 1.0
 
 
 def explanation(session: Session, judgements: Iterable[Judgement]) -> str | None:
@@ -120,7 +88,7 @@ def check_consistency(session: Session, place: Place) -> None:
     if len(sample.readings) < 4:
         return
     with np.errstate(all="ignore"):
-        what = explanation(sample, session.spec.nominal(sample, place))
+        what = explanation(sample, spec_of(session).nominal(sample, place))
     if what is not None:
         raise SessionError(f"{place.readings}: {what}")
 

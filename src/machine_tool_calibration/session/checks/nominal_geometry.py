@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, group_ranges
-from machine_tool_calibration.session.checks.mistakes import Judgement, Supposition, exchanged
+from machine_tool_calibration.session.checks.mistakes import exchanged
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session, places_among
 
 __all__ = [

@@ -11,6 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
@@ -57,7 +58,7 @@ class Misplaced:
 
 def allowed(session: Session, stated: float | None) -> float:
     """By how much a place of that stated standard uncertainty may be off, m."""
-    if session.spec.turns_one_axis:
+    if spec_of(session).turns_one_axis:
         return max(_STATED * (stated or 0.0), _FOUND)
     return _UNSTATED if stated is None else max(_STATED * stated, _LEAST)
 
@@ -76,7 +77,7 @@ def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]
             continue
         entries = getattr(session.description, name)
         stated = np.array([entry.position for entry in entries])
-        own = session.spec.turns_one_axis and key == "stations"
+        own = spec_of(session).turns_one_axis and key == "stations"
         places, u = np.asarray(found[key]), np.asarray(found.get(f"{key}_u", np.zeros(stated.shape)))
         away = off_stated(places, stated) if own else places - stated
         away = np.where(np.isfinite(away), away, 0.0)[:, : getattr(session.description, "dimension", 3)]

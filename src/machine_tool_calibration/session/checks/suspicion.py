@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import DESCRIPTION_FILE
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
@@ -61,7 +62,7 @@ def _beside(session: Session) -> Iterator[str]:
 
 def _pathless(session: Session) -> Iterator[str]:
     said = session.description.standard_uncertainty
-    if session.spec.probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
+    if spec_of(session).probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
         yield say("suspicion.no_path")
 
 
@@ -74,4 +75,4 @@ def _repeated(session: Session) -> Iterator[str]:
 
 
 def _of_method(session: Session) -> Iterator[str]:
-    return session.spec.suspicious(session)
+    return spec_of(session).suspicious(session)

@@ -9,6 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
@@ -36,7 +37,7 @@ def check_units(session: Session, place: Place) -> None:
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
-    session.spec.magnitudes(session, place)
+    spec_of(session).magnitudes(session, place)
     if session.description.trust_units:
         return
     with suspected():
@@ -158,7 +159,7 @@ def _angles(session: Session, place: Place) -> None:
 
 def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
-    if session.spec.reads_deviations:
+    if spec_of(session).reads_deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
         if typical > 0.02:
             raise SessionError(

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Takes managed nodes up in an order, looks after them, and takes them down again: a lifecycle manager in 60 lines.
+
+    ros2 launch machine_tool_calibration graph.launch.py autostart:=false
+    python examples/lifecycle_manager.py recorder axis_simulator rotary_pointer instrument estimator procedure
+
+A node that was started anew is unconfigured: it is taken up again. Ctrl-C deactivates them, the last one first.
+"""
+
+import sys
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.client import Client
+from rclpy.signals import SignalHandlerOptions
+
+UP = {
+    State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
+    State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
+}
+DOWN = {
+    State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE,
+    State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_CLEANUP,
+}
+
+
+class Manager:
+    """Asks managed nodes for their states, and for transitions."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.node = rclpy.create_node("lifecycle_manager")
+        self.names = names
+        self.states = {name: self.node.create_client(GetState, f"{name}/get_state") for name in names}
+        self.changes = {name: self.node.create_client(ChangeState, f"{name}/change_state") for name in names}
+
+    def ask(self, client: Client, request: Any) -> Any:
+        """The answer; None where there is none."""
+        if not client.wait_for_service(timeout_sec=5.0):
+            return None
+        asked = client.call_async(request)
+        rclpy.spin_until_future_complete(self.node, asked, timeout_sec=30.0)
+        return asked.result()
+
+    def bring(self, name: str, ways: dict[int, int]) -> bool:
+        """Make transitions until none is left to be made; False where one cannot be made."""
+        while True:
+            found = self.ask(self.states[name], GetState.Request())
+            if found is None or found.current_state.id not in ways:
+                return found is not None
+            request = ChangeState.Request(transition=Transition(id=ways[found.current_state.id]))
+            changed = self.ask(self.changes[name], request)
+            print(
+                f"{name}: {found.current_state.label} -> {'done' if changed and changed.success else 'FAILED'}",
+                flush=True,
+            )
+            if changed is None or not changed.success:
+                return False
+
+
+def main() -> None:
+    """Take the nodes up that are named on the command line, and look after them."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is this program's own
+    manager = Manager(sys.argv[1:])
+    try:
+        while all([manager.bring(name, UP) for name in manager.names]):
+            rclpy.spin_once(manager.node, timeout_sec=1.0)
+        print("a node cannot be taken up", file=sys.stderr)
+    except KeyboardInterrupt:
+        for name in reversed(manager.names):
+            manager.bring(name, DOWN)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The session's description as nodes hear it: no longer than a node can read without keeping all others waiting."""
+
+from __future__ import annotations
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.parse import parse_description
+
+__all__ = ["description_of", "require_readable"]
+
+_LONGEST = 1_000_000  # characters: some 15 000 setups, and 1.5 s in which a node answers nobody
+
+
+def require_readable(text: str) -> str:
+    """The text of a description.
+
+    Raises:
+        CalibrationError: it is longer than a node reads.
+    """
+    if len(text) > _LONGEST:
+        raise CalibrationError(
+            f"the session's description has {len(text)} characters; a node reads {_LONGEST} at most, some 15 000 setups"
+        )
+    return text
+
+
+def description_of(text: str) -> Description:
+    """The description that a message of the topic `session` holds.
+
+    Raises:
+        CalibrationError: it is none, or too long.
+    """
+    return parse_description(require_readable(text), "session")
