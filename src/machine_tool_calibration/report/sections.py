@@ -125,7 +125,7 @@ def _translated(block: str | TextTable | Picture | Turnable, words: Words) -> st
     return TextTable(
         words.phrase(block.title),
         tuple(words.phrase(block.columns[k]) for k in used),
-        tuple(tuple(words.phrase(row[k].strip()) for k in used) for row in block.rows),
+        tuple(tuple(words.phrase(row[k]).strip() for k in used) for row in block.rows),
         words.phrase(block.note),
     )
 
