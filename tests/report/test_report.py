@@ -31,7 +31,7 @@ from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import data_hash, flattened
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
-from machine_tool_calibration.words import LANGUAGES, Words, words
+from machine_tool_calibration.words import LANGUAGES, Verbatim, Words, words
 
 PLANS = {
     "tracking_2d": {"method": "tracking_interferometer", "dimension": 2},
@@ -97,6 +97,8 @@ def content(name: str, language: str) -> list[Section]:
 PLACES = re.compile(r"\{\w+\}")
 # Words, not the letters of a formula, an id or a unit.
 WORD = re.compile(r"(?<![\w.'])[A-Za-zäöüß]{3,}(?![\w.(])")
+# A decimal point, but for one of a name such as EXX(0.4).
+POINT = re.compile(r"(?<![\w.(])\d+\.\d+(?![\w.])")
 # Names that stay in every language: of coefficients, units, error motions, diagonals and methods of diagnosis.
 NAMES = re.compile(r"E[XYZABC][XYZABC]|[PN]{3}|hPa|tau|lead|mtcal|budget|yaml|csv|sin|cos|exp|dir")
 
@@ -255,16 +257,31 @@ def test_a_german_report_is_german(name):
         own = [*one.setup_ids, *(value for _, value in flattened(one.description.about))]
         known |= {word.lower() for text in own for word in WORD.findall(text)}
     shown: list[str] = []
+    drawn: list[str] = []
     for block in (block for section in content(name, "de") for block in section.blocks):
         if isinstance(block, str):
             shown.append(block)
         elif isinstance(block, TextTable):
             shown += [block.title, *block.columns, block.note, *(cell for row in block.rows for cell in row)]
         elif isinstance(block, Picture):
-            shown += [block.caption, *(text.get_text() for text in block.figure.findobj(Text))]
-    assert len(shown) > 100
-    left = {word: text for text in shown for word in WORD.findall(text) if word.lower() not in known}
+            shown.append(block.caption)
+            drawn += [text.get_text() for text in block.figure.findobj(Text)]
+    assert len(shown) + len(drawn) > 100
+    left = {word: text for text in (*shown, *drawn) for word in WORD.findall(text) if word.lower() not in known}
     assert {word: text for word, text in left.items() if not NAMES.fullmatch(word)} == {}
+    assert [text for text in shown if POINT.search(text) and text != found.result.provenance.software] == []
+
+
+def test_numbers_have_the_decimal_sign_of_the_language():
+    german = words("de")
+    assert german.numbers("0.18 ± 0.02 µm at (1.5, -2) mm") == "0,18 ± 0,02 µm at (1,5; -2) mm"
+    assert german.numbers("1.2.3 EXX(0.4) p = 1.5e-05.") == "1.2.3 EXX(0.4) p = 1,5e-05."
+    assert german.numbers(Verbatim("plate 1.5")) == "plate 1.5" and words("en").numbers("0.18") == "0.18"
+    figure = Figure()
+    figure.subplots().plot([0.0, 0.2, 0.4])
+    picture = figures.translated("one", "", figure, german)
+    picture.figure.draw_without_rendering()
+    assert "0,25" in [text.get_text() for text in picture.figure.findobj(Text)]
 
 
 def test_phrases_are_found_by_what_stays_the_same():

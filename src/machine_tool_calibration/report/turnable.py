@@ -53,7 +53,7 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
         pairs = np.empty((0, 2), dtype=int)
     texts = [
         "<br>".join(
-            f"{axis.upper()} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm"
+            words.numbers(f"{axis.upper()} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm")
             for axis, p, e, s in zip("xyz", *rows, strict=True)
         )
         for rows in zip(place, error, u, strict=True)
@@ -86,6 +86,7 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
         "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
         "legend": {"orientation": "h"},
         "height": 560,
+        "separators": f"{words('decimal')}\u202f",
     }
     return {"data": data, "layout": layout}
 

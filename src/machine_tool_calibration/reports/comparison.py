@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
-from machine_tool_calibration.session.checks.suspicion import suspicions
 
 __all__ = ["comparison_columns", "comparison_document", "in_words", "stand_out"]
 
@@ -119,7 +119,7 @@ def _own_document(comparison: Comparison) -> dict[str, Any]:
         "method": session.method,
         "effects": list(comparison.effects),
         "summary": _own_in_words(comparison),
-        "suspicious": suspicions([session]),
+        "suspicious": suspicious_fits([comparison.fit]),
         "provenance": comparison.provenance.document(),
         "readings": overall.readings,
         "rms_residual": overall.rms,
@@ -186,7 +186,7 @@ def _joint_document(comparison: JointComparison) -> dict[str, Any]:
         "method": "joint",
         "effects": list(comparison.effects),
         "summary": _joint_in_words(comparison),
-        "suspicious": suspicions(comparison.measured_sessions, comparison.labels),
+        "suspicious": suspicious_fits([one.fit for one in comparison.sessions], comparison.labels),
         "provenance": comparison.provenance.document(),
         "readings": comparison.readings,
         "rms_residual": comparison.rms,

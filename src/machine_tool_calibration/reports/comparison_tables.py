@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.diagnosis.compare import Approach, Comparison, JointComparison, Share, Trend
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
@@ -20,7 +21,6 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
 )
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
-from machine_tool_calibration.session.checks.suspicion import suspicions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -313,9 +313,9 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
     from rich.text import Text
 
     if isinstance(comparison, JointComparison):
-        suspicious = suspicions(comparison.measured_sessions, comparison.labels)
+        suspicious = suspicious_fits([one.fit for one in comparison.sessions], comparison.labels)
     else:
-        suspicious = suspicions([comparison.fit.model.observations.session])
+        suspicious = suspicious_fits([comparison.fit])
     words = in_words(comparison)
     screen.print(Text(words[0].upper() + words[1:]))
     show_suspicions(screen, suspicious)

@@ -12,6 +12,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (
@@ -26,7 +27,6 @@ from machine_tool_calibration.reports.quantities import (
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import Said, say, together
 
@@ -62,7 +62,7 @@ def verdict_words(
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
-    for words in suspicions(diagnosis.chosen.sessions, diagnosis.chosen.labels):
+    for words in suspicious_fits(diagnosis.fits[0].fits, diagnosis.chosen.labels):
         yield say("diagnosis.suspicious", what=words)
     if not brief:
         for name in diagnosis.accepted:

@@ -14,7 +14,7 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["LANGUAGES", "Said", "Words", "say", "together", "words"]
+__all__ = ["LANGUAGES", "Said", "Verbatim", "Words", "say", "together", "words"]
 
 _FILES = {file.name.removesuffix(".yaml"): file for file in resources.files(__package__).iterdir() if ".y" in file.name}
 LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
@@ -22,7 +22,14 @@ LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _LETTERS = re.compile("[a-z]{2}")
 _BRACES = re.compile(r"\{\w+\}")
+# A number with decimals: not a part of a version or of an unknown's name, such as EXX(0.4).
+_DECIMAL = re.compile(r"(?<![\w.])(?<!\w\()(\d+)\.(\d+)(?=e[-+]?\d|(?!\w|\.\d))")
+_LISTED = re.compile(r"(?<=\d), (?=[-+−]?\d)")
 _PLACE = re.compile(r"\\\{(\w+)\\\}")
+
+
+class Verbatim(str):
+    """What a user wrote, such as a name, which is the same in every language."""
 
 
 class Said(str):
@@ -100,6 +107,8 @@ class Words:
 
         Of several, with semicolons between them, each by itself where all of them are known.
         """
+        if isinstance(text, Verbatim):
+            return text
         if isinstance(text, Said):
             return text.told(self)
         if text in self.phrases:
@@ -118,6 +127,13 @@ class Words:
             if found := pattern.fullmatch(text):
                 return own_text.format(**{name: self.phrase(value) for name, value in found.groupdict().items()})
         return text
+
+    def numbers(self, text: str) -> str:
+        """A text with the language's decimal sign, and semicolons between listed numbers where that is a comma."""
+        sign = self("decimal")
+        if sign == "." or isinstance(text, Verbatim) or not _DECIMAL.search(text):
+            return text
+        return _DECIMAL.sub(rf"\1{sign}\2", _LISTED.sub("; ", text))
 
 
 def _group(place: re.Match[str]) -> str:
