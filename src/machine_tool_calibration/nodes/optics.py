@@ -14,7 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.site import Beam, Moment, Site
-from machine_tool_calibration.procedure.plan import diagonal_positions, sensing_direction
+from machine_tool_calibration.procedure.steps import diagonal_positions, sensing_direction
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
     Description,

@@ -20,7 +20,8 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.detectable import POWER, Visible, detectable
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
-from machine_tool_calibration.procedure.plan import Step, plan, sensing_direction
+from machine_tool_calibration.procedure.plan import plan
+from machine_tool_calibration.procedure.steps import Step, sensing_direction
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
     Direct,

@@ -2,6 +2,7 @@
 """A measurement procedure: targets, stations, repeats, order and waiting times, without ROS."""
 
 from machine_tool_calibration.procedure.description import Procedure, parse_procedure, read_procedure
-from machine_tool_calibration.procedure.plan import Plan, Step, plan
+from machine_tool_calibration.procedure.plan import Plan, plan
+from machine_tool_calibration.procedure.steps import Step
 
 __all__ = ["Plan", "Procedure", "Step", "parse_procedure", "plan", "read_procedure"]

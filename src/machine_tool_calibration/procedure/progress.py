@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from machine_tool_calibration.procedure.events import Aim, Arrived, Motion
-from machine_tool_calibration.procedure.plan import Step
+from machine_tool_calibration.procedure.steps import Step
 
 __all__ = ["Counters", "Group", "Pending", "Phase", "State", "Timing", "Visit"]
 

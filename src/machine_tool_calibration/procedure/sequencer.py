@@ -34,8 +34,9 @@ from machine_tool_calibration.procedure.events import (
     Waypoint,
 )
 from machine_tool_calibration.procedure.motion import move
-from machine_tool_calibration.procedure.plan import Plan, Step, sensing_direction
+from machine_tool_calibration.procedure.plan import Plan
 from machine_tool_calibration.procedure.progress import Counters, Group, Pending, Phase, State, Timing, Visit
+from machine_tool_calibration.procedure.steps import Step, sensing_direction
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 

@@ -1,0 +1,393 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of a procedure, one reading each, as each method goes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.instruments.touch import Part
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.procedure.description import Path, Procedure, Spread
+from machine_tool_calibration.session.description import (
+    Direct,
+    Probing,
+    RotaryAxis,
+    StepDiagonal,
+    TrackingInterferometer,
+)
+
+__all__ = [
+    "Position", "Step", "diagonal_positions", "diagonal_steps", "direct_steps", "path_steps", "rotary_steps",
+    "sensing_direction", "targets_of", "touch_steps",
+]  # fmt: skip
+
+
+_MOVED = 1e-9
+
+
+Position = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One target to be measured.
+
+    Attributes:
+        number: place in the plan, from 0.
+        setup: id of the instrument's setup.
+        repeat: repetition of that setup, from 0.
+        position: commanded position of each axis, m or rad.
+        direction: sign of each axis's last move before the reading, +1 or -1.
+        via: positions to be passed on the way, which fix the direction of approach.
+        aim: commanded target, m, machine frame; None for a probe.
+        points: whether a pointer directs the beam at it; otherwise the beam is fixed for each setup.
+        datum: whether the path is zeroed here, before the reading.
+        target: index of the target on the table, or of the workpiece's point.
+    """
+
+    number: int
+    setup: str
+    repeat: int
+    position: Position
+    direction: Mapping[str, int]
+    via: tuple[Position, ...] = ()
+    aim: tuple[float, float, float] | None = None
+    points: bool = True
+    datum: bool = False
+    target: int | None = None
+
+
+def touch_steps(procedure: Procedure) -> Iterator[Step]:
+    """Angle by angle, repetition by repetition, all points; every second repetition backwards if so planned.
+
+    A step's position is where the touch begins, `motion.approach` off the surface. `path.points` says where axes stand
+    that the touches leave alone (z); between points Z goes to the upper end of its travel, if the session names it.
+
+    Raises:
+        SessionError: no single height is given, a touch is outside the travel, or it could be meant for two points.
+    """
+    session = procedure.session
+    assert isinstance(session, Probing)
+    held = _held(procedure)
+    part, standoff = Part(session), procedure.motion.approach
+    if standoff <= 0:
+        raise SessionError(f"procedure {procedure.name}: motion.approach must be positive: a touch begins off the part")
+    safe = {"z": session.machine.travel["z"][1]} if "z" in session.machine.travel else {}
+    order = range(len(session.workpiece))
+    before: dict[str, float] | None = None
+    last = {"x": 1, "y": 1, "c": 1}
+    number = 0
+    for setup, repeat in product(session.setups, range(session.repeats)):
+        back = procedure.path.alternate and repeat % 2 == 1
+        for point in reversed(order) if back else order:
+            touch = part.touch(point, setup.c, standoff)
+            position = {**touch.at(standoff), "c": setup.c, **held}
+            _check(procedure, position, session.workpiece[point].id)
+            part.meant(position, 2 * standoff)  # refuses where it could be meant for two points
+            above = {**position, **safe}
+            via = () if not safe else (above,) if before is None else ({**before, **safe}, above)
+            for axis, place in position.items():
+                if axis in last and before is not None and abs(place - before[axis]) > _MOVED:
+                    last[axis] = 1 if place > before[axis] else -1
+            approach = {a: -1 if n > 0 else 1 for a, n in zip("xy", touch.normal, strict=True) if abs(n) > _MOVED}
+            yield Step(number, setup.id, repeat, position, {**last, **approach}, via, target=point)
+            # The stylus backs off the way it came.
+            last |= {axis: -sign for axis, sign in approach.items()}
+            before, number = position, number + 1
+
+
+def _held(procedure: Procedure) -> dict[str, float]:
+    points = procedure.path.points
+    if points is None or len(points) != 1 or {"x", "y", "c"} & points[0].keys():
+        raise SessionError(
+            f"procedure {procedure.name}: path of a probing procedure says only where the other axes stand, as in "
+            "points: [{z: -0.01}]; the points to be touched are the workpiece's"
+        )
+    return dict(points[0])
+
+
+def _check(procedure: Procedure, position: dict[str, float], point: str) -> None:
+    for name, value in position.items():
+        low, high = _travel(procedure, name)
+        if not low <= value <= high:
+            raise SessionError(
+                f"procedure {procedure.name}: point {point!r} is touched from {name} = {value:.6g}, outside the travel "
+                f"{low:g} to {high:g}"
+            )
+
+
+def _travel(procedure: Procedure, axis: str) -> tuple[float, float]:
+    """Lower and upper end of an axis; without end where the session does not say."""
+    return procedure.session.machine.travel.get(axis, (-np.inf, np.inf))
+
+
+def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
+    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z.
+
+    Args:
+        description: the session.
+        index: of the setup.
+    """
+    setup = description.setups[index]
+    suffix = setup.id.rsplit("_", 1)[-1]
+    order = suffix if sorted(suffix) == ["x", "y", "z"] and "_" in setup.id else "xyz"
+    signs = dict(zip("xyz", setup.direction, strict=True))
+    moving = [axis for axis in order if signs[axis]]
+    steps, start = dict(zip("xyz", description.step, strict=True)), dict(zip("xyz", setup.start, strict=True))
+    made = dict.fromkeys("xyz", 0)
+    positions = [start.copy()]
+    for _ in range(description.blocks):
+        for axis in moving:
+            made[axis] += 1
+            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
+            positions.append({a: round(start[a] + made[a] * steps[a] * signs[a], 12) for a in "xyz"})
+    return positions
+
+
+def sensing_direction(description: Direct) -> Array:
+    """(3,) direction along which an instrument of a direct session reads: that of its first term, as Y of EYX.
+
+    Raises:
+        SessionError: no term says so.
+    """
+    name = description.terms[0] if description.terms else ""
+    if len(name) != 3 or name[0] != "E" or name[1] not in "XYZ":
+        raise SessionError(
+            "session: terms must begin with a translation such as EXX: it says along which axis the instrument reads"
+        )
+    return np.asarray(np.eye(3)["XYZ".index(name[1])])
+
+
+def diagonal_steps(procedure: Procedure) -> Iterator[Step]:
+    """Setup by setup, run by run; the path is zeroed at the start of each run."""
+    session = procedure.session
+    assert isinstance(session, StepDiagonal)
+    runs = []
+    for index, setup in enumerate(session.setups):
+        positions = diagonal_positions(session, index)
+        signs = {axis: sign or 1.0 for axis, sign in zip("xyz", setup.direction, strict=True)}
+        runs += [(setup.id, repeat, None, positions, signs) for repeat in range(session.repeats)]
+    yield from _steps(procedure, runs, points=False)
+
+
+def rotary_steps(procedure: Procedure) -> Iterator[Step]:
+    """Station by station, repetition by repetition: all angles target by target, or all targets angle by angle."""
+    session = procedure.session
+    assert isinstance(session, RotaryAxis)
+    axis = (session.machine.axis or "C").lower()
+    forth = targets_of(procedure)
+    if any(set(place) != {axis} for place in forth):
+        raise SessionError(f"procedure {procedure.name}: path of a rotary axis names {axis} and nothing else")
+    runs = []
+    for setup in session.setups:
+        for repeat in range(session.repeats):
+            back = procedure.path.alternate and repeat % 2 == 1
+            angles = forth[::-1] if back else forth
+            if procedure.path.both_ways:
+                angles = [*angles, *angles[::-1]]
+            sense = {axis: -1.0 if back else 1.0}
+            marks = range(len(session.targets))
+            if procedure.path.targets == "at_every_angle":
+                places = [angle for angle in angles for _ in marks]
+                runs.append((setup.id, repeat, [*marks] * len(angles), places, sense))
+            else:
+                runs += [(setup.id, repeat, [mark] * len(angles), angles, sense) for mark in marks]
+    yield from _steps(procedure, runs, points=True)
+
+
+def direct_steps(procedure: Procedure) -> Iterator[Step]:
+    """Every run goes forth and back, with an overrun at both ends (ISO 230-2)."""
+    session = procedure.session
+    assert isinstance(session, Direct)
+    sensing_direction(session)
+    forth = targets_of(procedure)
+    runs = [
+        (setup.id, repeat, None, [*forth, *forth[::-1]], dict.fromkeys(forth[0], 1.0))
+        for setup in session.setups
+        for repeat in range(session.repeats)
+    ]
+    yield from _steps(procedure, runs, points=False, datum_per_run=False)
+
+
+def _steps(
+    procedure: Procedure,
+    runs: Sequence[tuple[str, int, Sequence[int] | None, Sequence[Mapping[str, float]], Mapping[str, float]]],
+    *,
+    points: bool,
+    datum_per_run: bool = True,
+) -> Iterator[Step]:
+    """Steps of runs (setup, repeat, target of each position, positions, sense of the first approach)."""
+    number = 0
+    last_setup = ""
+    before: dict[str, float] = {}
+    direction: dict[str, int] = {}
+    for setup, repeat, targets, positions, sense in runs:
+        for place, position in enumerate(positions):
+            target = None if targets is None else targets[place]
+            via: tuple[dict[str, float], ...] = ()
+            if place == 0:  # from wherever the last run ended: a short move makes the direction certain
+                via = (_beyond(procedure, position, {axis: -sign for axis, sign in sense.items()}),)
+            elif position == positions[place - 1] and (targets is None or target == targets[0]):
+                # a turning point is approached from the other side
+                via = (_beyond(procedure, position, direction),)
+            for stop in (*via, position):
+                for axis, value in stop.items():
+                    if axis in before and value != before[axis]:
+                        direction[axis] = 1 if value > before[axis] else -1
+                    direction.setdefault(axis, 1)
+                before = dict(stop)
+            yield Step(
+                number=number,
+                setup=setup,
+                repeat=repeat,
+                position=dict(position),
+                direction=dict(direction),
+                via=via,
+                aim=_aim(procedure, position, target),
+                points=points,
+                datum=place == 0 and (datum_per_run or setup != last_setup),
+                target=target,
+            )
+            number, last_setup = number + 1, setup
+
+
+def _beyond(procedure: Procedure, position: Mapping[str, float], sense: Mapping[str, float]) -> dict[str, float]:
+    """A place beside a position, in a sense on each axis, by default below; on the other side where the travel ends."""
+    place = {}
+    for axis, value in position.items():
+        low, high = _travel(procedure, axis)
+        step = procedure.motion.approach * sense.get(axis, -1.0)
+        there, other = value + step, value - step
+        place[axis] = there if low <= there <= high else min(max(other, low), high)
+    return place
+
+
+def _aim(procedure: Procedure, position: Mapping[str, float], target: int | None) -> tuple[float, float, float]:
+    """The commanded target in the machine frame."""
+    session = procedure.session
+    if isinstance(session, RotaryAxis) and target is not None:
+        axis = session.machine.axis or "C"
+        sign = session.rotation_sign or session.machine.rotation_sign or 1
+        place = _turned(np.array(session.targets[target].position), axis, sign * position[axis.lower()])
+        return float(place[0]), float(place[1]), float(place[2])
+    return position.get("x", 0.0), position.get("y", 0.0), position.get("z", 0.0)
+
+
+def _turned(point: Array, axis: str, angle: float) -> Array:
+    """A point turned about an axis through the origin, right-handed."""
+    k = "ABC".index(axis)
+    i, j = (k + 1) % 3, (k + 2) % 3
+    out = point.copy()
+    out[i] = np.cos(angle) * point[i] - np.sin(angle) * point[j]
+    out[j] = np.sin(angle) * point[i] + np.cos(angle) * point[j]
+    return out
+
+
+def path_steps(procedure: Procedure) -> Iterator[Step]:
+    """The targets of the path, from every setup and in every repeat."""
+    steps = _directed(procedure, _runs(procedure, targets_of(procedure)))
+    return steps if procedure.path.azimuth is None else _held_beam(procedure, steps, procedure.path.azimuth)
+
+
+def _held_beam(procedure: Procedure, steps: Iterator[Step], azimuth: Spread | tuple[float, ...]) -> Iterator[Step]:
+    """Every step in every direction of the beam, back again in every second repetition if so planned."""
+    session = procedure.session
+    assert isinstance(session, TrackingInterferometer)
+    stations = {setup.id: np.array(setup.position) for setup in session.setups}
+    forth = azimuth.values() if isinstance(azimuth, Spread) else list(azimuth)
+    number = 0
+    for step in steps:
+        back = procedure.path.alternate and step.repeat % 2 == 1
+        for place, angle in enumerate(reversed(forth) if back else forth):
+            x, y, z = stations[step.setup] + [np.cos(angle), np.sin(angle), 0.0]
+            first = place == 0
+            yield replace(
+                step,
+                number=number,
+                via=step.via if first else (),
+                aim=(float(x), float(y), float(z)),
+                datum=step.datum and first,
+            )
+            number += 1
+
+
+def targets_of(procedure: Procedure) -> list[dict[str, float]]:
+    """The targets of one run in their order, checked against the machine.
+
+    Raises:
+        SessionError: a target is outside the travel, or names an axis that the machine does not have.
+    """
+    axes = {axis.lower() for axis in Chain.parse(procedure.session.machine.chain).axes}
+    targets = list(_ordered(procedure.path))
+    for name in targets[0]:
+        if name not in axes:
+            raise SessionError(
+                f"procedure {procedure.name}: path names the axis {name!r}; the machine has {', '.join(sorted(axes))}"
+            )
+    for number, target in enumerate(targets):
+        for name, value in target.items():
+            low, high = _travel(procedure, name)
+            if not low <= value <= high:
+                raise SessionError(
+                    f"procedure {procedure.name}: target {number} at {name} = {value:g} is outside the travel "
+                    f"{low:g} to {high:g}"
+                )
+    return targets
+
+
+def _ordered(path: Path) -> Iterator[dict[str, float]]:
+    if path.points is not None:
+        yield from (dict(point) for point in path.points)
+        return
+    grid = {
+        name: entry.values() if isinstance(entry, Spread) else list(entry) for name, entry in (path.grid or {}).items()
+    }
+    names = list(grid)
+    slow = names[:0:-1]  # all but the first, the slowest first
+    back = False
+    for outer in product(*(grid[name] for name in slow)):
+        line = grid[names[0]]
+        for value in reversed(line) if back else line:
+            yield {names[0]: value, **dict(zip(reversed(slow), reversed(outer), strict=True))}
+        back = not back and path.order == "serpentine"
+
+
+def _runs(procedure: Procedure, targets: list[dict[str, float]]) -> Iterator[tuple[str, int, dict[str, float]]]:
+    """Setup, repeat and target of every reading."""
+    for setup in procedure.session.setups:
+        for repeat in range(procedure.session.repeats):
+            run = reversed(targets) if procedure.path.alternate and repeat % 2 else targets
+            yield from ((setup.id, repeat, target) for target in run)
+
+
+def _directed(procedure: Procedure, runs: Iterator[tuple[str, int, dict[str, float]]]) -> Iterator[Step]:
+    """Steps with the direction from which each target is approached."""
+    direction: dict[str, int] = {}
+    before: dict[str, float] | None = None
+    setup_before: str | None = None
+    for number, (setup, repeat, target) in enumerate(runs):
+        via: tuple[Position, ...] = ()
+        if before is None:  # where the axes stand is not known: a short move makes the direction certain
+            before = _beyond(procedure, target, {})
+            via = (before,) if before != target else ()
+            direction = dict.fromkeys(target, 1)
+        for name, value in target.items():
+            if value != before[name]:
+                direction[name] = 1 if value > before[name] else -1
+        yield Step(
+            number=number,
+            setup=setup,
+            repeat=repeat,
+            position=target,
+            direction=dict(direction),
+            via=via,
+            aim=(target.get("x", 0.0), target.get("y", 0.0), target.get("z", 0.0)),
+            datum=setup != setup_before,
+        )
+        before, setup_before = target, setup
