@@ -97,6 +97,12 @@ def test_a_plane_holds_for_its_plane() -> None:
     assert command[2] == 0.03 and command[0] != 0.1
 
 
+def test_a_single_point_holds_for_its_place() -> None:
+    made = error_map_from_message(message(rows_of(VOLUME[7:8])))
+    np.testing.assert_allclose(made(np.tile(VOLUME[7], (3, 1)))[0], np.tile(linear(VOLUME[7]), (3, 1)))
+    assert np.isnan(made(VOLUME[8])[0]).all()
+
+
 def test_a_gap_is_no_number() -> None:
     rows = rows_of(VOLUME)
     rows[0, 3] = np.nan

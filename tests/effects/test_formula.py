@@ -29,6 +29,13 @@ SETTLING = {
 }
 
 
+def test_an_effect_is_called_by_its_title_or_else_by_its_id() -> None:
+    assert formula_effect(SETTLING).title == formula_effect(SETTLING).id == "settling_y"
+    assert formula_effect(SETTLING | {"title": "column that settles"}).title == "column that settles"
+    assert formula_effect(SETTLING).kind == "position"
+    assert formula_effect(SETTLING | {"enters": "reading"}).formula.startswith("reading = b * dir_y")
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [

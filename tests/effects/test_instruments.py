@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
@@ -84,21 +83,3 @@ def test_an_unknown_instrument_is_one_line() -> None:
     with pytest.raises(SessionError, match="instrument") as caught:
         describe(content, "session.yaml")
     assert "\n" not in str(caught.value) and "touch_probe" in str(caught.value)
-
-
-def test_the_functional_points_offset_makes_angles_show() -> None:
-    """Yaw of X moves a tool that reaches 0.2 m along Y by 0.2 m times the angle; stated, the model knows it."""
-    offset = (0.0, 0.2, 0.0)
-    machine = {
-        "random": None,
-        "tool_offset": offset,
-        "motions": {"ECX": {"nodes": [0.0, 0.4], "values": [0.0, 3e-5], "interpolation": "linear"}},
-    }
-    content = {"plan": DirectPlan(terms=()), "seed": 2, "noise_factor": 0, "machine": machine}
-    session = simulate(SimulationSpec.model_validate(content)).session
-    assert session.description.machine.tool_offset == offset
-    x = session.readings.columns["x"]
-    np.testing.assert_allclose(session.readings.displacement, -0.2 * 3e-5 * x / 0.4, atol=1e-9)
-    model = build_model(session)[0]
-    columns = catalogue()["reversal_ECX"].columns(model.observations)[0]
-    np.testing.assert_allclose(columns, 0.2 * session.readings.columns["dir_x"], atol=1e-12)

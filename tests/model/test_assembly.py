@@ -191,6 +191,25 @@ def test_plain(value, expected):
     assert plain(value) == expected
 
 
+def test_the_declared_uncertainty_grows_with_the_length_and_is_each_setups():
+    model = line(X)
+    session = model.observations.session
+    said = {"displacement": 2e-6, "per_length": 3e-6, "setups": {"two": {"displacement": 1e-6, "per_length": 5e-7}}}
+    content = session.description.model_dump() | {
+        "standard_uncertainty": said,
+        "setups": [{"id": "one"}, {"id": "two"}],
+    }
+    setup = np.arange(9) // 6
+    observations = replace(
+        model.observations,
+        session=replace(session, description=describe(content, "here")),
+        readings=replace(session.readings, setup=setup),
+        path=X,
+    )
+    expected = np.where(setup == 0, 2e-6 + 3e-6 * np.abs(X), 1e-6 + 5e-7 * np.abs(X))
+    assert replace(model, observations=observations).sigma == pytest.approx(expected)
+
+
 def test_columns_of_a_position_error():
     model = line(X)
     directions = np.tile([0.6, 0.8, 0.0], (9, 1))

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
+from machine_tool_calibration.model.effect_sizes import effect_sizes, smallest_signal, with_sizes
 from machine_tool_calibration.model.model import Kind, Parameter
 
 LIMIT = 2e-4
@@ -64,3 +65,20 @@ def test_nothing_is_known_of_an_unknown_without_limits(parameter: Parameter) -> 
 
 def test_what_is_not_determined_stays_so() -> None:
     assert effect_sizes([GROWTH], np.array([False])) == []
+
+
+@pytest.mark.parametrize("largest", [1.5, 30.0, 4000.0])
+@pytest.mark.parametrize("needed", [-0.5, 0.0, 3.0, 9.0])
+def test_the_smallest_signal_is_found_as_often_as_it_says(largest: float, needed: float) -> None:
+    """By drawing what is read of it; plausible sizes in equal steps, from the largest down to a signal of 2."""
+    scales = [largest]
+    while scales[-1] / 5.0 >= 2.0:
+        scales.append(scales[-1] / 5.0)
+    signal = smallest_signal(np.array([largest**2]), largest**2, needed, power=0.7)
+    read = signal + np.random.default_rng(2).normal(size=20000)
+    evidence = np.mean([norm.pdf(read, scale=np.hypot(1.0, scale)) for scale in scales], axis=0) / norm.pdf(read)
+    found = np.mean(np.log(evidence) > needed)
+    if signal == 0.0:
+        assert np.log(np.mean(1.0 / np.hypot(1.0, scales))) >= needed
+    else:
+        assert found == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / 20000))

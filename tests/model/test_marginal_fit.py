@@ -174,6 +174,32 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
     assert fit.published.covariance == pytest.approx(fit.marginal.scatter**2 * expected.covariance)
 
 
+def test_each_family_has_a_size_in_metres() -> None:
+    """The root mean square of what was put in: of the passes of an axis, and of mountings beside runs."""
+    (passes,) = axis(6.0, seed=1)[0].marginal.sizes
+    slopes = 6.0 * SIGMA * np.random.default_rng(1).normal(size=PASSES)
+    own = np.sqrt(np.mean(slopes**2) * np.mean(np.linspace(-1.0, 1.0, PLACES) ** 2))
+    assert passes.size == pytest.approx(own, rel=0.3)
+    assert passes.low < own < passes.high
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=3, spread=Spread(slope=3e-6, bow=3e-6))
+    runs, mountings = fit_models([build_model(simulate(spec).session)[0]]).marginal.sizes
+    assert (runs.name, mountings.name) == ("run", "mounting")
+    # A slope from -1 to 1 and a parabola 1, -1/2, 1 over each mounting.
+    assert mountings.low < 3e-6 * np.sqrt(1 / 3 + 1 / 5) < mountings.high
+    assert runs.high < mountings.low
+
+
+def test_each_sessions_functions_have_their_own_coefficients() -> None:
+    """Two axes that share their scale: what a pass has of its own is that session's, in the order of the sessions."""
+    own = [axis(4.0, seed=seed)[0].assembly.models[0] for seed in (1, 2)]
+    joint = fit_models(own, ["a", "b"])
+    found = joint.marginal
+    first, second = found.coefficients(0), found.coefficients(1)
+    count = len(found.solution.theta)
+    assert np.concatenate([first, second]).tolist() == list(range(count - len(first) - len(second), count))
+    assert len(first) == len(found.functions[0]) > PASSES
+
+
 def test_scatter_grows_without_a_jump() -> None:
     """No test decides beforehand whether the readings' scatter counts."""
     chi_square = np.linspace(0.0, 100.0, 400)

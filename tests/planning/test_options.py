@@ -103,6 +103,30 @@ def test_surroundings_go_on_in_time_and_only_temperatures_rise(simulated: Simula
         assert np.array_equal(new.columns["air_pressure"], old.columns["air_pressure"])
 
 
+def test_runs_of_a_step_diagonal_that_were_not_made(simulated: Simulated) -> None:
+    plan = {"diagonals": ("ppp", "pnp"), "linear": ("x", "z"), "corner": (0.1, 0.0, -0.2), "blocks": 5}
+    options = {o.kind: o for o in further_options(simulated("step_diagonal", plan=plan))}
+    new = {kind: o.session.description.setups[4:] for kind, o in options.items()}
+    assert {s.id: s.start for s in new["diagonal"]} == {
+        "npp": pytest.approx((0.16, 0.0, -0.2)), "nnp": pytest.approx((0.16, 0.06, -0.2)),
+    }  # fmt: skip
+    assert [tuple(np.sign(s.direction)) for s in new["diagonal"]] == [(-1, 1, 1), (-1, -1, 1)]
+    assert {s.id: tuple(np.round(s.start, 9)) for s in new["offset"]} == {
+        "X_at_y": (0.1, 0.06, -0.2), "X_at_z": (0.1, 0.0, -0.14),
+        "Z_at_x": (0.16, 0.0, -0.2), "Z_at_y": (0.1, 0.06, -0.2),
+    }  # fmt: skip
+    assert [s.id for s in new["order"]] in (["ppp_yzx", "pnp_yzx"], ["ppp_zxy", "pnp_zxy"])
+    # The path of the first new diagonal, move by move, and the distance along it.
+    first = options["diagonal"]
+    rows = first.session.readings.select(first.session.readings.row >= first.first_row)
+    path = rows.position()[rows.setup == 4]
+    steps = np.diff(path, axis=0)
+    assert np.count_nonzero(np.abs(steps) > 1e-9, axis=1).tolist() == [1] * 15
+    assert steps[:3].sum(axis=0) == pytest.approx([-0.012, 0.012, 0.012])
+    beam = np.array([-1.0, 1.0, 1.0]) / np.sqrt(3.0)
+    assert rows.displacement[rows.setup == 4] == pytest.approx((path - path[0]) @ beam)
+
+
 def test_missing_readings_are_not_taken_again(simulated: Simulated) -> None:
     session = simulated("tracking_2d", missing=0.1)
     lost = ~np.isfinite(session.readings.displacement)
@@ -131,6 +155,28 @@ def test_a_new_station_sees_the_same_targets_from_elsewhere(simulated: Simulated
     assert np.diff(new.displacement) == pytest.approx(np.diff(np.linalg.norm(line, axis=1)))
     others = np.array([setup.position for setup in session.description.setups])
     assert np.linalg.norm(others - place, axis=1).min() > 0.2
+
+
+def test_a_new_station_halves_the_widest_gap_and_another_stands_twice_as_far(simulated: Simulated) -> None:
+    session = simulated("tracking_2d")
+    between, far = (o for o in further_options(session) if o.kind == "station")
+    others = np.array([setup.position for setup in session.description.setups])
+    middle = np.mean(session.readings.position()[first_repetition(session, [0])], axis=0)
+    arm = others - middle
+    place = np.array(between.session.description.setups[-1].position) - middle
+    angle = np.sort(np.arctan2(arm[:, 1], arm[:, 0]))
+    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
+    away = np.abs(np.angle(np.exp(1j * (np.arctan2(place[1], place[0]) - angle))))
+    assert np.sort(away)[:2] == pytest.approx([gaps.max() / 2] * 2)
+    assert np.hypot(*place[:2]) == pytest.approx(np.median(np.hypot(arm[:, 0], arm[:, 1])))
+    assert np.array(far.session.description.setups[-1].position) - middle == pytest.approx(2 * arm[0])
+
+
+def test_a_new_angle_of_c_is_in_the_middle_of_a_gap(simulated: Simulated) -> None:
+    """Of the cross at 0, 75, 130 and 210 degrees: of the widest gap of all, and of the widest between neighbours."""
+    session = simulated("probing_cross")
+    found = [np.degrees(o.session.description.setups[-1].c) for o in further_options(session) if o.kind == "index"]
+    assert found == pytest.approx([170.0, 285.0])
 
 
 def test_a_new_angle_of_c_turns_the_part(simulated: Simulated) -> None:

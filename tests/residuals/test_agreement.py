@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.residuals.agreement import Noise, compared_sets
+from machine_tool_calibration.residuals.agreement import Neighbours, Noise, compared_sets
 from machine_tool_calibration.residuals.gross_errors import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -92,3 +92,20 @@ def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
     found = find_outliers(wrong, lambda part: build_model(part)[0])
     assert {o.row for o in found} == {int(readings.row[k]) for k in first}
+
+
+def test_neighbours_of_a_reading_are_of_its_run_and_direction() -> None:
+    """Holes are read along x and along y in turn, each with a course of its own; at the ends of a run it goes on."""
+    spec = SimulationSpec(plan=PRESETS["drilled_plate"].model_copy(update={"count": 5, "repeats": 2}), seed=1)
+    readings = simulate(spec).session.readings
+    number = np.arange(len(readings)) // 2 % 25
+    course = np.where(readings.columns["gx"] > 0.5, 3.0 + 0.1 * number, -5.0) + 20.0 * readings.repeat
+    own = Neighbours(readings)
+    every = np.arange(len(readings))
+    np.testing.assert_allclose(own.course(every, course), course, atol=1e-9)
+    # A single wrong one is not what its neighbours say, and does not change what they say of others.
+    wrong = course.copy()
+    wrong[40] += 50.0
+    np.testing.assert_allclose(own.course(every, wrong), course, atol=0.21)
+    assert own.explained(every, course, 1.0, 3.0).all()
+    assert np.flatnonzero(~own.explained(every, wrong, 1.0, 3.0)).tolist() == [40]

@@ -76,6 +76,9 @@ def test_probabilities_belong_together() -> None:
             with_it = sum(p for names, p in look.sets if finding.name in names)
             assert finding.probability == pytest.approx(with_it)
             assert 0.0 <= finding.p_value <= 1.0
+        ranked = [finding.probability for finding in look.findings if finding.rank]
+        assert ranked == pytest.approx(sorted(ranked, reverse=True), abs=1e-9)
+        assert [bool(finding.rank) for finding in look.findings] == [True] * len(ranked) + [False]
 
 
 def test_what_the_model_absorbs_is_neither_found_nor_detectable() -> None:

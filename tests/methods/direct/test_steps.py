@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.description import StandardUncertainty
 
 
 def _steps(session: Any) -> dict[str, Any]:
@@ -101,6 +103,20 @@ def test_standard_uncertainties_use_the_scatter_where_it_is_larger(
     points = session.readings.position()[::2, :2]
     spread = np.sqrt(np.sum((points - points.mean(axis=0)) ** 2))
     assert u == pytest.approx(max(scatter["found"], declared) / spread, rel=0.02)
+
+
+def test_of_uncertainties_that_differ_the_root_mean_square_is_declared(plates: ModuleType) -> None:
+    session = plates.axis(2)
+    alike = StandardUncertainty(displacement=2e-7)
+    differing = StandardUncertainty(displacement=2e-7, per_length=3e-6)
+    for said in (alike, differing):
+        described = replace(session, description=session.description.model_copy(update={"standard_uncertainty": said}))
+        result = identify(described)
+        each = said.displacement + said.per_length * np.abs(session.readings.columns["x"])
+        scatter = result.error_map.content["scatter"]
+        assert scatter["declared"] == pytest.approx(np.sqrt(np.mean(each**2)), rel=1e-12)
+        ratio = scatter["found"] / scatter["declared"]
+        assert ratio == result.error_map.content["spread_over_declared"] == np.sqrt(result.fit.joint.reduced_chi_square)
 
 
 def test_effects_that_say_the_same_leave_the_simple_one(plates: ModuleType) -> None:

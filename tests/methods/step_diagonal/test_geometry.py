@@ -2,6 +2,7 @@
 """Runs, their orders and block positions."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,6 +81,25 @@ def test_setups_that_cannot_be(written, setup, message):
     session = written([setup], [np.array([[0.0, 0, 0], [0.1, 0.1, 0.1]])], np.zeros_like, step=[0.01] * 3, blocks=2)
     with pytest.raises(ModelError, match=message):
         runs_of(session.description)
+
+
+def test_blocks_are_where_they_were_commanded_to_be_if_not_where_they_are_stated():
+    from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, simulate
+
+    session = simulate(SimulationSpec(plan=DiagonalPlan(repeats=1, blocks=5, corner=(0.0, 0.1, -0.03)))).session
+    stated = [corner + 0.012 * np.arange(6) for corner in (0.0, 0.1, -0.03)]
+
+    def moved(shift):
+        x = session.readings.columns["x"]
+        readings = replace(session.readings, columns={**session.readings.columns, "x": x + shift(x)})
+        return block_positions(session.description, readings)
+
+    for shift in (lambda x: 0.0, lambda x: 1e-6 * (np.arange(len(x)) % 2), lambda x: 1e-3 * np.arange(len(x)) / len(x)):
+        # Each reading somewhere else, or next to where it is stated: no steps of their own.
+        for found, expected in zip(moved(shift), stated, strict=True):
+            assert found == pytest.approx(expected)
+    unequal = moved(lambda x: 0.2 * x)
+    assert unequal[0] == pytest.approx(1.2 * stated[0]) and unequal[1] == pytest.approx(stated[1])
 
 
 def test_another_method_is_refused(exact):

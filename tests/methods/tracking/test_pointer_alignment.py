@@ -74,6 +74,43 @@ def test_half_a_turn_takes_radial_error_motion_for_eccentricity_and_says_so(many
         rotation_centre(half / 2, path(half / 2, np.append(PLACE, 0.0), Pointer()), PLACE)
 
 
+def test_unequal_azimuths_against_an_explicit_covariance() -> None:
+    """Generalised least squares and the restricted likelihood with the whole matrix, for every ratio of variances."""
+    rng = np.random.default_rng(3)
+    azimuth = np.sort(rng.uniform(0.0, 1.3 * np.pi, 40))
+    run = np.arange(40) % 2
+    waves = np.column_stack([wave(k * azimuth) for k in range(2, 7) for wave in (np.cos, np.sin)])
+    reading = waves @ (3e-7 * rng.normal(size=10)) + 1e-7 * rng.normal(size=40) + 1e-5 * np.cos(azimuth) + 2e-4 * run
+    model = np.column_stack([np.cos(azimuth), np.sin(azimuth), run == 0, run == 1]).astype(float)
+    values, noise, leaked, logs, variances = [], [], [], [], []
+    ratios = 10.0 ** np.linspace(-8.0, 8.0, 81)
+    for ratio in ratios:
+        inverse = np.linalg.inv(np.eye(40) + ratio * waves @ waves.T)
+        estimator = np.linalg.solve(model.T @ inverse @ model, model.T @ inverse)
+        rest = reading - model @ estimator @ reading
+        variances.append(rest @ inverse @ rest / 36)
+        determinants = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(model.T @ inverse @ model)[1]
+        # Flat in the size of the waves, whose square the ratio is.
+        logs.append(0.5 * (determinants - 36 * np.log(variances[-1]) + np.log(ratio)))
+        values.append(estimator @ reading)
+        noise.append(variances[-1] * estimator @ estimator.T)
+        leaked.append(variances[-1] * ratio * (estimator @ waves) @ (estimator @ waves).T)
+    share = np.exp(np.array(logs) - max(logs))
+    share /= share.sum()
+    assert np.count_nonzero(share > 0.05) > 2
+    mean = share @ np.array(values)
+    away = np.array(values) - mean
+    parts = np.tensordot(share, noise, 1), np.tensordot(share, leaked, 1) + away.T @ (away * share[:, None])
+    found = rotation_centre(azimuth, reading, PLACE, run)
+    assert found.offset == pytest.approx(mean[:2], rel=1e-6)
+    assert found.covariance == pytest.approx(sum(parts)[:2, :2], rel=1e-4)
+    assert found.contributions["scatter of the readings"] == pytest.approx(np.sqrt(np.diag(parts[0])[:2]), rel=1e-4)
+    assert found.scatter == pytest.approx(np.sqrt(share @ variances), rel=1e-6)
+    # Five orders, each with a mean square of one of its two variances.
+    assert found.radial == pytest.approx(np.sqrt(5 * share @ (np.array(variances) * ratios)), rel=1e-4)
+    assert found.residuals == pytest.approx(reading - model @ mean, abs=1e-12)
+
+
 def test_each_run_counts_from_its_own_zero() -> None:
     run = np.repeat([0, 1], 36)
     both = np.tile(TURN, 2)
@@ -94,6 +131,20 @@ def test_the_zero_angle_by_hand() -> None:
     scattered = zero_angle(Y, 1e-4 * (Y - 0.05) + wave, np.zeros(9))
     assert scattered.offset == pytest.approx(1e-4, rel=1e-8)
     assert scattered.u == pytest.approx(1e-9 * np.sqrt(18 / 7) / (5e-4 * np.sqrt(60.0)))
+
+
+def test_the_zero_angle_of_beams_held_in_two_directions() -> None:
+    """An oblique beam tells it by the cosine; readings of two directions never share a zero."""
+    azimuth, y = np.repeat([0.7, -1.1], 9), np.tile(Y, 2)
+    wave = 1e-9 * np.tile([1.0, -2.0, 1.0], 6)
+    reading = y * np.sin(azimuth + 1e-4) + np.repeat([0.3, -0.2], 9) + wave
+    for run in (None, np.zeros(18, dtype=np.int64)):
+        found = zero_angle(y, reading, azimuth, run)
+        assert found.offset == pytest.approx(1e-4, rel=1e-7)
+        assert found.scatter == pytest.approx(1e-9 * np.sqrt(36 / 15))
+        weight = 60.0 * 5e-4**2 * np.sum(np.cos([0.7001, -1.0999]) ** 2)
+        assert found.u == pytest.approx(found.scatter / np.sqrt(weight), rel=1e-6)
+        assert found.residuals == pytest.approx(wave, abs=1e-14)
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.7, np.pi, -2.5])

@@ -38,6 +38,10 @@ def test_area_of_arcs():
     assert half_disc.area == pytest.approx(0.5 * np.pi * 0.01)
     disc = Contour((Arc((0.2, 0.1), 0.1, 1.0, -2 * np.pi),), True)
     assert disc.area == pytest.approx(-np.pi * 0.01)
+    # A third of a disc, off the origin: its arc is no half of a circle, whose chord runs through the centre.
+    slice_ = Arc((0.2, 0.1), 0.1, 0.3, 2 * np.pi / 3)
+    sides = Straight(slice_.end, slice_.centre), Straight(slice_.centre, slice_.start)
+    assert Contour((slice_, *sides), True).area == pytest.approx(np.pi * 0.01 / 3)
 
 
 def test_open_outline_has_no_inside():

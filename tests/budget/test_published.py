@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One vector of all that is published: what is where in it, and that it is what the documents hold."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget.published import Numbers, everything, figure_of, iso_numbers, numbers, unit_of
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.simulation import DirectPlan, RotaryPlan, SimulationSpec, simulate
+
+
+@cache
+def fitted(plan: str) -> FittedSessions:
+    plans = {"iso230_2": DirectPlan(repeats=3, count=4), "rotary": RotaryPlan()}
+    return fit_sessions(simulate(SimulationSpec(plan=plans[plan], seed=1)).session)
+
+
+def of(published: Numbers, name: str) -> tuple[Array, Array]:
+    members = published.quantity(name).members
+    return published.value[members], published.u[members]
+
+
+def test_an_axis_with_its_figures() -> None:
+    own = fitted("iso230_2")
+    published = everything(own)
+    content = identify(own.joint.assembly.models[0].observations.session).error_map.content
+    assert [q.name for q in published.quantities[:3]] == ["position_error", "EXX", "EXX(0)"]
+    np.testing.assert_array_equal(of(published, "EXX"), [content["tables"]["EXX"][k] for k in ("value", "value_u")])
+    for k, x in enumerate(("0", "0.133333", "0.266667", "0.4")):
+        np.testing.assert_array_equal(of(published, f"EXX({x})"), np.array(of(published, "EXX"))[:, k : k + 1])
+    (run,) = content["iso230_2"]
+    for figure in ("B", "B_mean", "R", "E", "M", "A"):
+        assert of(published, f"{figure}_X") == (run[figure], run[f"{figure}_U"] / 2)
+        assert figure_of(f"{figure}_X") == figure_of(f"{figure}_X.second") == figure
+    assert figure_of("EXX") is None and figure_of("B_C") is None
+    exx, place = published.quantity("EXX"), published.quantity("position_error")
+    assert [exx.where(k) for k in (0, 3)] == ["at 0 mm", "at 400 mm"]
+    np.testing.assert_allclose(exx.at, np.linspace(0.0, 0.4, 4))
+    assert [place.where(k) for k in (0, 4, 11)] == [
+        "along x at (0, 0, 0) mm",
+        "along y at (133.333, 0, 0) mm",
+        "along z at (400, 0, 0) mm",
+    ]
+    assert published.quantity("B_X").where(0) == published.quantity("EXX(0)").where(0) == ""
+    # What no reading senses has no uncertainty either.
+    assert np.isnan(np.array(of(published, "position_error")).reshape(2, 4, 3)[:, :, 1:]).all()
+    with pytest.raises(ModelError, match=r"'nothing' is not published .*; there are position_error, EXX …"):
+        published.quantity("nothing")
+
+
+def test_figures_follow_what_is_added_to_the_readings() -> None:
+    own = fitted("iso230_2")
+    x = own.joint.assembly.models[0].observations.readings.columns["x"]
+    before, after = iso_numbers(own, [0.0 * x]), iso_numbers(own, [1e-3 * x])
+    # In both directions: the range of the means changes, the reversal does not.
+    assert of(after, "B_X")[0] == pytest.approx(of(before, "B_X")[0])
+    means = of(everything(own), "EXX")[0]
+    grown = np.ptp(means + 1e-3 * np.linspace(0.0, 0.4, 4)) - np.ptp(means)
+    assert of(after, "M_X")[0] - of(before, "M_X")[0] == pytest.approx(grown, abs=1e-12)
+    assert np.isnan(after.u).all()
+    session = own.joint.assembly.models[0].observations.session
+    several = fit_sessions(FitRequest((session, session), ("a", "b")))
+    assert not any(figure_of(q.name) for q in everything(several).quantities)
+
+
+def test_setups_that_read_the_same_axis_have_figures_of_their_own() -> None:
+    plan = DirectPlan(repeats=3, count=4, mountings=2)
+    own = fit_sessions(simulate(SimulationSpec(plan=plan, seed=1)).session)
+    names = [q.name for q in everything(own).quantities if figure_of(q.name) == "A"]
+    assert names == ["A_X.X1", "A_X.X2"]
+
+
+def test_a_table_with_its_targets_stations_and_axis() -> None:
+    own = fitted("rotary")
+    published, content = everything(own), own.error_map.content
+    ecc, targets = published.quantity("ECC"), published.quantity("targets")
+    assert [ecc.where(k) for k in (0, 1, 17)] == ["at 0°", "at 20°", "at 340°"]
+    np.testing.assert_allclose(ecc.at, np.radians(np.arange(0, 360, 20)))
+    assert [targets.where(k) for k in (0, 5)] == ["entry 0, component 0", "entry 1, component 2"]
+    assert targets.at is None and targets.unit == "m"
+    for name in ("EXC", "ECC", "targets", "stations"):
+        expected = [np.ravel(content[key]) for key in (name, f"{name}_u")]
+        np.testing.assert_array_equal(of(published, name), expected)
+    assert [unit_of(name) for name in ("ECC", "A0C", "C0Y", "x_angular")] == ["rad"] * 4
+    assert [unit_of(name) for name in ("EXC", "X0C", "targets")] == ["m"] * 3
+    # Stations are unknowns, too, counted from where they are stated.
+    a = np.ravel(of(published, "stations")[0])[:3]
+    assert a == pytest.approx([of(published, f"A.{axis}")[0][0] for axis in "xyz"], abs=1e-12)
+    assert [q.first for q in published.quantities[1:]] == [q.members.stop for q in published.quantities[:-1]]
+    np.testing.assert_array_equal(numbers(own, own.joint).value, published.value)

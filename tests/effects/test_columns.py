@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every effect's columns, in every method where it can act, against readings from exact geometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.simulation import (
+    FLAWS,
+    DiagonalPlan,
+    DirectPlan,
+    ProbingPlan,
+    RotaryPlan,
+    SimulationSpec,
+    TrackingPlan,
+    choose_flaw,
+    simulate,
+)
+from machine_tool_calibration.simulation.disturbance import Disturbance
+from machine_tool_calibration.simulation.flaw import ALL_METHODS, Chosen, Flaw
+from machine_tool_calibration.simulation.plan import since_first
+from machine_tool_calibration.simulation.plans import AnyPlan
+
+# The same places from both sides and in oblique directions of space, at random.
+_PLACES = np.random.default_rng(5).choice(np.linspace(0.0, 0.4, 9), (150, 3))
+_WAYS = np.random.default_rng(6).normal(size=(150, 3))
+PLANS: dict[str, AnyPlan] = {
+    "tracking_2d": TrackingPlan(dimension=2, pause=60.0),
+    "tracking_3d": TrackingPlan(dimension=3, repeats=1, pause=60.0),
+    "tracker": TrackingPlan(dimension=3, repeats=1, pause=60.0, pointing="tracking"),
+    "step_diagonal": DiagonalPlan(repeats=1, offset_linear=("xy", "zx")),
+    "rotary_a": RotaryPlan(axis="A"),
+    "rotary_b": RotaryPlan(axis="B", sign=-1),
+    "rotary_c": RotaryPlan(),
+    "probing": ProbingPlan(grid=tuple(np.linspace(-0.13, 0.13, 11))),
+    "probing_pins": ProbingPlan(part="pins", sign=1),
+    "iso230_2": DirectPlan(repeats=2),
+    "straightness": DirectPlan(kind="straightness", axis="y", sense="z"),
+    "oblique": DirectPlan(
+        kind="points",
+        points=tuple(map(tuple, _PLACES.tolist())),
+        directions=tuple(map(tuple, _WAYS.tolist())),
+        instrument="laser_interferometer",
+    ),
+}
+# A long tool: every angle has a lever arm. Without it a carriage that is probed on turns about the machine's zero.
+TOOL = (0.12, -0.08, -0.25)
+WITHOUT_TOOL = ("probing",)
+ERROR_MOTIONS = [f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC"]
+
+SIZES = {"pointer_zero_offset": 2e-2}
+PARAMETERS: dict[str, dict[str, Any]] = {
+    **{f"{kind}_{axis}": {"fixed_point": 0.07} for kind in ("thermal_expansion", "thermal_lag") for axis in "xyz"},
+    "table_thermal_growth": {"axial": 3.0},
+    "rotary_axis_drift": {"direction": [0.6, -0.48, 0.64], "tilt": 4.0},
+    **{name: {"shape": "linear"} for name in ERROR_MOTIONS},
+}
+# Where the simulator's exact geometry has no such effect, and where the law is another one than the flaw's.
+NOT_HELD = {
+    # A tool without length has no lever arm, and the simulator's carriage then turns about itself.
+    ("reversal_ECX", "probing"),
+    # The flaw turns the azimuth: in space the beam is off by less, and one that follows is not off at all.
+    ("pointer_zero_offset", "tracking_3d"),
+    ("pointer_zero_offset", "tracker"),
+}
+
+
+def _scale_of(axis: str) -> Flaw:
+    def disturb(size: float, _: Any, scene: Any) -> Disturbance:
+        return Disturbance(axis={axis: size * scene.along(axis)})
+
+    return Flaw(f"scale_{axis.lower()}", "", "1", 1e-5, disturb)
+
+
+_VELOCITY = np.random.default_rng(7).normal(size=(8, 3)) * 1e-8
+
+
+def _stations_move(size: float, _: Any, scene: Any) -> Disturbance:
+    return Disturbance(station=size * _VELOCITY[scene.setup] * scene.since_setup()[:, None])
+
+
+# What the simulator does not offer, or only for some methods, from the same exact geometry.
+OWN = {
+    **{f"scale_{axis.lower()}": _scale_of(axis) for axis in "XYZ"},
+    "station_drift": Flaw("station_drift", "", "1", 1.0, _stations_move),
+    **{name: replace(FLAWS[name], methods=ALL_METHODS) for name in ("dead_path", "refractive_index")},
+}
+
+
+def spec(plan: str) -> SimulationSpec:
+    machine = {"random": None} | ({} if plan in WITHOUT_TOOL else {"tool_offset": TOOL})
+    return SimulationSpec.model_validate({"plan": PLANS[plan], "seed": 11, "machine": machine, "environment_swing": 3})
+
+
+@cache
+def observed(plan: str) -> Observations:
+    return build_model(simulate(spec(plan)).session)[0].observations
+
+
+def flaw_of(name: str, plan: str) -> Chosen:
+    """The flaw with its size, and with parameters of which each makes a difference."""
+    if name in OWN:
+        return Chosen(OWN[name], OWN[name].typical, {})
+    more = PARAMETERS.get(name, {})
+    if plan in WITHOUT_TOOL and name == "ECX":
+        more = {**more, "about": "zero"}
+    if name == "pointer_axis_offset" and not plan.startswith("tracking"):
+        more = {"beam": 1e-3}  # of a beam that follows the target
+    return choose_flaw(name, SIZES.get(name), more, 3)
+
+
+def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float], tuple[float, ...]]:
+    """What the effect's coefficients are by name (those not named are 0), and the nonlinear ones."""
+    size, more = chosen.size, chosen.parameters
+    known: dict[str, float] = {}
+    if "fixed_point" in more:
+        known = {"k": size, "q": size * more["fixed_point"]}
+    elif "phase" in more:
+        known = {"s": size * np.cos(more["phase"]), "c": size * np.sin(more["phase"])}
+    elif "weights" in more:
+        for order, weight, phase in zip(more["orders"], more["weights"], more["phases"], strict=True):
+            known |= {f"s{order}": -size * weight * np.sin(phase), f"c{order}": size * weight * np.cos(phase)}
+    elif name == "pointer_axis_offset":
+        known = {"d": size, "q": more["beam"] ** 2}
+    elif name == "pointer_zero_offset":
+        known = {"q": size**2 / 2}
+    elif name == "table_thermal_growth":
+        known = {"k_r": size, "k_z": size * more["axial"]}
+    elif name == "rotary_axis_drift":
+        way = size * np.array(more["direction"])
+        turn = more["tilt"] * np.cross(np.eye(3)["ABC".index(getattr(PLANS[plan], "axis", "C"))], way)
+        known = dict(zip(("vx", "vy", "vz", "wa", "wb", "wc"), (*way, *turn), strict=True))
+    elif name == "station_drift":
+        stations = zip(observed(plan).session.setup_ids, _VELOCITY, strict=False)
+        known = {f"{i}.v{axis}": v for i, each in stations for axis, v in zip("xyz", each, strict=True)}
+    elif "where" in more:
+        share = np.linspace(0.0, 1.0, 201)
+        play = size * np.cos(0.5 * np.pi * (share - more["where"])) ** 2
+        known = {f"b{k}": b for k, b in enumerate(np.polynomial.legendre.legfit(2 * share - 1, play, 12))}
+    shape = tuple(more[key] for key in ("tau", "lead") if key in more)
+    return known, (float(max(more["orders"])),) if "orders" in more else shape
+
+
+def expected(name: str, plan: str, chosen: Chosen) -> Array | None:
+    """(n,) change of the readings by the effect's columns; None where its coefficients are too few for the flaw."""
+    effect, observations = catalogue()[name], observed(plan)
+    known, shape = coefficients(name, plan, chosen)
+    names = [c.name for c in effect.coefficients_for(observations, shape)]
+    if name.startswith("lost_motion") and len(names) < 7:
+        return None
+    known = known or {names[0]: chosen.size}
+    return np.array([known.get(each, 0.0) for each in names]) @ effect.columns(observations, shape)
+
+
+HELD = {
+    name: [p for p in PLANS if effect.why_not(observed(p)) is None and (name, p) not in NOT_HELD]
+    for name, effect in catalogue().items()
+}
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_columns_are_what_exact_geometry_does(name: str) -> None:
+    """Size and sign included, to what is of second order and what formulas of the air differ by."""
+    largest = 0.0
+    for plan in HELD[name]:
+        chosen, observations = flaw_of(name, plan), observed(plan)
+        truth = simulate(spec(plan), extra=[chosen]).truth
+        change = expected(name, plan, chosen)
+        if change is None:
+            continue
+        left = truth.signal - since_first(change, truth.datum)
+        free = []
+        if plan == "step_diagonal":
+            # The beam is aligned on the diagonal that the machine really runs.
+            free += [catalogue()["mirror_misalignment"].columns(observations)]
+        if (name in ERROR_MOTIONS and plan in ("iso230_2", "straightness")) or name == "mirror_misalignment":
+            # Coefficients of a basis of its own: the columns span what happens.
+            free += [catalogue()[name].columns(observations)]
+        if free:
+            columns = np.array([since_first(column, truth.datum) for column in np.concatenate(free)]).T
+            left = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-9)[0]
+        size = float(np.abs(truth.signal).max())
+        assert np.abs(left).max() < 5e-3 * size + 2e-9, plan
+        largest = max(largest, size)
+    assert largest > 4e-8
+
+
+@pytest.mark.parametrize(
+    ("name", "sense", "datum", "first"),
+    [("EXX", "x", "none", 0), ("EXX", "x", "offset", 1), ("EXX", "x", "rigid", 1), ("EYX", "y", "rigid", 2)],
+)
+def test_of_a_single_axis_there_is_a_coefficient_for_each_position_beside_the_datum(
+    name: str, sense: str, datum: str, first: int
+) -> None:
+    way = tuple(float(axis == sense) for axis in "xyz")
+    points = tuple((float(x), 0.0, 0.0) for x in np.tile([0.0, 0.03, 0.1, 0.18, 0.3], 3))
+    plan = DirectPlan(kind="points", points=points, directions=(way,), datum=datum, terms=())
+    model = build_model(simulate(SimulationSpec(plan=plan, seed=1)).session)[0]
+    effect, observations = catalogue()[name], model.observations
+    columns = effect.columns(observations)
+    assert [c.name for c in effect.coefficients_for(observations)] == [f"p{k}" for k in range(first, 5)]
+    # With constant and slope as far as they are left out: every function of the position, each of size one.
+    x = observations.readings.columns["x"]
+    whole = np.concatenate([np.array([np.ones(15), x])[:first], columns])
+    assert whole.shape == (5, 15) and np.linalg.matrix_rank(whole) == 5
+    np.testing.assert_allclose(np.mean(columns**2, axis=1), 1.0)
+    np.testing.assert_allclose(columns @ columns.T, 15.0 * np.eye(len(columns)), atol=1e-12)

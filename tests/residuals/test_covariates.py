@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What residuals are drawn against, and in which order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
+from machine_tool_calibration.simulation import PRESETS, DirectPlan, SimulationSpec, simulate
+
+
+def observed(plan: str) -> Observations:
+    return build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=2)).session)[0].observations
+
+
+def test_shares_of_the_variance_are_adjusted_for_the_number_of_bins() -> None:
+    """1 - (n - 1) / (n - k) times what the means in bins leave of the squares."""
+    four = np.tile([0.0, 1.0, 2.0, 3.0], 3)
+    residual = np.array([1.0, 2.0, 4.0, 9.0] * 3) + np.repeat([-1.0, 0.0, 1.0], 4)
+    total = 3 * (9.0 + 4.0 + 0.0 + 25.0) + 8.0
+    two = np.repeat([0.0, 1.0], 6)
+    two_means = residual.reshape(2, 6).mean(axis=1)
+    shares = rank_covariates({"two": two, "four": four, "gaps": np.where(four == 3, np.nan, four)}, residual)
+    assert [name for name, _ in shares] == sorted(dict(shares), key=lambda name: -dict(shares)[name])
+    assert dict(shares)["four"] == pytest.approx(1 - 8 / total * 11 / 8)
+    left = total - 6 * np.sum((two_means - 4.0) ** 2)
+    assert dict(shares)["two"] == pytest.approx(1 - left / total * 11 / 10)
+    # Without the readings of a gap: nine of them in three bins, of which 1, 2 and 4 are the means.
+    assert dict(shares)["gaps"] == pytest.approx(1 - 6 / 20 * 8 / 6)
+    assert rank_covariates({"each": np.arange(12.0)}, residual, most=12) == []
+    assert rank_covariates({"four": four}, np.ones(12)) == []
+
+
+def test_bins_are_the_distinct_values_or_equally_filled() -> None:
+    values = np.array([0.3, -0.1, 0.3, 0.2, -0.1])
+    assert bins(values + 1e-12 * np.arange(5)).tolist() == [2, 0, 2, 1, 0]
+    many = np.random.default_rng(1).permutation(np.linspace(-5.0, 20.0, 80)) ** 3
+    number = bins(many)
+    assert np.bincount(number).tolist() == [10] * 8
+    assert (np.diff(number[np.argsort(many)]) >= 0).all()
+
+
+def test_what_there_is_to_draw_against() -> None:
+    tracking = observed("tracking_2d")
+    found = covariates(tracking)
+    azimuth = tracking.readings.columns["azimuth"]
+    assert found["order"].tolist() == list(range(len(tracking)))
+    np.testing.assert_allclose(found["path"], tracking.path)
+    np.testing.assert_allclose(found["azimuth"], azimuth)
+    np.testing.assert_allclose(found["dir_x along x"], tracking.readings.columns["dir_x"] * np.cos(azimuth), atol=1e-9)
+    # Constant ones tell nothing.
+    assert not {"elevation", "z", "normal", "dir_z along z"} & set(found)
+    bare = replace(tracking, readings=replace(tracking.readings, columns={"x": tracking.readings.columns["x"]}))
+    level = np.arctan2(tracking.direction[:, 1], tracking.direction[:, 0])
+    np.testing.assert_allclose(covariates(bare)["azimuth"], level)
+    line = simulate(SimulationSpec(plan=DirectPlan(repeats=2), seed=2)).session
+    assert not {"gx", "azimuth", "normal", "dir_y along y"} & set(covariates(build_model(line)[0].observations))
+
+
+def test_a_turn_of_the_table_moves_what_is_on_it() -> None:
+    """Against the place of a point of the part after a small turn, in the sense in which C counts."""
+    probing = observed("probing_cross")
+    assert probing.session.rotation_sign == -1
+    step = 1e-6
+    turned = probing.position.copy()
+    x, y, _ = probing.position.T
+    c = -step
+    turned[:, 0], turned[:, 1] = x * np.cos(c) - y * np.sin(c), x * np.sin(c) + y * np.cos(c)
+    change = np.sum((turned - probing.position) * probing.table_direction, axis=1) / step
+    np.testing.assert_allclose(sensed(probing, "c"), change, atol=1e-7)
+    normal = covariates(probing)["normal"]
+    np.testing.assert_allclose(
+        np.stack([np.cos(normal), np.sin(normal)], axis=1), probing.table_direction[:, :2], atol=1e-9
+    )

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Waves at unequal times: the largest peaks, against SciPy's periodogram."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lombscargle
+
+from machine_tool_calibration.residuals.periodogram import strongest_periods
+
+TIME = np.sort(np.random.default_rng(2).uniform(50.0, 1050.0, 200))
+
+
+def test_periods_of_waves_come_out_strongest_first() -> None:
+    wave = np.sin(2 * np.pi * TIME / 37.0 + 0.4) + 0.4 * np.cos(2 * np.pi * TIME / 11.3) + 5.0
+    found = strongest_periods(TIME, wave)
+    # Each peak with its neighbours, half a step of frequency away.
+    assert len(found) == 24
+    lowest, highest = 2.5 / np.ptp(TIME), 200 / (2.0 * np.ptp(TIME))
+    step = (highest - lowest) / (int(4 * (highest - lowest) * np.ptp(TIME)) - 1)
+    for peak, period in ((found[:3], 37.0), (found[3:6], 11.3)):
+        frequency = 1.0 / np.array(peak)
+        assert abs(frequency[1] - 1.0 / period) < step
+        np.testing.assert_allclose(np.diff(frequency), step / 2, rtol=1e-6)
+
+
+def test_peaks_are_those_of_an_independent_periodogram() -> None:
+    noise = np.random.default_rng(4).normal(size=200)
+    length = np.ptp(TIME)
+    lowest, highest = 2.5 / length, 200 / (2.0 * length)
+    frequency = np.linspace(lowest, highest, int(4 * (highest - lowest) * length))
+    power = lombscargle(TIME, noise - noise.mean(), 2 * np.pi * frequency)
+    around = np.pad(power, 1)
+    peaks = np.flatnonzero((power > around[:-2]) & (power > around[2:]))
+    best = peaks[np.argsort(-power[peaks])][:8]
+    np.testing.assert_allclose(strongest_periods(TIME, noise)[1::3], 1.0 / frequency[best], rtol=1e-9)
+
+
+def test_nothing_to_look_for() -> None:
+    assert strongest_periods(TIME, np.zeros(200)) == []
+    assert strongest_periods(np.arange(5.0), np.array([1.0, -1.0, 1.0, -1.0, 1.0])) == []
