@@ -12,9 +12,9 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
 from machine_tool_calibration.plots.compare import draw_map as draw_residual_map
 from machine_tool_calibration.plots.pictures import draw
-from machine_tool_calibration.report.words import words
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
+from machine_tool_calibration.words import words
 
 
 def _session(**plan):

@@ -21,7 +21,6 @@ from machine_tool_calibration.nodes import calculation
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
 from machine_tool_calibration.report import sections as room
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
-from machine_tool_calibration.report.words import words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.measured import Measured
@@ -30,6 +29,7 @@ from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import words
 from machine_tool_calibration.workbench import models
 
 # One of each method, and of each kind where a method has several.

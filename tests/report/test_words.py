@@ -6,13 +6,13 @@ from importlib import resources
 import pytest
 import yaml
 
-from machine_tool_calibration import report
-from machine_tool_calibration.report.words import LANGUAGES, words
+from machine_tool_calibration import words as catalogues
+from machine_tool_calibration.words import LANGUAGES, words
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_no_word_of_a_catalogue_takes_the_place_of_another(language: str) -> None:
-    text = (resources.files(report) / f"words_{language}.yaml").read_text(encoding="utf-8")
+    text = (resources.files(catalogues) / f"{language}.yaml").read_text(encoding="utf-8")
     for _, group in yaml.compose(text).value:
         keys = [key.value for key, _ in group.value]
         assert [key for key in keys if keys.count(key) > 1] == []

@@ -12,12 +12,12 @@ from rich.console import Console
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.report.words import words
 from machine_tool_calibration.reports.identification import show_result
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import words
 
 from ..diagnosed import diagnosed
 
@@ -70,7 +70,7 @@ def test_structure_that_is_too_small_to_matter_is_said_to_be(verdict: str) -> No
 
 def test_the_report_says_so_in_german() -> None:
     german = words("de")
-    said = german.phrase(NEGATIVE)
+    said = german("fit.negative_backlash", name="backlash_y")
     assert said == "backlash_y ist negativ: überkompensiert, oder Anfahrrichtungen vertauscht."
     sound = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     small = replace(sound, search=replace(sound.search, unknown=0.97, nothing=0.01))

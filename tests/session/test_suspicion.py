@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import diagnose
-from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
@@ -24,6 +27,7 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.plans import PLANS
+from machine_tool_calibration.words import words
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +139,24 @@ def test_a_place_found_beside_the_stated_one_is_said() -> None:
     first, *rest = session.description.setups
     moved = first.model_copy(update={"position": (first.position[0], first.position[1] + 0.02, first.position[2])})
     description = session.description.model_copy(update={"setups": (moved, *rest)})
-    (said,) = identify(replace(session, description=description)).document()["suspicious"]
+    wrong = replace(session, description=description)
+    result = identify(wrong)
+    (said,) = result.document()["suspicious"]
     assert said.startswith("station 'A' is found ") and "mm off its stated position (position_uncertainty 0.2" in said
+    assert words("de").phrase(said).startswith("Station 'A' wird ")
+    # Compared, and with another session, it is found there as well.
+    assert said in comparison_document(compare(result))["suspicious"]
+    several = identify_sessions(FitRequest((wrong, session), labels=("first", "second")))
+    assert any(one.startswith("first: station 'A' is found ") for one in several.document()["suspicious"])
+
+
+def test_a_grid_of_more_unknowns_than_touches_is_refused() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["probing_cam"], seed=1)).session
+    fine = {"table_grid": {"x": tuple(np.linspace(-0.2, 0.2, 400)), "y": (-0.1, 0.1)}}
+    machine = session.description.machine.model_copy(update=fine)
+    finer = replace(session, description=session.description.model_copy(update={"machine": machine}))
+    with pytest.raises(SessionError, match=r"table_grid has 402 nodes, which are 804 unknown errors .* \d+ touches"):
+        check_session(finer)
 
 
 def test_an_uncertainty_along_the_path_of_a_probe_is_said_to_change_nothing() -> None:

@@ -59,7 +59,7 @@ def command(
     from machine_tool_calibration.budget.tolerances import read_tolerances
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
-    from machine_tool_calibration.report.words import words
+    from machine_tool_calibration.words import words
 
     outputs = outputs or (Path("report.html"),)
     check_endings(outputs)

@@ -34,6 +34,7 @@ from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["Diagnosis", "diagnose"]
 
@@ -296,9 +297,9 @@ def _added(
     for name in search.accepted:
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
         if not search.of(name).plausible:
-            refused[name] = "no machine or instrument has such a size"
+            refused[name] = say("undetermined.no_such_size")
         elif against:
-            refused[name] = f"it does not predict {against[0]} that are left out"
+            refused[name] = say("undetermined.not_predicted", what=against[0])
         else:
             try:
                 wider = fit_with((*accepted, name))

@@ -15,6 +15,7 @@ from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 __all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "displacement_field", "effect_term"]
 
@@ -46,7 +47,7 @@ ABSORBED = 1e-7
 _REPEATED = 1e-7
 # Smallest share of the squared norm that the model leaves of any combination of an effect's columns that it tells.
 _TOLD = 1e-6
-_TAKEN_UP = "the model's own unknowns take it up entirely"
+_TAKEN_UP = say("undetermined.taken_up")
 
 
 def effect_term(
@@ -257,7 +258,7 @@ def _without_repeated_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Ter
         good = ~again
         term = terms[k]
         kept[k] = _with_columns(term, good)
-        why = "the other effects in the model say the same"
+        why = say("undetermined.said_by_others")
         left += [NotDetermined(p.name, why, p.owner) for p, g in zip(term.parameters, good, strict=True) if not g]
         taken += [int(j) for j in own[good] if seen[j]]
     return [term for term in kept if term.parameters], tuple(left)
@@ -303,7 +304,7 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     loose = _unbounded(full, curved, {name: shape for name, (shape, _) in shapes.items()})
     if loose:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
-        why = "the readings do not bound it: the effect is too small in them"
+        why = say("undetermined.not_bounded")
         held = [
             effect_term(
                 effect, observations, shapes[effect.id][0], None if effect.id in loose else shapes[effect.id][1]

@@ -23,6 +23,7 @@ from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import Estimate, Result
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.identify import JointResult
@@ -265,9 +266,7 @@ def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined
     if not lost:
         found.append(table)
     elif all(entry.name != table.name for entry in left_out):
-        left_out.append(
-            NotDetermined(table.name, f"{lost} of its {len(table.nodes)} nodes are not determined by the readings")
-        )
+        left_out.append(NotDetermined(table.name, say("undetermined.nodes", n=lost, count=len(table.nodes))))
 
 
 def _backlash(estimated: Sequence[Estimate]) -> dict[str, tuple[float, float]]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Protocol, cast
 
 import numpy as np
@@ -12,10 +13,14 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
+from machine_tool_calibration.session.checks.places import Misplaced, misplaced
+from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.description import StationSetup
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import together
 
-__all__ = ["build_model", "error_map", "model_names", "rejected_readings", "sharing_variant"]
+__all__ = ["build_model", "error_map", "model_names", "rejected_readings", "sharing_variant", "suspicious_fits"]
 
 
 class _Method(Protocol):
@@ -65,6 +70,19 @@ def error_map(fit: Fit) -> ErrorMap:
     """The machine's errors from one session's share in a fit."""
     spec = spec_of(fit.model.observations.session)
     return cast(_Method, load(spec.map or spec.model)).error_map(fit.model, fit)
+
+
+def suspicious_fits(fits: Sequence[Fit], labels: Sequence[str] | None = None) -> list[str]:
+    """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated."""
+    named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
+    found = [together((name, one.words), "") for name, fit in zip(named, fits, strict=True) for one in _elsewhere(fit)]
+    return [*suspicions([fit.model.observations.session for fit in fits], labels), *found]
+
+
+def _elsewhere(fit: Fit) -> Iterator[Misplaced]:
+    session = fit.model.observations.session
+    if any(isinstance(setup, StationSetup) for setup in session.description.setups):
+        yield from misplaced(session, error_map(fit).content)
 
 
 def rejected_readings(session: Session) -> tuple[Rejected, ...]:

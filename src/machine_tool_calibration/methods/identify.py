@@ -14,7 +14,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.build import rejected_readings
+from machine_tool_calibration.methods.build import rejected_readings, suspicious_fits
 from machine_tool_calibration.methods.fitted import (
     FitRequest,
     FittedSessions,
@@ -36,7 +36,6 @@ from machine_tool_calibration.model.result import (
     correlated_with,
     plain,
 )
-from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -137,7 +136,7 @@ class JointResult(Identified):
             "agreement": plain(asdict(self.agreement)),
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.common.datum,
-            "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
+            "suspicious": suspicious_fits(self.fits, self.labels),
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }

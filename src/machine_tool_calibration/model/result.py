@@ -16,6 +16,7 @@ from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
+from machine_tool_calibration.words import say
 
 __all__ = [
     "ErrorMap",
@@ -321,8 +322,9 @@ def correlated_with(undetermined: Array, names: Sequence[str], k: int, points: b
     direction = undetermined @ undetermined[k]
     others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
     if not others:
-        return "fully correlated with the points of the map" if points else "no reading depends on it"
-    return f"fully correlated with {', '.join(others[:4])}{' and others' if len(others) > 4 else ''}"
+        return say("undetermined.with_points" if points else "undetermined.no_reading")
+    key = "undetermined.with_others" if len(others) > 4 else "undetermined.with"
+    return say(key, names=", ".join(others[:4]))
 
 
 def _whole_terms(fit: Fit) -> dict[str, str]:

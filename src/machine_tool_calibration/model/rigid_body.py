@@ -21,6 +21,7 @@ from machine_tool_calibration.machine.error_motions import (
 )
 from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, motion_value
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = [
     "RIGID_BODY_DATUM",
@@ -197,7 +198,7 @@ def machine_terms(
             left_out.append(
                 NotDetermined(
                     table.name,
-                    "no reading depends on it: it does not move the functional point along any measured direction",
+                    say("undetermined.does_not_move"),
                 )
             )
             continue
@@ -211,7 +212,7 @@ def machine_terms(
             left_out.append(
                 NotDetermined(
                     table.name,
-                    "the readings cannot distinguish it from the translations: its lever arm was the same throughout",
+                    say("undetermined.same_lever"),
                 )
             )
             continue

@@ -14,6 +14,7 @@ from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition, fresh_id
 from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say, together
 
 __all__ = ["further_runs"]
 
@@ -55,9 +56,8 @@ def _diagonals(
         beam = motion / np.linalg.norm(motion)
         new.append((like[0], replace(runs[like[0]], id=name, name=name, sign=np.array(sign), start=start,
                                      motion=motion, beam=beam)))  # fmt: skip
-    names = " and ".join(run.id for _, run in new)
-    plural = "s" if len(new) > 1 else ""
-    yield _option(session, description, new, "diagonal", f"add the diagonal{plural} {names}")
+    names = together((run.id for _, run in new), say("measure.and"))
+    yield _option(session, description, new, "diagonal", say("measure.diagonals", n=len(new), names=names))
 
 
 def _offset(session: Session, description: StepDiagonal, runs: Sequence[Run], used: Sequence[int]) -> Iterator[Option]:
@@ -80,7 +80,7 @@ def _offset(session: Session, description: StepDiagonal, runs: Sequence[Run], us
                 new.append((k, replace(runs[k], id=f"{runs[k].order.upper()}_at_{'xyz'[axis]}", start=start)))
     if new:
         axes = ", ".join(dict.fromkeys(run.order.upper() for _, run in new))
-        words = f"add offset linear runs: {axes} once more, each other axis in turn at its far end"
+        words = say("measure.offset", axes=axes)
         yield _option(session, description, new, "offset", words)
 
 
@@ -92,7 +92,7 @@ def _orders(session: Session, description: StepDiagonal, runs: Sequence[Run], us
         todo = {name: k for name, k in todo.items() if (name, order) not in have}
         if todo:
             new = [(k, replace(runs[k], id=f"{name}_{order}", order=order)) for name, k in todo.items()]
-            words = f"run the diagonals {', '.join(todo)} once more with the axes moving in the order {order.upper()}"
+            words = say("measure.diagonal_order", names=", ".join(todo), order=order.upper())
             yield _option(session, description, new, "order", words)
 
 

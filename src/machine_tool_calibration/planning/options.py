@@ -15,6 +15,7 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say, together
 
 __all__ = ["Mounting", "Option", "further_options", "mounted_again"]
 
@@ -130,10 +131,11 @@ def further_options(session: Session, setups: Sequence[int] | None = None) -> li
     rows = first_repetition(session, setups)
     if not len(rows):
         return []
-    what = "everything"
+    what: str = say("measure.everything")
     if setups is not None and len(session.setup_ids) > 1:
-        what = f"{spec_of(session).setup_word} {', '.join(session.setup_ids[s] for s in setups)}"
-    measure = f"one more repetition of {what}" if np.ptp(session.readings.repeat) else f"measure {what} once more"
+        names = ", ".join(session.setup_ids[s] for s in setups)
+        what = say("measure.setups", word=spec_of(session).setup_word, names=names)
+    measure = say("measure.repeat" if np.ptp(session.readings.repeat) else "measure.once_more", what=what)
     out = list(_repeated(session, rows, measure))
     if setups is None:
         further = spec_of(session).further_places
@@ -149,29 +151,31 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
         kind: str, how: str, changed: Changed, aside: str = "", turned: dict[str, float] | None = None
     ) -> Option:
         besides = " and ".join(text for text in (again.aside, aside) if text)
-        return Option.of(session, kind, f"{measure}{again.words}{how}", again.added(changed), besides, turned or {})
+        return Option.of(
+            session, kind, together((measure, again.words, how), ""), again.added(changed), besides, turned or {}
+        )
 
-    yield option("again", ", just as before", Changed(rows))
+    yield option("again", say("measure.as_before"), Changed(rows))
     backwards = _backwards(session, rows)
     if backwards is not None:
         yield option("backwards", backwards[1], backwards[0])
     both = _both_ways(session, rows)
     if both is not None:
-        yield option("both_ways", ", turning forth and back within each run", both)
+        yield option("both_ways", say("measure.both_ways"), both)
     other = _other_order(session, rows)
     if other is not None:
-        yield option("order", f", in another order of moves: {other[1].upper()} moving most often", other[0])
+        yield option("order", say("measure.order", axis=other[1].upper()), other[0])
     if any(name.startswith("temperature") for name in session.readings.columns):
         # A day's swing while it is measured, and another day.
         swing = _SWING * np.sin(2 * np.pi * np.arange(len(rows)) / max(len(rows), 1))
-        how = f", while the temperature goes up and down by {_SWING:g} K"
+        how = say("measure.swing", kelvin=f"{_SWING:g}")
         yield option("swing", how, Changed(rows, kelvin=swing), "the temperature must change meanwhile")
-        how = f", when everything is {_WARMER:g} K warmer or colder"
+        how = say("measure.warmer", kelvin=f"{_WARMER:g}")
         yield option("warmer", how, Changed(rows, kelvin=np.full(len(rows), _WARMER)), "waiting for the temperature")
     part, effects = spec_of(session).turned_part
     for angle in _TURNS if part else ():
         turned = dict.fromkeys(effects, float(np.radians(angle)))
-        how = f", with {part} turned by {angle:g}° (orient the spindle)"
+        how = say("measure.turned", part=part, angle=f"{angle:g}")
         yield option("turned", how, Changed(rows), turned=turned)
 
 
@@ -183,14 +187,14 @@ def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
         if "dir_c" not in columns:
             return None
         changed = Changed(rows, {"dir_c": -columns["dir_c"][rows]})
-        return changed, ", turning C to every angle from the other side"
+        return changed, say("measure.other_side")
     group = _runs(session, rows)
     order = np.concatenate([np.flatnonzero(group == g)[::-1] for g in dict.fromkeys(group.tolist())])
     rows, group = rows[order], group[order]
     approaches = _approaches(session, rows, group, -1.0)
     if not approaches and not spec_of(session).ordered_moves:
         return None
-    return Changed(rows, approaches), ", running backwards (order and direction of all moves reversed)"
+    return Changed(rows, approaches), say("measure.backwards")
 
 
 def _both_ways(session: Session, rows: IntArray) -> Changed | None:

@@ -16,6 +16,7 @@ from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition, fresh_id
 from machine_tool_calibration.session.description import Probing, RotaryAxis, Setup, TrackingInterferometer
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["further_angles", "further_stations"]
 
@@ -44,7 +45,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
     height = float(np.median(old[used, 2]))
     between = np.array([middle[0] + reach * np.cos(at), middle[1] + reach * np.sin(at), height])
     far = middle + 2.0 * arm[0]
-    for place, where in ((between, "between the others"), (far, "twice as far away as the first one")):
+    for place, where in ((between, "station_between"), (far, "station_far")):
         line = points - place
         distance = np.linalg.norm(line, axis=1)
         if distance.min() < 0.05:
@@ -58,7 +59,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
             if getattr(description, "dimension", 3) == 2:
                 changed["elevation"] = np.zeros(len(points))
         at_words = ", ".join(f"{v:.2f}" for v in place)
-        words = f"measure once from one more station, {where}: about ({at_words}) m"
+        words = say(f"measure.{where}", place=at_words)
         extended = _in_one_more(session, setup, Changed(rows, changed, distance - distance[0]))
         yield Option.of(session, "station", words, extended, "setting up the instrument")
 
@@ -102,4 +103,4 @@ def _at_index(session: Session, description: Probing, like: int, c: float) -> It
             changed[f"dir_{axis}"] = np.where(normal[:, j] > 0, -1.0, 1.0)
     setup = description.setups[like].model_copy(update={"id": fresh_id("new", session.setup_ids), "c": c})
     extended = _in_one_more(session, setup, Changed(rows, changed))
-    yield Option.of(session, "index", f"measure once at one more angle of C, {np.degrees(c):.0f}°", extended)
+    yield Option.of(session, "index", say("measure.angle", angle=f"{np.degrees(c):.0f}"), extended)

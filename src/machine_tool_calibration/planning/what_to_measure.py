@@ -23,6 +23,7 @@ from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import together
 
 __all__ = ["SEARCH", "Conclusions", "assumed_effects", "conclude", "present_effects", "visibilities", "what_to_measure"]
 
@@ -171,7 +172,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
         progress("what to measure next", number / len(options))
         found = tried(option, k)
         if found is not None:
-            named = option if labels is None else replace(option, words=f"{labels[k]}: {option.words}")
+            named = option if labels is None else replace(option, words=together((labels[k], option.words), ": "))
             seen.append((named, found))
     separations = []
     for group in groups:

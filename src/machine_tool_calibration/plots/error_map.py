@@ -202,7 +202,8 @@ def _figures(whole: _Map) -> str:
     if not whole.good.any():
         return "; no target is determined"
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
-    expanded = 2 * float(np.linalg.norm(whole.uncertainty[whole.good], axis=1).max())
+    # Along a direction that was not measured there is none.
+    expanded = 2 * float(np.linalg.norm(np.nan_to_num(whole.uncertainty[whole.good]), axis=1).max())
     return f"\nlargest error {quantity(largest, 'm')}, U (k = 2) at most {quantity(expanded, 'm')}"
 
 

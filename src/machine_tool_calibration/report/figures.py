@@ -18,12 +18,13 @@ from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
 from machine_tool_calibration.report.evaluation import Evaluation
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.result_tables import error_motions
+from machine_tool_calibration.words import Words
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+    from matplotlib.ticker import Formatter
 
 __all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "standard_pictures", "translated"]
 
@@ -98,17 +99,33 @@ def translated(name: str, caption: str, figure: Figure, words: Words) -> Picture
 
 def _translate(figure: Figure, words: Words) -> None:
     from matplotlib.text import Text
-    from matplotlib.ticker import FixedLocator
+    from matplotlib.ticker import FixedLocator, ScalarFormatter
 
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        text.set_text(words.phrase(text.get_text()))
+        text.set_text(words.numbers(words.phrase(text.get_text())))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         # Names of places are written anew whenever the figure is drawn.
         said = [label.get_text() for label in axis.get_majorticklabels()]
         # Of panels that share an axis one alone has them.
         if isinstance(axis.get_major_locator(), FixedLocator) and any(said):
             axis.set_ticklabels([words.phrase(text) for text in said])
+        elif isinstance(axis.get_major_formatter(), ScalarFormatter):
+            axis.set_major_formatter(_numbered(axis.get_major_formatter(), words))
+
+
+def _numbered(plain: Formatter, words: Words) -> Formatter:
+    """Numbers at an axis, with the decimal sign of the language."""
+    from matplotlib.ticker import FuncFormatter
+
+    class Numbered(FuncFormatter):
+        def set_locs(self, locs: Any) -> None:
+            plain.set_locs(locs)
+
+        def get_offset(self) -> str:
+            return words.numbers(plain.get_offset())
+
+    return Numbered(lambda value, place: words.numbers(plain(value, place)))
 
 
 def _wrap_titles(figure: Figure) -> None:

@@ -12,9 +12,9 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.figures import Picture
 from machine_tool_calibration.report.sections import Section, Turnable, sections
 from machine_tool_calibration.report.turnable import library
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.tables import TextTable, is_number
 from machine_tool_calibration.session.provenance import name_of_machine
+from machine_tool_calibration.words import Words
 
 if TYPE_CHECKING:
     from machine_tool_calibration.report.evaluation import Evaluation

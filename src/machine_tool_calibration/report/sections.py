@@ -23,7 +23,6 @@ from machine_tool_calibration.report.figures import (
     translated,
 )
 from machine_tool_calibration.report.turnable import turnable
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.budget import budget_tables
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.conformity import conformity_table, decision_words
@@ -57,13 +56,12 @@ from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
+from machine_tool_calibration.words import Verbatim, Words
 
 __all__ = ["Section", "Turnable", "sections"]
 
 # Setups that are listed.
 _SETUPS = 20
-# Between two sentences.
-_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
 _ENVIRONMENT = ("temperature", "air_pressure", "relative_humidity")
 
 
@@ -121,16 +119,22 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
 
 
 def _translated(block: str | TextTable | Picture | Turnable, words: Words) -> str | TextTable | Picture | Turnable:
-    """Tables of other rooms are in English; what this one writes is in the report's language already."""
+    """Tables of other rooms are in English; what this one writes is in the report's language, but for its numbers."""
+    if isinstance(block, str):
+        return words.numbers(block)
     if not isinstance(block, TextTable):
         return block
     used = [k for k in range(len(block.columns)) if any(row[k] for row in block.rows)]
     return TextTable(
-        words.phrase(block.title),
+        words.numbers(words.phrase(block.title)),
         tuple(words.phrase(block.columns[k]) for k in used),
-        tuple(tuple(words.phrase(row[k].strip()) for k in used) for row in block.rows),
-        words.phrase(block.note),
+        tuple(tuple(_cell(row[k], words) for k in used) for row in block.rows),
+        words.numbers(words.phrase(block.note)),
     )
+
+
+def _cell(text: str, words: Words) -> str:
+    return text if isinstance(text, Verbatim) else words.numbers(words.phrase(text).strip())
 
 
 def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
@@ -159,7 +163,9 @@ def _measurement(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
         if label:
             yield words("session_named", label=label)
         about = tuple(
-            (_said(name, words), value) for name, value in flattened(session.description.about) if value.strip()
+            (_said(name, words), Verbatim(value))
+            for name, value in flattened(session.description.about)
+            if value.strip()
         )
         if about:
             yield TextTable(words("about"), ("", ""), about)
@@ -197,7 +203,7 @@ def _set_up(session: Session, words: Words) -> TextTable:
 
 def _setups(session: Session, words: Words) -> TextTable:
     rows = [
-        (own.id, setup_place(setup), str(own.readings), str(own.repeats))
+        (Verbatim(own.id), setup_place(setup), str(own.readings), str(own.repeats))
         for setup, own in zip(session.description.setups, summarize(session).setups, strict=True)
     ]
     note = words("more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
@@ -266,7 +272,7 @@ def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pict
 def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     rows = [
         (
-            words.texts.get(f"spread_{one['family']}") or words.phrase(one["family"]),
+            words(f"spread_{one['family']}"),
             quantity(one["size"], "m"),
             f"{quantity(one['interval'][0], 'm')} … {quantity(one['interval'][1], 'm')}",
             probability(one["probability"]),
@@ -284,7 +290,7 @@ def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTabl
 def _residuals(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
     labels = found.measured.chosen.labels or ("",)
     rows = [
-        (label, one["name"], str(one["readings"]), micrometres(one["rms"]),
+        (Verbatim(label), Verbatim(one["name"]), str(one["readings"]), micrometres(one["rms"]),
          times_declared(one["reduced_chi_square"]))
         for label, comparison in zip(labels, found.comparisons, strict=True) for one in records(comparison.setups)
     ]  # fmt: skip
@@ -300,7 +306,7 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
         return
     told = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
     for paragraph in told.words:
-        yield " ".join(map(words.phrase, _SENTENCES.split(paragraph)))
+        yield words.phrase(paragraph)
     yield from told.tables
 
 
@@ -376,7 +382,7 @@ def _rejected(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
 
 def _provenance(found: Evaluation, words: Words) -> Iterator[TextTable]:
     origin = found.result.provenance
-    rows = [(words("evaluated"), origin.evaluated), (words("software"), origin.software)]
+    rows = [(words("evaluated"), origin.evaluated), (words("software"), Verbatim(origin.software))]
     rows.append((words("model"), ", ".join([origin.model, *origin.effects])))
     for one in origin.sessions:
         where = f" ({one.label})" if one.label else ""

@@ -14,9 +14,9 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.error_map import neighbours
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, round_down, spaced
-from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.result_tables import error_map
+from machine_tool_calibration.words import Words
 
 __all__ = ["library", "turnable"]
 
@@ -53,7 +53,7 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
         pairs = np.empty((0, 2), dtype=int)
     texts = [
         "<br>".join(
-            f"{axis.upper()} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm"
+            words.numbers(f"{axis.upper()} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm")
             for axis, p, e, s in zip("xyz", *rows, strict=True)
         )
         for rows in zip(place, error, u, strict=True)
@@ -86,6 +86,7 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
         "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
         "legend": {"orientation": "h"},
         "height": 560,
+        "separators": f"{words('decimal')}\u202f",
     }
     return {"data": data, "layout": layout}
 

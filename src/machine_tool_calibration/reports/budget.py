@@ -12,6 +12,7 @@ from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -117,7 +118,7 @@ def _contributors(budget: Budget) -> TextTable:
         freedom = "" if c.degrees_of_freedom is None else f"{c.degrees_of_freedom:g}"
         rows.append(
             (
-                f"{c.symbol} {c.name}".strip(),
+                _name(line),
                 c.type,
                 c.distribution,
                 quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
@@ -154,7 +155,7 @@ def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
 
 def _name(line: Line) -> str:
     symbol = line.contributor.symbol if line.contributor else ""
-    return f"{symbol} {line.name}".strip()
+    return say("budget.contributor", symbol=symbol, name=line.name) if symbol else line.name
 
 
 def _shown(one: Sum, value: float) -> str:
@@ -180,7 +181,10 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
     for one in sums:
         order = sorted(range(len(budget.lines)), key=lambda k, one=one: -one.shares[k].share)[:2]  # type: ignore[misc]
         shares = [(_name(budget.lines[k]), 100.0 * one.shares[k].share) for k in order]
-        most = ", ".join(f"{name} {share:.0f} %" for name, share in shares if share >= _LEAST_NAMED)
+        most = together(
+            (say("budget.share", name=name, share=f"{share:.0f}") for name, share in shares if share >= _LEAST_NAMED),
+            ", ",
+        )
         rows.append(
             (
                 sum_title(one),
@@ -211,11 +215,11 @@ def _check(budget: Budget, sums: Sequence[Sum]) -> TextTable:
                 sum_title(one),
                 _shown(one, one.u).strip(),
                 _shown(one, float(budget.drawn.u[one.index])).strip(),
-                f"{rounded(factor * low)} to {rounded(factor * high)}",
+                say("budget.interval", low=rounded(factor * low), high=rounded(factor * high)),
             )
         )
     return TextTable(
-        f"check by Monte Carlo, {len(budget.drawn.deviation)} draws (JCGM 101)",
+        say("budget.check", n=len(budget.drawn.deviation)),
         ("quantity", "u linear", "u drawn", "deviations of 95 %"),
         tuple(rows),
     )
@@ -227,21 +231,13 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
         yield f"Largest: {'; '.join(places)}."
     more = list(dict.fromkeys(_quantity_name(one) for one in sums if one.stated > one.expanded / 2.0))
     if more:
-        yield (
-            f"The readings show more than these contributors give to {', '.join(more)}: results and verdicts state U "
-            "= 2 u of the readings there."
-        )
+        yield say("budget.readings_show_more", names=together(more, ", "))
     taken = [line.name for line in budget.lines if line.how == "draws"]
     if taken:
-        yield (
-            f"By {DRAWS} random draws, so that their standard uncertainty is itself uncertain by "
-            f"{100 / math.sqrt(2 * DRAWS):.0f} %: {', '.join(taken)}."
-        )
+        own = f"{100 / math.sqrt(2 * DRAWS):.0f}"
+        yield say("budget.drawn", n=DRAWS, share=own, names=together(taken, ", "))
     if any(line.name == KNOWN for line in budget.lines):
-        yield (
-            f'"{KNOWN}": what session.yaml states with an uncertainty (a length, positions of stations) and what the '
-            "model expects of small unknowns (angular errors)."
-        )
+        yield say("budget.known", name=KNOWN)
 
 
 def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]:

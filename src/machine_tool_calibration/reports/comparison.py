@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.goodness import fit_words, fits
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.residuals.noise import Noise
-from machine_tool_calibration.session.checks.suspicion import suspicions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     one = comparison if isinstance(comparison, Comparison) else None
     overall, count = comparison.overall, len(comparison.outliers)
     bad = fits(overall.p_value) == "bad"
-    said = [fit_words(overall.reduced_chi_square, overall.p_value)]
+    said: list[str] = [fit_words(overall.reduced_chi_square, overall.p_value)]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
     said += [f"{stand_out(count)}."] if count else []
     said += [_repeats(overall, one.noise, bool(count))] if one else []
@@ -99,7 +99,7 @@ def comparison_document(comparison: Comparison | JointComparison) -> dict[str, A
         "method": sessions[0].method if isinstance(comparison, Comparison) else "joint",
         "effects": list(comparison.effects),
         "summary": in_words(comparison),
-        "suspicious": suspicions(sessions, comparison.labels),
+        "suspicious": suspicious_fits([one.fit for one in comparison.sessions], comparison.labels),
         "provenance": comparison.provenance.document(),
         **vars(comparison.overall),
         "setups": records(comparison.setups),

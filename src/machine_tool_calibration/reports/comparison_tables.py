@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.reports.comparison import in_words, records, times_declared
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
@@ -21,7 +22,6 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
 )
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
-from machine_tool_calibration.session.checks.suspicion import suspicions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -260,7 +260,7 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
     from rich.text import Text
 
     screen.print(Text(in_words(comparison)))
-    show_suspicions(screen, suspicions([one.session for one in comparison.sessions], comparison.labels))
+    show_suspicions(screen, suspicious_fits([one.fit for one in comparison.sessions], comparison.labels))
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
     for table in comparison_tables(comparison):

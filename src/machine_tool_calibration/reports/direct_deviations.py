@@ -9,6 +9,7 @@ from typing import Any
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.words import Said, say, together
 
 __all__ = ["direct_tables", "scatter_words"]
 
@@ -16,32 +17,27 @@ __all__ = ["direct_tables", "scatter_words"]
 _SIGNIFICANT = 0.01
 
 
-def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
+def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
         return None
     found, declared = scatter["found"], scatter["declared"]
-    both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
-    more = f"The readings scatter {rounded(found / declared)} times their declared uncertainty about the model ({both})"
+    both, ratio = _both(found, declared), rounded(found / declared)
     if fits(p_value) == "bad" and fits(scatter.get("one_direction_p_value", 0.0)) != "bad":
-        alone = f"{quantity(scatter['one_direction'], 'm')}, declared {quantity(declared, 'm')}"
-        return (
-            f"The readings of one direction agree within their declared uncertainty (scatter {alone}); both directions "
-            "differ by the reversal error, which is part of the result (ISO 230-2). Uncertainties of the map contain "
-            "it, as the map has one value for both."
-        )
+        return say("fit.one_direction", both=_both(scatter["one_direction"], declared))
     if scatter["uncertainties_from"] == "scatter":
-        return f"{more}: standard uncertainties use the scatter."
+        return say("fit.scatter_used", ratio=ratio, both=both)
     if fits(p_value) == "bad":
         # What differs from run to run takes it up, so that the scatter beside that is as declared.
-        return f"{more}: runs differ among themselves, which standard uncertainties contain."
+        return say("fit.runs_differ", ratio=ratio, both=both)
     if fits(p_value) == "too well":
-        return (
-            f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
-            f"declared; from the scatter alone they would be {rounded(found / declared)} times as large."
-        )
-    return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
+        return say("fit.declared_used", ratio=ratio, both=both)
+    return say("fit.scatter_as_declared", both=both)
+
+
+def _both(found: float, declared: float) -> Said:
+    return say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))
 
 
 def direct_tables(content: Mapping[str, Any]) -> Iterator[TextTable | str]:
@@ -53,10 +49,7 @@ def direct_tables(content: Mapping[str, Any]) -> Iterator[TextTable | str]:
 
 
 def _plate_table(plate: Mapping[str, Any]) -> TextTable:
-    title = (
-        f"step by step, over {plate['places']} deviations: models simpler than that of the fit, whose values are "
-        "further below (sizes ± U, k = 2, from the scatter that is left)"
-    )
+    title = say("plate.title", n=plate["places"])
     heads = ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes")
     rows = (
         (
@@ -65,7 +58,7 @@ def _plate_table(plate: Mapping[str, Any]) -> TextTable:
             micrometres(step["rms"]),
             micrometres(step["scatter"]),
             probability(step["p_value"]) if "p_value" in step else "",
-            "\n".join(_size(p) for p in step["parameters"]),
+            together(map(_size, step["parameters"]), "\n"),
         )
         for step in plate["steps"]
     )
@@ -79,23 +72,23 @@ def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
     not_good = [p["of"] for p in known if not _is(p)]
     words = []
     if good:
-        words.append(f"Significant (p < {_SIGNIFICANT}): {', '.join(good)}.")
+        words.append(say("plate.significant", level=f"{_SIGNIFICANT}", names=", ".join(good)))
     if not_good:
-        words.append(f"Not significant: {', '.join(not_good)}.")
+        words.append(say("plate.not_significant", names=", ".join(not_good)))
     if len(steps) > 3:
-        more = "significant" if steps[3]["p_value"] < _SIGNIFICANT else "not significant"
+        more = "curves" if steps[3]["p_value"] < _SIGNIFICANT else "no_curves"
         fell = steps[2]["scatter"] - steps[3]["scatter"]
-        words.append(f"Curves beyond that are {more}" + (f" (they take {quantity(fell, 'm')})." if fell > 0 else "."))
-    yield " ".join(words)
+        words.append(say(f"plate.{more}_take" if fell > 0 else f"plate.{more}", size=quantity(fell, "m")))
+    yield together(words)
 
 
 def _is(parameter: Mapping[str, Any]) -> bool:
     return parameter["p_value"] is not None and parameter["p_value"] < _SIGNIFICANT
 
 
-def _size(parameter: Mapping[str, Any]) -> str:
+def _size(parameter: Mapping[str, Any]) -> Said:
     name = parameter["of"]
     if parameter["value"] is None:
-        return f"{name} not determined"
+        return say("plate.lost", name=name)
     size = quantity(parameter["value"], parameter["unit"], parameter["standard_uncertainty"])
-    return f"{name} = {size}" + ("" if _is(parameter) else " (not significant)")
+    return say("plate.size" if _is(parameter) else "plate.small_size", name=name, size=size)

@@ -7,6 +7,7 @@ from typing import Literal
 
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import rounded
+from machine_tool_calibration.words import Said, say
 
 __all__ = ["Fits", "fit_words", "fits"]
 
@@ -25,19 +26,7 @@ def fits(p_value: float | None) -> Fits:
     return "bad" if p_value < _BAD else "nearly" if p_value < _NEARLY else "well"
 
 
-def fit_words(reduced_chi_square: float, p_value: float) -> str:
+def fit_words(reduced_chi_square: float, p_value: float) -> Said:
     """How well a model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
     how, ratio = fits(p_value), rounded(reduced_chi_square**0.5)
-    if how == "bad":
-        return (
-            f"The readings scatter {ratio} times their declared uncertainty about the model ({chance(p_value)}): "
-            "something is missing in it, or the declared uncertainty is too small."
-        )
-    if how == "too well":
-        return f"The readings scatter only {ratio} times their declared uncertainty: it is stated too large."
-    if how == "nearly":
-        return (
-            f"The model fits the readings nearly within their declared uncertainty ({chance(p_value)}): something "
-            "small may be missing in it."
-        )
-    return f"The model fits the readings within their declared uncertainty ({chance(p_value)})."
+    return say(f"fit.{how.replace(' ', '_')}", ratio=ratio, p=chance(p_value))

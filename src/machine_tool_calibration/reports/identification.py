@@ -29,6 +29,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_suspicions, 
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import Said
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -280,7 +281,7 @@ def session_headline(session: Session) -> str:
     )
 
 
-def goodness_of_fit(document: Mapping[str, Any]) -> str:
+def goodness_of_fit(document: Mapping[str, Any]) -> Said:
     """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
     direct = scatter_words(document.get("error_map") or {}, document["p_value"])
     return direct or fit_words(document["reduced_chi_square"], document["p_value"])

@@ -11,6 +11,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.words import Said, say
+
 if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Estimate
     from machine_tool_calibration.session.description import DeclaredUncertainty, StandardUncertainty
@@ -45,7 +47,6 @@ _MOST_PLACES = 6
 _NOTHING = 1e-12
 # Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
-_FAMILIES = {"run": "runs", "mounting": "setups as they were mounted", "pass": "passes over the axis"}
 # Coefficients of an effect beyond which only one is shown.
 _MANY = 3
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.
@@ -163,7 +164,7 @@ def range_of(low: float, high: float, unit: str) -> str:
     return f"{quantity(low, unit)} to {quantity(high, unit)}"
 
 
-def residual_change(before: float, after: float) -> str:
+def residual_change(before: float, after: float) -> Said:
     """How the residual of a better model stands to that of the first one.
 
     Args:
@@ -171,12 +172,8 @@ def residual_change(before: float, after: float) -> str:
         after: RMS with the better one, m; larger where unknowns with a variance of their own, such as small angles,
             had taken up what the better model explains.
     """
-    if after < before:
-        return f"the residual falls from {quantity(before, 'm')} to {quantity(after, 'm')} RMS"
-    return (
-        f"the residual is {quantity(after, 'm')} RMS after {quantity(before, 'm')}, "
-        "as free unknowns had taken up what is in the model now"
-    )
+    key = "fit.residual_falls" if after < before else "fit.residual_rises"
+    return say(key, before=quantity(before, "m"), after=quantity(after, "m"))
 
 
 def sizes_in_words(parameters: Sequence[Estimate]) -> str:
@@ -195,11 +192,7 @@ def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for entry in sizes:
         if entry["probability"] > _SURE and entry["size"] > 0:
             low, high = (quantity(end, "m") for end in entry["interval"])
-            yield (
-                f"The {_family(entry)} differ among themselves by "
-                f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; "
-                "the uncertainties contain it."
-            )
+            yield say("fit.differ", family=_family(entry), size=quantity(entry["size"], "m"), low=low, high=high)
 
 
 def not_ruled_out(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -214,7 +207,7 @@ def not_ruled_out(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _family(entry: Mapping[str, Any]) -> str:
-    return str(_FAMILIES.get(entry["family"], entry["family"]))
+    return say(f"fit.family_{entry['family']}")
 
 
 def declared_words(said: StandardUncertainty) -> str:

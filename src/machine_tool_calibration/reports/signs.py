@@ -7,13 +7,12 @@ from collections.abc import Collection, Iterator
 
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import effect_estimates
+from machine_tool_calibration.words import say
 
 __all__ = ["negative_words"]
 
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
-_BACKLASH = "overcompensated, or directions of approach exchanged"
-_OTHERS = "which it cannot be by its nature: look for another cause, or for a sign that was exchanged"
 
 
 def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
@@ -29,5 +28,5 @@ def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
         # A nonlinear coefficient is positive wherever it is looked for.
         if unknown.low == 0.0 and unknown.reference == 0.0 and found.value < -_SURE * found.standard_uncertainty:
             backlash = found.owner.startswith("backlash_")
-            what = found.owner if backlash else found.name
-            yield f"{what} is negative: {_BACKLASH}." if backlash else f"{what} is negative, {_OTHERS}."
+            key = "fit.negative_backlash" if backlash else "fit.negative"
+            yield say(key, name=found.owner if backlash else found.name)

@@ -22,7 +22,7 @@ _EASE = 24
 # How narrow a heading becomes before any is broken at every word.
 _HEAD = 10
 # A column of nothing else stands to the right, so that places stand below each other.
-_NUMBER = re.compile(r"[-+−]?[\d.:]+(e[-+]\d+)?( ± [\d.]+)?( ?%)?|< ?[\d.e-]+|–|…")
+_NUMBER = re.compile(r"[-+−]?[\d.,:]+(e[-+]\d+)?( ± [\d.,]+)?( ?%)?|< ?[\d.,e-]+|–|…")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import fits
@@ -27,8 +28,8 @@ from machine_tool_calibration.reports.quantities import (
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import Said, say, together
 
 __all__ = [
     "AS_GOOD",
@@ -63,22 +64,22 @@ def verdict_words(
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
-    yield from (f"Suspicious: {words}" for words in suspicions(diagnosis.chosen.sessions, diagnosis.chosen.labels))
+    for words in suspicious_fits(diagnosis.fits[0].fits, diagnosis.chosen.labels):
+        yield say("diagnosis.suspicious", what=words)
     if not brief:
         for name in diagnosis.accepted:
             yield _found(diagnosis, name, changes.get(name), advice)
     yield from negative_words(diagnosis.fits[-1], diagnosis.accepted)
     for name, why in diagnosis.refused.items():
         p = probability(diagnosis.search.of(name).probability)
-        yield f"{_title(diagnosis, name)} is probable ({p}) and not added: {why}."
+        yield say("diagnosis.refused", effect=_title(diagnosis, name), p=p, why=why)
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
     if brief:
         yield from _noise(diagnosis)
         return
     if diagnosis.outliers and diagnosis.verdict != "outliers":
-        n = len(diagnosis.outliers)
-        yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
+        yield say("diagnosis.set_aside_before", n=len(diagnosis.outliers))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
 
@@ -104,49 +105,33 @@ def good_enough(diagnosis: Diagnosis) -> bool:
 def left_words(diagnosis: Diagnosis) -> Iterator[str]:
     """What to make of structure that is left where nothing is missing: one sentence."""
     if good_enough(diagnosis):
-        yield (
-            "Structure is left in the residuals, small beside the declared uncertainty of a reading or in what it does "
-            "to the map: the model is good enough without it."
-        )
+        yield say("diagnosis.good_enough")
     elif diagnosis.search.left and diagnosis.verdict in ("adequate", "outliers"):
-        yield "Whether the structure that seems to be left in the residuals is more than chance is not sure."
+        yield say("diagnosis.structure_unsure")
 
 
-def _verdict(diagnosis: Diagnosis) -> str:
+def _verdict(diagnosis: Diagnosis) -> Said:
     look, declared = diagnosis.search, quantity(diagnosis.noise.declared, "m")
-    residual = f"{quantity(rms(Pool(diagnosis.fits[0]).residuals), 'm')} RMS (declared uncertainty {declared})"
+    found = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
+    residual = say("diagnosis.residual", found=found, declared=declared)
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
-        what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
-        if only_reversal(diagnosis):
-            return (
-                f"The axis has a reversal error: {what}. It is part of the result (ISO 230-2), no fault of the model."
-            )
-        return f"The model lacks {what}."
+        what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
+        return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
-        return (
-            f"Something is missing (probability {probability(1.0 - look.nothing)}), and these readings do not "
-            "determine which effect it is: none is named as the cause."
-        )
+        return say("diagnosis.which_unknown", p=probability(1.0 - look.nothing))
     if diagnosis.verdict == "unexplained":
-        return "The model lacks something that no effect of the catalogue explains. No effect is named as the cause."
+        return say("diagnosis.unexplained")
     if diagnosis.verdict == "outliers":
-        n, shown = len(diagnosis.outliers), "matters" if good_enough(diagnosis) else "this measurement could show"
-        many = "One reading does" if n == 1 else f"{n} readings do"
-        return (
-            f"{many} not belong to the rest: single, large deviations that do not repeat, as a chip or a broken beam "
-            f"makes them. Without them nothing is missing that {shown}; the residual is {residual}."
-        )
+        without = f"diagnosis.without_them_{'matters' if good_enough(diagnosis) else 'shown'}"
+        return together((say("diagnosis.outliers", n=len(diagnosis.outliers)), say(without, residual=residual)))
     if diagnosis.likely:
-        return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
+        return together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
     if spec_of(diagnosis.chosen.sessions[0]).reads_machine and fits(look.fit.p_value) == "bad":
-        return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
+        return say("diagnosis.no_pattern", residual=residual)
     if good_enough(diagnosis):
-        return f"Nothing is missing that matters: the residual is {residual}."
-    return (
-        f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
-        f"is {residual}."
-    )
+        return say("diagnosis.nothing_matters", residual=residual)
+    return say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
 
 
 def only_reversal(diagnosis: Diagnosis) -> bool:
@@ -183,81 +168,87 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     return f"Next, for a smaller uncertainty of the map: {best.measure}."
 
 
-def _likeliest(diagnosis: Diagnosis) -> str:
+def _likeliest(diagnosis: Diagnosis) -> Said:
     found = [f"{name} ({probability(diagnosis.search.of(name).probability)})" for name in diagnosis.likely]
-    return f"Likely, with the probability that it is missing: {', '.join(found)}."
+    return say("diagnosis.likely", names=", ".join(found))
 
 
 def _title(diagnosis: Diagnosis, name: str) -> str:
     effect = diagnosis.search.of(name).candidate.effect
-    return f"{effect.title} ({name})" if effect is not None else name
+    return say("diagnosis.effect", title=effect.title, name=name) if effect is not None else name
 
 
-def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> str:
+def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> Said:
     found = diagnosis.search.of(name)
     effect = found.candidate.effect
-    words = [f"{name}: {effect.formula}." if effect is not None else f"{name}."]
-    if change is not None:
-        if 0 < len(change.parameters) <= _MANY:
-            words.append(f"Its size is {sizes_in_words(change.parameters)} (k = 2).")
-        elif change.parameters:
-            words.append(f"Its size is that of {len(change.parameters)} coefficients, listed below.")
-        if change.signal is not None:
-            words.append(
-                f"It changes the readings by {quantity(rms(change.signal), 'm')} RMS, "
-                f"{quantity(float(np.abs(change.signal).max(initial=0.0)), 'm')} at most."
-            )
-        moved = ""
-        if change.map_change_rms is not None:
-            moved = f", and the errors at the tool point move by {quantity(change.map_change_rms, 'm')} RMS"
-        words.append(f"With it in the model {residual_change(change.rms_before, change.rms_after)}{moved}.")
-    words.append(f"The probability that it is missing is {probability(found.probability)}.")
+    law = say("diagnosis.formula", name=name, formula=effect.formula) if effect is not None else f"{name}."
+    words = [law, *(_changed(change) if change is not None else ())]
+    words.append(say("diagnosis.probable", p=probability(found.probability)))
     predicted = diagnosis.predicted.get(name, ())
     if predicted:
-        shares = ", ".join(f"{p.what} {100 * p.gain:+.0f} %" for p in predicted)
-        words.append(f"Cross-validation: readings left out are predicted better (mean square error less by: {shares}).")
+        shares = [say("diagnosis.left_out", what=p.what, gain=f"{100 * p.gain:+.0f}") for p in predicted]
+        words.append(say("diagnosis.predicted", shares=together(shares, ", ")))
     if not found.plausible:
-        words.append("Such a size does not usually occur: look for another cause as well.")
+        words.append(say("diagnosis.implausible"))
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
     if separation is not None:
         rivals = [diagnosis.search.of(other).probability for other in separation.effects[1:]]
         words.append(_lookalike(separation, max(rivals, default=0.0) > 0.1 * found.probability))
-    return " ".join(words)
+    return together(words)
 
 
-def _lookalike(separation: Separation, as_good: bool) -> str:
+def _changed(change: Consequence) -> Iterator[Said]:
+    """How large an effect is, and what changes with it in the model."""
+    if 0 < len(change.parameters) <= _MANY:
+        yield say("diagnosis.size", sizes=sizes_in_words(change.parameters))
+    elif change.parameters:
+        yield say("diagnosis.many_sizes", n=len(change.parameters))
+    if change.signal is not None:
+        most = float(np.abs(change.signal).max(initial=0.0))
+        yield say("diagnosis.changes", rms=quantity(rms(change.signal), "m"), most=quantity(most, "m"))
+    residual = residual_change(change.rms_before, change.rms_after)
+    if change.map_change_rms is None:
+        yield say("diagnosis.with_it", residual=residual)
+    else:
+        yield say("diagnosis.with_it_moved", residual=residual, moved=quantity(change.map_change_rms, "m"))
+
+
+def _lookalike(separation: Separation, as_good: bool) -> Said:
     """What to say of confounded effects, which may do as well with nonlinear coefficients of their own."""
-    others = " or ".join(separation.effects[1:])
+    others = together(separation.effects[1:], say("diagnosis.or"))
     if separation.apart_before >= _APART and not as_good:
-        return (
-            f"A similar effect, {others}, would leave nearly the same residuals, but at the size found the readings "
-            f"distinguish them: the patterns differ by {separation.apart_before:.0f} standard uncertainties."
-        )
-    text = f"It may as well be {others}: this measurement cannot distinguish them."
-    return f"{text} To distinguish them: {separation.measure}." if separation.kind is not None else text
+        return say("diagnosis.similar", others=others, apart=f"{separation.apart_before:.0f}")
+    text = say("diagnosis.as_well", others=others)
+    if separation.kind is None:
+        return text
+    return together((text, say("diagnosis.to_distinguish", measure=separation.measure)))
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
     left = diagnosis.search.structure
     if left:
         best = left[0]
-        yield (
-            f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
-            f"squares ({p_value(best.p_value)})."
-        )
+        yield say("diagnosis.depend", **_dependence(best))
     if diagnosis.contradicted:
         fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
-        text = f"The readings scatter {rounded(np.sqrt(fit.reduced_chi_square))} times as much as declared"
-        yield f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
+        ratio = rounded(np.sqrt(fit.reduced_chi_square))
+        if repeats is None:
+            yield say("diagnosis.contradicted", ratio=ratio)
+        else:
+            yield say("diagnosis.contradicted_repeats", ratio=ratio, repeats=quantity(repeats, "m"))
     if diagnosis.likely:
-        yield f"{_likeliest(diagnosis)} None of these accounts for the residuals."
+        yield together((_likeliest(diagnosis), say("diagnosis.none_accounts")))
 
 
-def _covariate(structure: Structure) -> str:
+def _dependence(structure: Structure) -> dict[str, str]:
+    """What residuals depend on, and how much: the values of a sentence."""
     if structure.covariate == "place":
-        return f"the place: {structure.shape}"
-    shape = {"smooth": "in a smooth curve", "periodic": "in waves", "its sign": "by its sign"}
-    return f"{structure.covariate}, {shape.get(structure.shape, structure.shape)}"
+        covariate = say("diagnosis.place", shape=structure.shape)
+    else:
+        known = structure.shape in ("smooth", "periodic", "its sign")
+        shape = say(f"diagnosis.{structure.shape.replace(' ', '_')}") if known else structure.shape
+        covariate = say("diagnosis.on_covariate", covariate=structure.covariate, shape=shape)
+    return {"covariate": covariate, "share": f"{100 * structure.share:.0f}", "p": p_value(structure.p_value)}
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
@@ -268,18 +259,11 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and fits(joint.p_value) == "bad":
-        text = f"The readings scatter {rounded(ratio)} times as much as declared, which noise does not explain."
         if noise.from_repeats is not None and diagnosis.noisy:
-            repeats = quantity(noise.from_repeats, "m")
-            text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
-        elif again:
-            text += " The rest is what does not reproduce, or the model in a way that no effect and no covariate shows."
+            why = say("diagnosis.repeats_scatter", repeats=quantity(noise.from_repeats, "m"))
         else:
-            text += (
-                " Whether that is the model or the reproducibility of the setups is not determined: none was measured "
-                "again after being mounted again."
-            )
-        yield text
+            why = say("diagnosis.rest" if again else "diagnosis.mounted_once")
+        yield together((say("diagnosis.no_noise", ratio=rounded(ratio)), why))
 
 
 def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
@@ -287,26 +271,14 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     noise, fit = diagnosis.noise, diagnosis.fits[-1]
     declared = noise.declared
     found = float(np.sqrt(fit.reduced_chi_square)) * declared
-    both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
-    if fits(fit.p_value) == "bad":
-        yield f"The deviations scatter more about the model than was declared ({both}): sizes and tests use it."
-    elif fits(fit.p_value) == "too well":
-        yield f"The deviations scatter less about the model than was declared ({both}): tests use what they scatter."
-    else:
-        yield f"The deviations scatter about the model as was declared ({both})."
+    how = {"bad": "more", "too well": "less"}.get(fits(fit.p_value), "as_declared")
+    both = say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))
+    yield say(f"diagnosis.scatter_{how}", both=both)
     repeats = noise.from_repeats
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
-        yield (
-            f"Repeats of one place agree within {quantity(repeats, 'm')}, places differ from each other by more, "
-            "without a pattern: that is the scatter of the part, or of the machine from place to place."
-        )
+        yield say("diagnosis.places_differ", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.search.left:
-        best = diagnosis.search.left[0]
-        yield (
-            f"The residuals still depend on {_covariate(best)}: {100 * best.share:.0f} % of their sum of squares "
-            f"({p_value(best.p_value)}), which no single effect of the catalogue explains. The effects that were "
-            "found stay as they are beside it."
-        )
+        yield say("diagnosis.still_depend", **_dependence(diagnosis.search.left[0]))
 
 
 def mounted_more_than_once(session: Session) -> bool:

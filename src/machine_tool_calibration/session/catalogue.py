@@ -10,12 +10,13 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.method import MethodSpec, load
-from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+    from machine_tool_calibration.session.description import Description
+    from machine_tool_calibration.session.session import Session
 
 
 __all__ = [

@@ -11,12 +11,14 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.arrays import BoolArray
-from machine_tool_calibration.session.description import Description, Place
-from machine_tool_calibration.session.judgements import Held, Judgement
-from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.description import Description, Place
+    from machine_tool_calibration.session.judgements import Held, Judgement
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["MethodSpec", "load"]
 

@@ -10,8 +10,8 @@ import panel as pn
 
 from machine_tool_calibration.export import FORMATS
 from machine_tool_calibration.export.compensation import Exported
-from machine_tool_calibration.report.words import LANGUAGES
 from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
+from machine_tool_calibration.words import LANGUAGES
 from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
 from machine_tool_calibration.workbench.look import bar_button, controls, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings

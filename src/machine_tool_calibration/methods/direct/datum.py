@@ -10,6 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
+from machine_tool_calibration.words import say
 
 __all__ = ["SetupDatum", "needed_rows", "setup_columns", "setup_datum", "silent_directions"]
 
@@ -137,7 +138,7 @@ def setup_datum(
         for label in labels
     )
     idle = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if not good]
-    left = tuple(NotDetermined(label, "no reading of any setup depends on it") for label in idle)
+    left = tuple(NotDetermined(label, say("undetermined.no_reading_of_setups")) for label in idle)
     return SetupDatum(
         kind,
         columns[used],

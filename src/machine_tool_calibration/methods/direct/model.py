@@ -32,6 +32,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, distinct_nodes, table_datum, thinned
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.words import say
 
 __all__ = ["DirectModel", "asked_tables", "build", "build_direct", "nodes_from"]
 
@@ -172,7 +173,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     laid_down = {name for constraint in constraints for name in constraint.weights}
     unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]
     if unmoved:  # nothing of them is left: their axis stood at one position, where the datum says 0
-        left += tuple(NotDetermined(name, f"all readings are at one position of {name[2]}") for name in unmoved)
+        left += tuple(NotDetermined(name, say("undetermined.one_position", axis=name[2])) for name in unmoved)
         kept = tuple(table for table in kept if table.name not in unmoved)
         machine = tuple(term for term in machine if term.name not in unmoved)
         constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
@@ -206,7 +207,7 @@ def _sensed_terms(
     for table in tables:
         term = table.term(observations)
         if np.abs(term.columns).max(initial=0.0) < 1e-9:
-            why = "no reading depends on it: it does not move the functional point along any measured direction"
+            why = say("undetermined.does_not_move")
             left.append(NotDetermined(table.name, why))
             continue
         kept.append(table)

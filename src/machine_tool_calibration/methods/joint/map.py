@@ -24,6 +24,7 @@ from machine_tool_calibration.model.rigid_body import (
     position_errors,
     tables_content,
 )
+from machine_tool_calibration.words import say, together
 
 __all__ = ["between_nodes", "joint_map", "squared_bend"]
 
@@ -174,9 +175,12 @@ def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, t
             names.setdefault((axis.lower(), low, high), []).append(table.name)
     if not names:
         return out, ()
-    ranges = [f"{', '.join(motions)} from {a} = {low:g} to {high:g} m" for (a, low, high), motions in names.items()]
-    why = f"{int(out.sum())} of {out.size} values depend on error motions beyond where they are known: "
-    return out, (NotDetermined("error_map.position_error", why + "; ".join(ranges)),)
+    ranges = [
+        say("undetermined.range", names=", ".join(motions), axis=axis, low=f"{low:g}", high=f"{high:g}")
+        for (axis, low, high), motions in names.items()
+    ]
+    why = say("undetermined.beyond", n=int(out.sum()), count=out.size, ranges=together(ranges, "; "))
+    return out, (NotDetermined("error_map.position_error", why),)
 
 
 def _read(common: CommonModels) -> dict[str, Array]:

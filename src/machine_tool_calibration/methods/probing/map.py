@@ -16,6 +16,7 @@ from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.words import say
 
 __all__ = [
     "Combined",
@@ -229,14 +230,13 @@ def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[Not
     }
     quarters = 2.0 / np.pi * np.diff([setup.c for setup in model.description.setups])
     alike = np.allclose(quarters, np.round(quarters), atol=1e-3)
-    hint = "; all its angles are quarter turns apart: others, such as 0°, 75°, 130°, 210°, tell more" if alike else ""
     lost = []
     for k in np.flatnonzero(~np.isfinite(errors.value)):
-        why = "it was not touched"
+        why = say("undetermined.not_touched")
         if found.touched[k]:
-            why = f"the touches cannot distinguish it from the error motions of the axes{hint}"
+            why = say(f"undetermined.touches{'_quarter_turns' if alike else ''}")
         if np.isfinite(form.value[k]):
-            why = "the touches do not fix the position and size of the workpiece as a whole; its form is given"
+            why = say("undetermined.only_form")
         lost.append(NotDetermined(f"workpiece point {points[k].id}", why))
     return content, tuple(lost)
 

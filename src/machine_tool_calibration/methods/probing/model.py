@@ -47,6 +47,7 @@ from machine_tool_calibration.session.checks.mistakes import UNITS, explanation,
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.judgements import Judgement
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say, together
 
 __all__ = ["ProbingModel", "build"]
 
@@ -121,7 +122,7 @@ class ProbingModel(MethodModel):
         if not isinstance(at, str):
             return None
         there = np.any(self.observations.readings.setup == self.observations.session.setup_ids.index(at))
-        return None if there else "no touch was read at this angle of C"
+        return None if there else say("undetermined.no_touch")
 
 
 def build(session: Session, model: str = "rigid_body") -> ProbingModel:
@@ -219,12 +220,9 @@ def _measured(model: ProbingModel, null: NullSpace, put: Sequence[Place]) -> tup
 
 def _no_length(description: Probing, unused: Sequence[str]) -> NotDetermined:
     if not description.known:
-        why = "no length was measured (known): all errors proportional to the distance from zero are relative"
+        why = say("undetermined.no_length")
     else:
-        why = (
-            f"the measured {' and '.join(unused)} is at a place of the table that no touch reaches: all errors "
-            "proportional to the distance from zero are relative"
-        )
+        why = say("undetermined.length_untouched", names=together(unused, say("undetermined.and")))
     return NotDetermined(LENGTH, why)
 
 

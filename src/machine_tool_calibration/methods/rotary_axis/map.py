@@ -15,6 +15,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.checks.places import off_stated
+from machine_tool_calibration.words import say
 
 __all__ = ["average_line", "error_map", "line_names"]
 
@@ -171,7 +172,7 @@ def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
         worst = int(np.argmax(off / u))
         if off[worst] > _MISPLACED * u[worst]:
             name = setups[known[worst]].id
-            why = f"station {name!r} is found {1e3 * off[worst]:.3g} mm off its stated position, as the others stand"
+            why = say("undetermined.station_elsewhere", name=repr(name), off=f"{1e3 * off[worst]:.3g}")
         else:
             result = average_line(found, covariance, stated, uncertainty)
     out: dict[str, Any] = {}

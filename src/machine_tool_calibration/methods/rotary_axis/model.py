@@ -50,6 +50,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["RotaryAxisModel", "build"]
 
@@ -184,16 +185,16 @@ class RotaryAxisModel(MethodModel):
 
 def _why_loose(seen: list[str], stations: list[str]) -> str:
     if not seen:
-        return "no target was read at this angle"
+        return say("undetermined.no_target")
     if len(seen) == 1:
-        return f"only target {seen[0]} was read: any turn about it moves nothing that is seen"
+        return say("undetermined.one_target", a=seen[0])
     if len(seen) == 2:
-        return f"only targets {seen[0]} and {seen[1]} were read: a turn about the line through them is not seen"
+        return say("undetermined.two_targets", a=seen[0], b=seen[1])
     if len(stations) == 1:
-        return f"only station {stations[0]} read: any turn about it changes no distance"
+        return say("undetermined.one_station", a=stations[0])
     if len(stations) == 2:
-        return f"only stations {stations[0]} and {stations[1]} read: a turn about the line through them is not seen"
-    return f"the readings of targets {', '.join(seen)} at this angle do not sense all six motions"
+        return say("undetermined.two_stations", a=stations[0], b=stations[1])
+    return say("undetermined.not_all_motions", names=", ".join(seen))
 
 
 def _fill(columns: Array, table: TableReadings, g: Array, arm: Array, tilt: Array) -> None:

@@ -27,6 +27,7 @@ from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.words import say
 
 __all__ = ["build", "second_order"]
 
@@ -64,8 +65,8 @@ def second_order(
     )
 
 
-_SMALL = "only its size is determined by the readings (angular_size); it is taken for a small smooth random function"
-_ZERO = "the model takes it to be zero"
+_SMALL = say("undetermined.only_size")
+_ZERO = say("undetermined.taken_zero")
 _RANDOM = (
     f"; the map is the mean over angular errors that are zero (with a probability of {NONE:g} before any reading) or "
     f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} µrad"

@@ -15,6 +15,7 @@ from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalMod
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.words import say, together
 
 __all__ = ["error_map"]
 
@@ -86,15 +87,15 @@ def _why(model: StepDiagonalModel, measured: Array, determined: Array) -> str:
     """Why a column of the map has gaps: values that were measured, and values that are determined."""
     missing = int(np.count_nonzero(~np.isfinite(measured)))
     if missing == np.count_nonzero(~np.isfinite(determined)):
-        return f"{missing} of {len(measured)} block positions were not reached by a reading that senses it"
+        return say("undetermined.not_reached", n=missing, count=len(measured))
     present = [model.runs[k] for k in np.unique(model.observations.readings.setup)]
     diagonals = {run.sign.tobytes() for run in present if run.diagonal}
     moved = [axis for axis, nodes in enumerate(model.blocks) if len(nodes) > 1]
     linear = [axis for axis in moved if not any(run.sign[axis] and not run.diagonal for run in present)]
-    lacking = [f"no linear run of {'XYZ'[axis]}" for axis in linear]
+    lacking = [say("undetermined.no_linear_run", axis="XYZ"[axis]) for axis in linear]
     if len(diagonals) < len(moved):
-        lacking.insert(0, f"{len(diagonals)} of {len(moved)} diagonals")
-    return f"the measured runs do not determine it ({', '.join(lacking) or 'too few readings'})"
+        lacking.insert(0, say("undetermined.diagonals", n=len(diagonals), count=len(moved)))
+    return say("undetermined.runs", lacking=together(lacking or [say("undetermined.too_few")], ", "))
 
 
 def _paired(values: Mapping[str, tuple[float, float]]) -> dict[str, float]:

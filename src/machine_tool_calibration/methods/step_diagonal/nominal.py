@@ -21,6 +21,7 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 from machine_tool_calibration.session.description import DiagonalSetup, Place, StepDiagonal
 from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["held_diagonal", "nominal_diagonal", "suspicious_diagonal"]
 
@@ -168,9 +169,14 @@ def suspicious_diagonal(session: Session) -> Iterator[str]:
             continue
         between = float(np.median(np.diff(halts)))
         if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
-            yield (
-                f"step and blocks make {description.blocks} steps of {1e3 * step:.4g} mm along {axis}, and the places "
-                f"read are {len(halts)} from {1e3 * halts[0]:.6g} to {1e3 * halts[-1]:.6g} mm, {1e3 * between:.4g} mm "
-                "apart"
+            yield say(
+                "suspicion.steps",
+                blocks=description.blocks,
+                step=f"{1e3 * step:.4g}",
+                axis=axis,
+                count=len(halts),
+                low=f"{1e3 * halts[0]:.6g}",
+                high=f"{1e3 * halts[-1]:.6g}",
+                between=f"{1e3 * between:.4g}",
             )
             return

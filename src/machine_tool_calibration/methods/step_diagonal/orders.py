@@ -26,6 +26,7 @@ from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalMod
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.model import Constraint, NotDetermined, Term, assemble
 from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
+from machine_tool_calibration.words import say
 
 __all__ = ["angles_shown_by_orders", "free_angles"]
 
@@ -93,9 +94,7 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
     terms = tuple(Term(angle.table.name, angle.table.parameters, angle.columns) for angle in kept)
     names = {angle.table.name for angle in kept}
     left_out = model.left_out + tuple(
-        NotDetermined(table.name, "no order of the moves distinguishes it from position errors; it is taken to be zero")
-        for table in rotations
-        if table.name not in names
+        NotDetermined(table.name, say("undetermined.no_order")) for table in rotations if table.name not in names
     )
     full = replace(
         model,
@@ -131,7 +130,6 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
         first += size
     lost = NotDetermined(
         f"{len(open_ones)} slopes of {', '.join(sharing)}",
-        "a slope over the whole travel looks like a mirror set anew for each order; the smallest slopes that agree "
-        "with the readings are taken (angular_one_mirror: the mirror was not touched)",
+        say("undetermined.slopes"),
     )
     return replace(full, constraints=full.constraints + constraints, left_out=(*full.left_out, lost))

@@ -24,6 +24,7 @@ from machine_tool_calibration.methods.step_diagonal.geometry import Run, across
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.words import say
 
 __all__ = ["Angle", "sensed_tables", "tilt_groups", "tilt_terms"]
 
@@ -69,7 +70,7 @@ def sensed_tables(
     for table in tables:
         if table.is_squareness:
             if np.abs(table.term(observations).columns).max() < 1e-12:
-                left_out.append(NotDetermined(table.name, "no reading depends on it"))
+                left_out.append(NotDetermined(table.name, say("undetermined.no_reading")))
             else:
                 kept.append(table)
             continue
@@ -79,9 +80,7 @@ def sensed_tables(
         nodes = _visited(blocks[axis], position[sees, axis])
         moved = sees & (np.abs(position[:, axis] - blocks[axis][0]) > 0)
         if nodes.sum() < 2 or not moved.any():
-            left_out.append(
-                NotDetermined(table.name, "no reading depends on it: no run senses this direction along this axis")
-            )
+            left_out.append(NotDetermined(table.name, say("undetermined.no_run_senses")))
             continue
         kept.append(MachineTable(table.chain, table.name, blocks[axis][nodes]))
     return tuple(kept), tuple(left_out)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
+from machine_tool_calibration.words import say
 
 __all__ = ["error_map"]
 
@@ -43,7 +45,7 @@ class _Network:
     good: BoolArray
     own: Array
     own_u: Array
-    why: dict[int, str]
+    why: Mapping[int, str]
 
 
 def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
@@ -128,7 +130,7 @@ def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...])
     change = np.eye(len(fit.theta))[:first]
     change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
     own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
-    why = {int(k): "an error motion that it needs is not determined" for k in np.flatnonzero(~good)}
+    why = {int(k): say("undetermined.motion_missing") for k in np.flatnonzero(~good)}
     return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))
 
 
@@ -171,10 +173,8 @@ def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
     extents = np.linalg.svd(centred, compute_uv=False)
     # A third or second direction in which the stations hardly differ.
     flat = len(extents) < model.dimension or extents[-1] < _FLAT * extents[0]
-    why = f"its standard uncertainty would be above {1e3 * _VAGUE:g} mm"
-    if flat:
-        kind = "line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "plane"
-        why = f"the stations stand nearly in a {kind}, so that the readings hardly sense it: {why}"
+    kind = "_line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "_plane"
+    why = say(f"undetermined.vague{kind if flat else ''}", size=f"{1e3 * _VAGUE:g}")
     return NotDetermined(f"position_error along {'xyz'[j]} of {where}", why)
 
 

@@ -30,6 +30,7 @@ from machine_tool_calibration.model.rigid_body import (
 )
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session, distinct_places
+from machine_tool_calibration.words import say
 
 __all__ = ["TrackingModel", "build"]
 
@@ -115,10 +116,7 @@ class TrackingModel(MethodModel):
         """A station's coordinate that hardly changes its readings."""
         if name not in self.declared:
             return None
-        return (
-            "the readings of this station hardly change with it, wherever the targets are (they lie in a plane or "
-            "on a line with it, or in too narrow a fan); its declared position stands"
-        )
+        return say("undetermined.station_loose")
 
     @property
     def known(self) -> Array:

@@ -30,6 +30,7 @@ from machine_tool_calibration.session.checks.places import allowed
 from machine_tool_calibration.session.description import Place, TrackingInterferometer
 from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["held_tracking", "nominal_tracking", "suspicious_tracking"]
 
@@ -130,7 +131,7 @@ def suspicious_tracking(session: Session) -> Iterator[str]:
     zeros = np.array([np.median(_azimuth_off(session, setup)) for setup in used])
     middle = float(np.median(zeros))
     if abs(middle) > _ZERO and np.abs(zeros - middle).max() < _SAME * abs(middle):
-        yield f"azimuth is {1e3 * middle:.3g} mrad too large at all stations: is it counted from the machine's +X?"
+        yield say("suspicion.azimuth", off=f"{1e3 * middle:.3g}")
 
 
 def _azimuth_off(session: Session, setup: int) -> Array:

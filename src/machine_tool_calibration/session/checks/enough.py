@@ -31,6 +31,8 @@ __all__ = [
 
 _SAME_PLACE = 1e-6  # m: below any remounting, so a copied entry
 _LINE = 1e-3  # second extent over the first
+# Nodes of the tables of a probing from which more unknowns than touches (two position errors a node) take minutes.
+_MANY_NODES, _AT_A_NODE = 100, 2
 
 
 def enough_tracking(session: Session, measured: BoolArray, place: Place) -> None:
@@ -158,6 +160,14 @@ def enough_probing(session: Session, measured: BoolArray, place: Place) -> None:
         raise SessionError(
             f"{place.readings}: touches at {_count(len(used), 'C angle')}; probing needs at least 2 "
             "to distinguish the workpiece from the machine"
+        )
+    grid = session.description.machine.table_grid or {}
+    nodes = sum(len(places) for axis, places in grid.items() if axis.lower() in "xy")
+    touches = int(np.count_nonzero(measured))
+    if nodes > _MANY_NODES and _AT_A_NODE * nodes > touches:
+        raise SessionError(
+            f"{place.description}: table_grid has {nodes} nodes, which are {_AT_A_NODE * nodes} unknown errors of the "
+            f"axes at least, and there are {touches} touches: give fewer nodes, or leave it out"
         )
     enough_in_a_setup(session, measured, place)
 

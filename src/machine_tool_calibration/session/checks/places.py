@@ -13,6 +13,7 @@ from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["Misplaced", "allowed", "misplaced", "off_stated", "refuse_misplaced"]
 
@@ -32,7 +33,8 @@ class Misplaced:
     """A station or target that is not found where it is stated to be.
 
     Attributes:
-        what: it is, with its id.
+        what: it is, `station` or `target`.
+        id: its own.
         off: how far, m.
         along: on which axis the most.
         uncertainty: standard uncertainty of that distance, the stated one within, m.
@@ -40,6 +42,7 @@ class Misplaced:
     """
 
     what: str
+    id: str
     off: float
     along: str
     uncertainty: float
@@ -48,11 +51,9 @@ class Misplaced:
     @property
     def words(self) -> str:
         """Where it is found, and what was stated."""
-        known = f"position_uncertainty {1e3 * self.stated:.3g} mm" if self.stated else "no position_uncertainty"
-        return (
-            f"{self.what} is found {1e3 * self.off:.3g} mm off its stated position ({known}), the most along "
-            f"{self.along}"
-        )
+        known = say("suspicion.known", size=f"{1e3 * self.stated:.3g}") if self.stated else say("suspicion.unknown")
+        what, off = say(f"suspicion.{self.what}"), f"{1e3 * self.off:.3g}"
+        return say("suspicion.elsewhere", what=what, id=repr(self.id), off=off, known=known, along=self.along)
 
 
 def allowed(session: Session, stated: float | None) -> float:
@@ -86,7 +87,7 @@ def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]
             whole = float(np.hypot(own_u[j] if np.isfinite(own_u[j]) else 0.0, declared or 0.0))
             size = float(np.linalg.norm(one))
             if size > (_STATED * whole if declared else _UNSTATED) and abs(one[j]) > _KNOWN * whole:
-                out.append(Misplaced(f"{word} {entry.id!r}", size, "xyz"[j], whole, declared))
+                out.append(Misplaced(word, entry.id, size, "xyz"[j], whole, declared))
     yield from sorted(out, key=lambda one: -one.off)
 
 

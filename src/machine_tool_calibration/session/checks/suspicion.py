@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import DESCRIPTION_FILE
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say, together
 
 __all__ = ["suspicions"]
 
@@ -28,7 +29,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
     checks = (_still, _beside, _pathless, _repeated, _of_method)
-    return [f"{name}{words}" for name, session in pairs for check in checks for words in check(session)]
+    return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
 def _still(session: Session) -> Iterator[str]:
@@ -37,14 +38,11 @@ def _still(session: Session) -> Iterator[str]:
         return
     spread, sigma = float(np.ptp(readings)), session.sigma
     if not readings.any():
-        yield f"all {len(readings)} readings are 0: was the instrument read?"
+        yield say("suspicion.all_zero", n=len(readings))
     elif spread == 0.0:
-        yield f"all {len(readings)} readings are {readings[0]:g} m: was the instrument read?"
+        yield say("suspicion.all_same", n=len(readings), value=f"{readings[0]:g}")
     elif spread < _STILL * sigma:
-        yield (
-            f"the {len(readings)} readings differ by {spread:.2g} m at most, and each is uncertain by {sigma:.2g} m "
-            "(standard uncertainty): are they in another unit?"
-        )
+        yield say("suspicion.hardly_differ", n=len(readings), spread=f"{spread:.2g}", sigma=f"{sigma:.2g}")
 
 
 def _beside(session: Session) -> Iterator[str]:
@@ -57,25 +55,23 @@ def _beside(session: Session) -> Iterator[str]:
         if len(off):
             unit = "m" if name.lower() in "xyz" else "rad"
             worst = values[off[np.argmax(np.maximum(low - values[off], values[off] - high))]]
-            yield (
-                f"{len(off)} of {len(values)} places are off the travel of {name.upper()}, {low:g} to {high:g} {unit}: "
-                f"{name.lower()} = {worst:g} {unit}"
-            )
+            ends = {"low": f"{low:g}", "high": f"{high:g}", "worst": f"{worst:g}", "unit": unit}
+            names = {"axis": name.upper(), "column": name.lower()}
+            yield say("suspicion.off_travel", n=len(off), count=len(values), **names, **ends)
 
 
 def _pathless(session: Session) -> Iterator[str]:
     said = session.description.standard_uncertainty
     if spec_of(session).probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
-        yield "standard_uncertainty grows with per_length, and a probe has no path: it changes nothing"
+        yield say("suspicion.no_path")
 
 
 def _repeated(session: Session) -> Iterator[str]:
     repeats = np.unique(session.readings.repeat)
     if len(repeats) != session.description.repeats:
-        yield (
-            f"repeats is {session.description.repeats} in {DESCRIPTION_FILE}, and the readings are of {len(repeats)}: "
-            f"repeat {', '.join(map(str, repeats[:8]))}{' …' if len(repeats) > 8 else ''}"
-        )
+        named = f"{', '.join(map(str, repeats[:8]))}{' …' if len(repeats) > 8 else ''}"
+        stated = session.description.repeats
+        yield say("suspicion.repeats", stated=stated, file=DESCRIPTION_FILE, n=len(repeats), repeats=named)
 
 
 def _of_method(session: Session) -> Iterator[str]:
