@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.probing.features import Features, features
 from machine_tool_calibration.methods.probing.geometry import turn
@@ -170,7 +171,7 @@ class _Expanded:
         found = responses(fit, model.touches.point, len(points))
         motion = common_motions(model.description, length_known=False)
         still = np.eye(len(points)) - motion @ np.linalg.pinv(motion)
-        content = model.error_map(fit).content
+        content = error_map(fit).content
         return cls(
             np.array([point.position for point in points]),
             2.0 * content["workpiece_error_u"],

@@ -90,7 +90,7 @@ def test_an_effect_that_shows_and_one_that_the_model_takes_up() -> None:
     assert shows is not None and shows.from_geometry
     assert 0.5 < shows.left <= 1.0 and not shows.taken_up
     # Perfect data: without the effect nothing would be left at all.
-    assert float(np.abs(shows.comparison.residual).max()) > 1e-6
+    assert float(np.abs(shows.comparison.fit.residuals).max()) > 1e-6
     hidden = inject(catalogue()["mirror_misalignment"], ["step_diagonal"])
     assert hidden is not None and hidden.taken_up
     assert float(np.abs(hidden.change).max()) > 1e-6

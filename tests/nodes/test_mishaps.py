@@ -95,6 +95,8 @@ def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
     reaches(operator, captured + 30)
     operator.call("procedure/abort", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "aborted", PATIENCE)
+    # the last reading may be heard after the state
+    assert operator.wait(lambda: len(operator.readings) == operator.procedure.number("captured"), PATIENCE)
     operator.readings.clear()
     operator.call("procedure/start", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
