@@ -13,9 +13,8 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.arrays import BoolArray
-
 if TYPE_CHECKING:
+    from machine_tool_calibration.arrays import BoolArray
     from machine_tool_calibration.session.description import Description, Place
     from machine_tool_calibration.session.judgements import Held, Judgement
     from machine_tool_calibration.session.session import Session
