@@ -234,7 +234,7 @@ def _own_table(
     sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
 ) -> Session | None:
     """The session of a table that is written like observations.csv; None if SOURCE is no such table."""
-    from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
+    from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
     if len(sources) > 1 or setup_name or not only_form(foreign):
         raise click.UsageError("several sources and options for tables of other programs need --table or --mapping")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
+from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session

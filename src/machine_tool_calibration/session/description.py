@@ -20,8 +20,6 @@ from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.values import Finite, Identifier, Instrument, Positive, Sign, Vector2, Vector3
 
 __all__ = [
-    "DESCRIPTION_FILE",
-    "OBSERVATIONS_FILE",
     "Description",
     "DiagonalSetup",
     "Direct",
@@ -40,10 +38,6 @@ __all__ = [
     "WorkpiecePoint",
     "rotary_column",
 ]
-
-
-DESCRIPTION_FILE = "session.yaml"
-OBSERVATIONS_FILE = "observations.csv"
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE, Place
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS, read_table

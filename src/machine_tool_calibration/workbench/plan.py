@@ -17,8 +17,8 @@ from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.style import round_down, spaced
 from machine_tool_calibration.reports.outlook import outlook_table
 from machine_tool_calibration.reports.quantities import duration
+from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.look import (
     bar_button,
