@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget.complete import completed
+from machine_tool_calibration.budget.contributor import Contributor
+from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import Numbers, everything, figure_of, iso_numbers, numbers, unit_of
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
@@ -95,3 +98,18 @@ def test_a_table_with_its_targets_stations_and_axis() -> None:
     assert a == pytest.approx([of(published, f"A.{axis}")[0][0] for axis in "xyz"], abs=1e-12)
     assert [q.first for q in published.quantities[1:]] == [q.members.stop for q in published.quantities[:-1]]
     np.testing.assert_array_equal(numbers(own, own.joint).value, published.value)
+
+
+def test_a_complete_result_has_uncertainties_and_covariances_that_belong_together() -> None:
+    """What instrument and temperature add is in both."""
+    session = fitted("rotary").joint.assembly.models[0].observations.session
+    found = identify(session)
+    line = Contributor(name="l", type="B", standard_uncertainty=3e-6, enters="reading", varies="place")
+    budget = propagate(fitted("rotary"), [line])
+    whole = completed(found, budget).error_map
+    assert whole.covariance is not None
+    np.testing.assert_allclose(np.sqrt(np.einsum("nii->ni", whole.covariance)), whole.uncertainty, rtol=1e-9)
+    more = np.sqrt(whole.uncertainty**2 - found.error_map.uncertainty**2)
+    assert more.min() > 0.0
+    expanded = budget.expanded[budget.numbers.quantity("position_error").members].reshape(-1, 3)
+    np.testing.assert_allclose(whole.uncertainty, np.maximum(expanded / 2.0, found.error_map.uncertainty), rtol=1e-6)

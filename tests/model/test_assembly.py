@@ -11,9 +11,9 @@ import pytest
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, Term, assemble
+from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, Term, assemble, motion_value
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap, Result, correlated_with, plain
+from machine_tool_calibration.model.result import ErrorMap, Estimate, Result, correlated_with, plain
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -160,6 +160,15 @@ def test_what_cannot_be_told_apart_is_named_and_not_given_as_a_number():
         "scale": "fully correlated with lead",
         "lead": "fully correlated with scale",
     }
+
+
+def test_a_value_of_a_table_says_where_it_is_in_it():
+    at = Estimate.of(motion_value("EXX", 0.08, "m"), 2e-6, 1e-7).document()
+    assert at == {"name": "EXX(0.08)", "value": 2e-6, "standard_uncertainty": 1e-7, "unit": "m",
+                  "error_motion": "EXX", "position": 0.08}  # fmt: skip
+    # Of a value at a setup, and of what is no table, no position is a number.
+    for parameter in (motion_value("ECC", "C1", "rad"), Parameter("offset", "m", reference=0.5)):
+        assert set(Estimate.of(parameter, 0.0, 1e-7).document()) == {"name", "value", "standard_uncertainty", "unit"}
 
 
 def test_document_is_the_contracts():
