@@ -171,7 +171,7 @@ def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
         os.dup2(nothing, 2)
         sys.path.insert(0, str(tree))
         os.environ["PYTHONPATH"] = str(tree)
-        always = ["-q", "-n", "0", "-p", "no:cacheprovider", f"--rootdir={ROOT}"]
+        always = ["-q", "-n", "0", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml"), f"--rootdir={ROOT}"]
         code = pytest.main([*always, *options, *tests], [_FirstFailure(writing, tests)])
         os._exit(code)
     os.close(writing)
@@ -202,7 +202,7 @@ def catcher(swap: Swap, tree: Path, near: bool, sound: dict[str, bool]) -> str |
                 (test,) = caught[:1]
                 if test not in sound and not test.startswith("("):
                     file.write_text(text)
-                    sound[test] = not failures(tree, [test])
+                    sound[test] = not failures(tree, [str(ROOT / test)])
                     file.write_text(swap.applied(text))
                 if sound.get(test, True):
                     return test
@@ -243,7 +243,6 @@ def main() -> int:
     if arguments.list:
         print("\n".join(swap.told((source / swap.path).read_text()) for swap in swaps))
         return 0
-    os.chdir(ROOT)
     os.environ |= {"PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     sys.dont_write_bytecode = True
     for name in HEAVY:
@@ -251,6 +250,8 @@ def main() -> int:
             importlib.import_module(name)
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
+        # Whatever a swap writes or removes where it stands is not in the checkout.
+        os.chdir(tree)
         # Without compiled files: a swap of the same length within a second would not be seen.
         shutil.copytree(source, tree / PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
         sound: dict[str, bool] = {}
