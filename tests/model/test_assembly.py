@@ -3,43 +3,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, Term, assemble, motion_value
+from machine_tool_calibration.model.model import Constraint, Parameter, Prior, Term, assemble, motion_value
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result, correlated_with, plain
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 
+from ..line_model import Line
+
 X = np.linspace(-1.0, 1.0, 9)
-
-
-@dataclass(frozen=True)
-class Line(MethodModel):
-    """Readings of a scale and an offset: the smallest model there is."""
-
-    @property
-    def own(self):
-        return (Parameter("offset", "m", reference=0.5),)
-
-    def part(self, own_index, dense_index):
-        n = len(self.observations)
-        return LinearPart(
-            group_rows(np.zeros(n, dtype=int)),
-            self.observations.readings.displacement,
-            self.sigma,
-            np.zeros((0, n)),
-            np.ones((1, n)),
-            self.dense(),
-            own_index.reshape(1, 1),
-            dense_index,
-        )
 
 
 def error_map(fit):
@@ -66,7 +45,7 @@ def line(displacement, terms=("scale",), *, shared=True, constraints=(), priors=
     zero = np.zeros((9, 3))
     observations = Observations(session, session.readings, zero, zero, zero, np.zeros(9), np.zeros(9, dtype=int))
     made = tuple(Term(name, (Parameter(name, "1", shared=shared),), X[None]) for name in terms)
-    return Line(observations, made, tuple(constraints), tuple(priors), (), "none")
+    return Line(observations, made, tuple(constraints), tuple(priors), (), "none", 0.5)
 
 
 def test_two_sessions_share_the_machines_unknowns_only():

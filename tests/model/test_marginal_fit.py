@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation import priors, variance_components
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
-from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.model import MethodModel, Parameter, Term
+from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
@@ -24,31 +23,11 @@ from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate
 
+from ..line_model import Line
+
 SIGMA = 1e-6
 PASSES, PLACES = 6, 8
 PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate", "straightness"]
-
-
-@dataclass(frozen=True)
-class Line(MethodModel):
-    """Deviations of an axis: an offset and a scale."""
-
-    @property
-    def own(self) -> tuple[Parameter, ...]:
-        return (Parameter("offset", "m"),)
-
-    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
-        n = len(self.observations)
-        return LinearPart(
-            group_rows(np.zeros(n, dtype=np.int64)),
-            self.observations.readings.displacement,
-            self.sigma,
-            np.zeros((0, n)),
-            np.ones((1, n)),
-            self.dense(),
-            own_index.reshape(1, 1),
-            dense_index,
-        )
 
 
 def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, Array, Array, Array]:
