@@ -13,9 +13,8 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
-from machine_tool_calibration.session.checks.places import Misplaced, misplaced
+from machine_tool_calibration.session.checks.places import Misplaced, has_stations, misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
-from machine_tool_calibration.session.description import StationSetup
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import together
@@ -81,7 +80,7 @@ def suspicious_fits(fits: Sequence[Fit], labels: Sequence[str] | None = None) ->
 
 def _elsewhere(fit: Fit) -> Iterator[Misplaced]:
     session = fit.model.observations.session
-    if any(isinstance(setup, StationSetup) for setup in session.description.setups):
+    if has_stations(session):
         yield from misplaced(session, error_map(fit).content)
 
 

@@ -9,7 +9,7 @@ from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.session.checks.places import refuse_misplaced
+from machine_tool_calibration.session.checks.places import has_stations, refuse_misplaced
 
 __all__ = ["refuse_impossible"]
 
@@ -35,7 +35,7 @@ def refuse_impossible(fitted: FittedSessions) -> None:
         labels = fitted.joint.assembly.labels
         _refuse_errors(sessions[0].source if len(sessions) == 1 else ", ".join(labels or ()), fitted.error_map)
     for session, fit in zip(sessions, fitted.joint.fits, strict=True):
-        if hasattr(session.description.setups[0], "position") and not session.description.trust_units:
+        if has_stations(session) and not session.description.trust_units:
             own = fitted.error_map if len(sessions) == 1 else error_map(fit)
             refuse_misplaced(session, own.content)
 

@@ -12,10 +12,11 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.description import StationSetup
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["Misplaced", "allowed", "misplaced", "off_stated", "refuse_misplaced"]
+__all__ = ["Misplaced", "allowed", "has_stations", "misplaced", "off_stated", "refuse_misplaced"]
 
 # A place may be off by so many of its stated standard uncertainties, but at least by this, and by that where none is
 # stated, m: beyond, another place is meant. Beyond the former and so many of its own, it is said.
@@ -54,6 +55,11 @@ class Misplaced:
         known = say("suspicion.known", size=f"{1e3 * self.stated:.3g}") if self.stated else say("suspicion.unknown")
         what, off = say(f"suspicion.{self.what}"), f"{1e3 * self.off:.3g}"
         return say("suspicion.elsewhere", what=what, id=repr(self.id), off=off, known=known, along=self.along)
+
+
+def has_stations(session: Session) -> bool:
+    """Whether it states where its instrument stood."""
+    return any(isinstance(setup, StationSetup) for setup in session.description.setups)
 
 
 def allowed(session: Session, stated: float | None) -> float:
