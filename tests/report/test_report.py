@@ -53,18 +53,23 @@ ABOUT = {
 def rough_pictures() -> Iterator[None]:
     """Every kind of picture is drawn, once in each format, its panels not laid out: those of tests/plots are."""
     drawn: dict[tuple[str, str], bytes] = {}
-    draw = Picture._saved
 
-    def saved(picture: Picture, kind: str, **options: Any) -> bytes:
-        alike = picture.name.split("_")[0], kind
-        if alike not in drawn:
-            drawn[alike] = draw(picture, kind, **options)
-        return drawn[alike]
+    def once(kind: str) -> property:
+        draw = getattr(Picture, kind).func
+
+        def made(picture: Picture) -> bytes:
+            alike = picture.name.split("_")[0], kind
+            if alike not in drawn:
+                drawn[alike] = draw(picture)
+            return drawn[alike]
+
+        return property(made)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "get_layout_engine", lambda figure: None)
         patch.setattr(figures, "_DPI", 50)
-        patch.setattr(Picture, "_saved", saved)
+        for kind in ("svg", "png"):
+            patch.setattr(Picture, kind, once(kind))
         yield
 
 

@@ -67,23 +67,31 @@ class Picture:
         """As lines and letters of any size; letters are drawn, as fonts differ from machine to machine."""
         from matplotlib import rc_context
 
+        out = io.BytesIO()
         with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "path"}):  # the same picture gives the same file
-            return self._saved("svg", metadata={"Date": None, "Creator": None})
+            self.figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        return out.getvalue()
 
     @cached_property
     def png(self) -> bytes:
-        """As dots, of which a PDF with many pictures is made ten times as fast."""
-        return self._saved("png", dpi=_DPI)
+        """As dots, of which a PDF with many pictures is made ten times as fast; drawn once and opaque.
+
+        `savefig` draws everything twice, and a PDF engine takes what may be transparent apart into two pictures.
+        """
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from PIL import Image
+
+        self.figure.set_dpi(_DPI)
+        canvas = FigureCanvasAgg(self.figure)
+        canvas.draw()
+        out = io.BytesIO()
+        Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(out, "PNG", compress_level=1)
+        return out.getvalue()
 
     def address(self, *, for_paper: bool) -> str:
         """The picture itself as an address, so that a page holds all of it."""
         kind, content = ("png", self.png) if for_paper else ("svg+xml", self.svg)
         return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-
-    def _saved(self, kind: str, **options: Any) -> bytes:
-        out = io.BytesIO()
-        self.figure.savefig(out, format=kind, **options)
-        return out.getvalue()
 
 
 def translated(name: str, caption: str, figure: Figure, words: Words) -> Picture:
