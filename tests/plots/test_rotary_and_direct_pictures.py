@@ -64,7 +64,7 @@ def test_figures_of_the_standard_are_written_on_the_picture() -> None:
 def test_a_title_stays_within_its_picture_in_every_language() -> None:
     table = {"nodes": [0.0, 0.1], "value": [0.0, 1e-6], "value_u": [0.0, 1e-7]}
     figure = direct.draw_tables({"EXX": table})
-    figure.suptitle(words("de").phrase(figure.get_suptitle()))
+    figure.suptitle(words("de").told(figure.get_suptitle()))
     figure.draw_without_rendering()
     assert figure._suptitle.get_window_extent().width < figure.bbox.width
 

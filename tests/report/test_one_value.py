@@ -189,4 +189,4 @@ def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
     assert first.result.error_map.uncertainty == pytest.approx(found.result.error_map.uncertainty, nan_ok=True)
     summary = room.sections(found, words("en"))[0].blocks
     assert summary[0] == "All together: pass."
-    assert words("en")("u_is_complete") in summary
+    assert words("en")("report.u_is_complete") in summary

@@ -63,10 +63,13 @@ def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> Non
         "ISO 230-2 asks for 5 runs in each direction; with fewer the figures are for information, and repeatability is "
         "uncertain"
     )
-    few = {**RUN, "count_up": [1, 1, 1], "count_down": [0, 0, 0], "note": "One run only."}
+    few = {**RUN, "count_up": [1, 1, 1], "count_down": [0, 0, 0], "note": "U is from the runs alone."}
     table, _ = standard_tables({"iso230_2": [few]}, "iso230_2")
     assert isinstance(table, TextTable)
-    assert table.note.startswith("One run only; ") and "repeatability and accuracy are not determined" in table.note
+    assert (
+        table.note.startswith("U is from the repeatability of the runs alone")
+        and "repeatability and accuracy are not determined" in table.note
+    )
 
 
 def test_readings_far_outside_their_declared_uncertainty_are_not_called_fitting() -> None:

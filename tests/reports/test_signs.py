@@ -74,4 +74,4 @@ def test_the_report_says_so_in_german() -> None:
     assert said == "backlash_y ist negativ: überkompensiert, oder Anfahrrichtungen vertauscht."
     sound = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     small = replace(sound, search=replace(sound.search, unknown=0.97, nothing=0.01))
-    assert "das Modell ist auch ohne sie gut genug" in german.phrase(list(verdict_words(small, {}, Advice()))[1])
+    assert "das Modell ist auch ohne sie gut genug" in german.told(list(verdict_words(small, {}, Advice()))[1])

@@ -33,10 +33,11 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARE
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
+from machine_tool_calibration.words import say
 
 __all__ = ["INCOMPLETE", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
 
-INCOMPLETE = "U is without instrument and temperature"
+INCOMPLETE = say("conformity.incomplete")
 """Why nothing passes or fails without a budget: the readings themselves do not show what these add."""
 RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
 """Decision rules (`decide`)."""
@@ -330,11 +331,11 @@ class _Conformity:
                 return entry.why
         if name == VOLUMETRIC and error_map.not_determined:
             entry = error_map.not_determined[0]
-            return f"{entry.name}: {entry.why}"
+            return say("conformity.why_named", name=entry.name, why=entry.why)
         known = self.numbers.by_name
         if name in known:
-            return "a part of it is not determined by the readings, or has no uncertainty"
-        return "this measurement and model do not give it"
+            return say("conformity.part_missing")
+        return say("conformity.not_given")
 
 
 def _single(value: float, u: float, freedom: float, tolerance: float, *, signed: bool) -> float:

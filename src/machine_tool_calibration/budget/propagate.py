@@ -33,6 +33,7 @@ from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import changed, covariance_of, declared
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.provenance import Provenance
+from machine_tool_calibration.words import say
 
 __all__ = [
     "DRAWS",
@@ -152,7 +153,7 @@ class Sum:
     @property
     def where(self) -> str:
         """Of which of the quantity's numbers; empty where there is only one."""
-        return "root mean square" if self.index is None else self.quantity.where(self.index - self.quantity.first)
+        return say("budget.rms") if self.index is None else self.quantity.where(self.index - self.quantity.first)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from machine_tool_calibration.methods.iso230_2 import positioning_runs
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.words import say
 
 __all__ = [
     "DIAGONAL_FIGURES",
@@ -220,7 +221,7 @@ def _nowhere(k: int) -> str:
 def _position_error(error_map: ErrorMap) -> _Entry:
     def where(k: int) -> str:
         place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k // 3])
-        return f"along {'xyz'[k % 3]} at ({place}) mm"
+        return say("budget.along_at", axis="xyz"[k % 3], place=place)
 
     return _Entry(POSITION_ERROR, "m", error_map.error.reshape(-1), error_map.uncertainty.reshape(-1), where)
 
@@ -251,11 +252,11 @@ def _positions(nodes: Any, count: int) -> Array | None:
 def _at(name: str, nodes: Any, width: int, k: int) -> str:
     """Where the k-th number of a table is."""
     if nodes is None or len(nodes) * width <= k:
-        return f"entry {k // width}" + (f", component {k % width}" if width > 1 else "")
+        entry = say("budget.entry", n=k // width)
+        return say("budget.component", entry=entry, n=k % width) if width > 1 else entry
     node = nodes[k // width]
-    if isinstance(node, str):
-        return f"at {node}"
-    return f"at {np.degrees(node):.6g}°" if name[-1] in "ABC" else f"at {1e3 * node:.6g} mm"
+    place = f"{np.degrees(node):.6g}°" if name[-1] in "ABC" else f"{1e3 * node:.6g} mm"
+    return say("budget.at", place=node if isinstance(node, str) else place)
 
 
 def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:

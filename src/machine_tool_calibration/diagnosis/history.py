@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.record import Finite, Record
+from machine_tool_calibration.words import Verbatim, say, together
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -99,6 +100,15 @@ class Entry(Record):
     map_uncertainty_rms: Finite | None = None
     map_change_rms: Finite | None = None
     parameters: tuple[Coefficient, ...] = ()
+
+    def changed(self, parent: Entry | None) -> str:
+        """What it has and its parent has not, for people: by keys where effects or readings say it."""
+        if parent is None:
+            return self.change or say("step.first")
+        added = [name for name in self.effects if name not in parent.effects]
+        aside = self.readings_aside - parent.readings_aside
+        told = [*added, *([say("step.set_aside", n=aside)] if aside > 0 else [])]
+        return together(told, ", ") if told else Verbatim(self.change)
 
     def request(
         self, sessions: Sequence[Session], labels: Sequence[str], prints: Sequence[str], own: Sequence[Effect] = ()

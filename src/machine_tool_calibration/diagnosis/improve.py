@@ -17,6 +17,7 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["Improvement", "Step", "accepted_models", "entry_of", "improve", "step_after", "words_set_aside"]
 
@@ -47,8 +48,8 @@ class Step:
     def label(self) -> str:
         """What to write beside it."""
         if not self.change:
-            return "first model"
-        return f"+ {self.change}" if self.change in self.result.effects else self.change
+            return say("step.first")
+        return say("step.added", effect=self.change) if self.change in self.result.effects else self.change
 
     @property
     def reduced_chi_square(self) -> float | None:
@@ -168,7 +169,7 @@ def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) ->
 
 def words_set_aside(count: int) -> str:
     """What a model without some of the readings has changed, in words."""
-    return f"{count} reading{'' if count == 1 else 's'} set aside"
+    return say("step.set_aside", n=count)
 
 
 def step_after(

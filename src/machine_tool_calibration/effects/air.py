@@ -11,6 +11,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.instruments.refractive_index import index_deviation
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["DeadPath", "RefractiveIndex"]
 
@@ -32,11 +33,11 @@ class RefractiveIndex(Effect):
     """The part g of the wavelength's compensation that is missing, in proportion to the path (Edlén)."""
 
     id = "refractive_index"
-    title = "uncompensated refractive index of air"
-    formula = "reading = g (n - n_standard) path"
+    title = say("effect.air")
+    formula = say("formula.air")
     source = "Edlén; Bönsch and Potulski 1998; ISO 230-2:2014 Annex on laser interferometers"
     kind = "reading"
-    coefficients = (Coefficient("g", "1", -20.0, 20.0, "share that is not compensated; 1: all", usual=2.0),)
+    coefficients = (Coefficient("g", "1", -20.0, 20.0, say("coefficient.not_compensated"), usual=2.0),)
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity", "path", "displacement")
     methods = _OPTICAL
@@ -51,11 +52,11 @@ class DeadPath(Effect):
     """The path in front of the datum, which is not in the reading but changes with the air (ISO 230-2)."""
 
     id = "dead_path"
-    title = "dead path"
-    formula = "reading = D (n - n_standard)"
+    title = say("effect.dead_path")
+    formula = say("formula.dead_path")
     source = "ISO 230-2:2014, dead path; Ibaraki et al. 2014, Table 4, u14"
     kind = "reading"
-    coefficients = (Coefficient("D", "m", -20.0, 20.0, "length of the dead path", usual=_LEAST_USUAL),)
+    coefficients = (Coefficient("D", "m", -20.0, 20.0, say("coefficient.dead_path"), usual=_LEAST_USUAL),)
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity")
     methods = _OPTICAL

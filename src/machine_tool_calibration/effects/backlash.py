@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_direction, axis_unit, table_axis
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["Backlash", "RotaryBacklash"]
 
@@ -22,9 +23,9 @@ class Backlash(Effect):
         """Backlash of x, y or z."""
         self.axis = axis
         self.id = f"backlash_{axis}"
-        self.title = f"backlash of {axis.upper()}"
+        self.title = say("effect.backlash", axis=axis.upper())
         self.formula = f"e_{axis} = -b dir_{axis}"
-        self.coefficients = (Coefficient("b", "m", 0.0, 5e-5, "half width"),)
+        self.coefficients = (Coefficient("b", "m", 0.0, 5e-5, say("coefficient.half_width")),)
         self.needs = (axis, f"dir_{axis}")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -43,9 +44,9 @@ class RotaryBacklash(Effect):
         """Backlash of a, b or c."""
         self.axis = axis
         self.id = f"backlash_{axis}"
-        self.title = f"backlash of {axis.upper()}"
-        self.formula = f"angle of {axis.upper()}: -b dir_{axis}"
-        self.coefficients = (Coefficient("b", "rad", 0.0, 1e-3, "half width"),)
+        self.title = say("effect.backlash", axis=axis.upper())
+        self.formula = say("formula.backlash_angle", axis=axis.upper(), small=axis)
+        self.coefficients = (Coefficient("b", "rad", 0.0, 1e-3, say("coefficient.half_width")),)
         self.needs = (axis, f"dir_{axis}")
         # Parts are probed on a table about Z only.
         self.methods = ("rotary_axis", "probing") if axis == "c" else ("rotary_axis",)

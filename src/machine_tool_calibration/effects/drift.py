@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["LinearDrift", "StationDrift"]
 
@@ -16,11 +17,11 @@ class LinearDrift(Effect):
     """The reading runs away at one rate, in all setups."""
 
     id = "linear_drift"
-    title = "linear drift of the reading"
-    formula = "reading = r time"
+    title = say("effect.drift")
+    formula = say("formula.drift")
     source = "ISO 230-3, environmental temperature variation error"
     kind = "reading"
-    coefficients = (Coefficient("r", "m/s", -1e-6, 1e-6, "rate"),)
+    coefficients = (Coefficient("r", "m/s", -1e-6, 1e-6, say("coefficient.rate")),)
     needs = ("time",)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -32,8 +33,8 @@ class StationDrift(Effect):
     """Every station moves at a constant velocity of its own, from its first reading on."""
 
     id = "station_drift"
-    title = "drift of the stations"
-    formula = "reading = -beam . v (time - start of the station)"
+    title = say("effect.station_drift")
+    formula = say("formula.station_drift")
     source = "Schwenke et al. 2005, drift of the tracking interferometer's mount"
     kind = "reading"
     coefficients = ()
@@ -49,7 +50,7 @@ class StationDrift(Effect):
         axes = "xyz"[: self._dimension(observations)]
         ids = observations.session.setup_ids
         return tuple(
-            Coefficient(f"{i}.v{axis}", "m/s", -1e-6, 1e-6, f"velocity of station {i} along {axis}")
+            Coefficient(f"{i}.v{axis}", "m/s", -1e-6, 1e-6, say("coefficient.station_velocity", setup=i, axis=axis))
             for i in ids
             for axis in axes
         )

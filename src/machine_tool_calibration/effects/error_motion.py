@@ -17,12 +17,13 @@ from machine_tool_calibration.machine.error_motions import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 __all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]
 
 _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
-_POWERS = ("constant", "straight line", "bow, power 2", "S, power 3", "double bow, power 4")
+_POWERS = ("constant", "power_1", "power_2", "power_3", "power_4")
 # A single axis read again and again at so few positions shows its error at each of them.
 _FEWEST, _MOST = 4, 60
 _STILL = 1e-6  # m
@@ -70,19 +71,19 @@ class ErrorMotionEffect(Effect):
         self.id = name
         self.is_squareness = name in SQUARENESS
         if self.is_squareness:
-            self.title = f"squareness {name}"
-            self.formula = f"{name} times lever arm"
-            self.coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3, "deviation from a right angle"),)
+            self.title = say("effect.squareness", name=name)
+            self.formula = say("formula.squareness", name=name)
+            self.coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3, say("coefficient.right_angle")),)
             self.needs = (name[2].lower(),)
             return
         motion = parse_motion(name)
         unit, limit = ("rad", 1e-3) if motion.is_rotation else ("m", 1e-4)
         self.axis = motion.axis.lower()
-        self.title = f"error motion {name}"
-        self.formula = (
-            f"{name}({self.axis}), a polynomial of degree {_DEGREES}; position by position for one axis alone"
+        self.title = say("effect.motion", name=name)
+        self.formula = say("formula.motion", name=name, axis=self.axis, n=_DEGREES)
+        self.coefficients = tuple(
+            Coefficient(f"p{k}", unit, -limit, limit, say(f"coefficient.{_POWERS[k]}")) for k in range(1, _DEGREES + 1)
         )
-        self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit, _POWERS[k]) for k in range(1, _DEGREES + 1))
         self.needs = (self.axis,)
         if motion.component == motion.axis:
             self.contains = (f"scale_{self.axis}", "scale")
@@ -108,7 +109,7 @@ class ErrorMotionEffect(Effect):
         low, high = self.coefficients[0].low, self.coefficients[0].high
         first = self._first(observations)
         return tuple(
-            Coefficient(f"p{k}", "m", low, high, _POWERS[k] if k < 2 else "shape beyond a straight line")
+            Coefficient(f"p{k}", "m", low, high, say(f"coefficient.{_POWERS[k] if k < 2 else 'beyond_line'}"))
             for k in range(first, len(nodes))
         )
 

@@ -10,6 +10,7 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_di
 from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 __all__ = ["TableThermalGrowth", "WorkpieceThermal"]
 
@@ -18,13 +19,13 @@ class TableThermalGrowth(Effect):
     """Targets on the table move away from its axis, and along it, with the table's temperature."""
 
     id = "table_thermal_growth"
-    title = "thermal growth of the table"
-    formula = "target = (temperature_table - 20) (k_r radius + k_z height along the axis)"
+    title = say("effect.table_growth")
+    formula = say("formula.table_growth")
     source = "ISO 230-3; linear expansion"
     kind = "position"
     coefficients = (
-        Coefficient("k_r", "1/K", -3e-4, 3e-4, "growth outwards"),
-        Coefficient("k_z", "1/K", -1e-3, 1e-3, "growth along the axis"),
+        Coefficient("k_r", "1/K", -3e-4, 3e-4, say("coefficient.outwards")),
+        Coefficient("k_z", "1/K", -1e-3, 1e-3, say("coefficient.along_axis")),
     )
     needs = ("temperature_table",)
     methods = ("rotary_axis",)
@@ -43,11 +44,11 @@ class WorkpieceThermal(Effect):
     """The workpiece grows with its temperature, from the axis of the table."""
 
     id = "workpiece_thermal"
-    title = "thermal growth of the workpiece"
-    formula = "surface = k (temperature_work - 20) position"
+    title = say("effect.workpiece_growth")
+    formula = say("formula.workpiece_growth")
     source = "ISO 1; linear expansion"
     kind = "position"
-    coefficients = (Coefficient("k", "1/K", -3e-4, 3e-4, "expansion coefficient"),)
+    coefficients = (Coefficient("k", "1/K", -3e-4, 3e-4, say("coefficient.expansion")),)
     needs = ("temperature_work",)
     methods = ("probing", "direct")
 

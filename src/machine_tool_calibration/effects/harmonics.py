@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["HarmonicEffect", "ProbePretravel"]
 
@@ -27,7 +28,7 @@ class HarmonicEffect(Effect):
     """
 
     kind = "reading"
-    shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True, meaning="waves a turn, the most"),)
+    shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True, meaning=say("coefficient.waves_most")),)
     limit: float
 
     @abstractmethod
@@ -38,7 +39,7 @@ class HarmonicEffect(Effect):
         """Sine and cosine coefficients of each order, m."""
         highest = int(shape[0]) if shape else int(_HIGHEST[-1])
         return tuple(
-            Coefficient(f"{kind}{k}", "m", -self.limit, self.limit, f"{k} waves a turn, {part} part")
+            Coefficient(f"{kind}{k}", "m", -self.limit, self.limit, say(f"coefficient.waves_{part}", n=k))
             for k in range(2, highest + 1)
             for kind, part in (("s", "sine"), ("c", "cosine"))
         )
@@ -57,8 +58,8 @@ class ProbePretravel(HarmonicEffect):
     """The way from contact to trigger depends on the direction of the contact's normal (three lobes, typically)."""
 
     id = "probe_pretravel"
-    title = "pre-travel variation of the probe"
-    formula = "reading = sum of s_k sin(k normal) + c_k cos(k normal), k from 2"
+    title = say("effect.pretravel")
+    formula = say("formula.harmonics", angle=say("formula.angle_normal"))
     source = "ISO 230-10, pre-travel variation"
     coefficients = ()
     limit = 3e-5

@@ -8,12 +8,13 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["LostMotion"]
 
 # As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2.
 _DEGREES = 7
-_POWERS = ("the same everywhere", "straight line", "bow, power 2", "S, power 3")
+_POWERS = ("the_same", "power_1", "power_2", "power_3")
 _STILL = 1e-6  # m
 
 
@@ -31,11 +32,14 @@ class LostMotion(Effect):
         """Lost motion of x, y or z."""
         self.axis = axis
         self.id = f"lost_motion_{axis}"
-        self.title = f"lost motion that varies along {axis.upper()}"
-        self.formula = f"e_{axis} = -b({axis}) dir_{axis}, b a polynomial of a degree up to {_DEGREES}"
+        self.title = say("effect.lost_motion", axis=axis.upper())
+        self.formula = say("formula.lost_motion", axis=axis, n=_DEGREES)
         self.coefficients = tuple(
-            Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, f"half width, {name}")
-            for k, name in enumerate((*_POWERS, *(f"power {k}" for k in range(len(_POWERS), _DEGREES + 1))))
+            Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, say("coefficient.half_width_of", shape=shape))
+            for k, shape in enumerate(
+                say(f"coefficient.{_POWERS[k]}" if k < len(_POWERS) else "coefficient.power", n=k)
+                for k in range(_DEGREES + 1)
+            )
         )
         self.needs = (axis, f"dir_{axis}")
         self.contains = (f"backlash_{axis}",)

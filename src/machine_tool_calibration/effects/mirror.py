@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["MirrorMisalignment"]
 
@@ -16,8 +17,8 @@ class MirrorMisalignment(Effect):
     """A tilted mirror normal n reads n.d/(n.l): two tilts a setup (Ibaraki and Hata 2010, Section 3.1)."""
 
     id = "mirror_misalignment"
-    title = "mirror off the beam"
-    formula = "reading = t1 (u1 . d) + t2 (u2 . d), u1 and u2 across the beam"
+    title = say("effect.mirror")
+    formula = say("formula.mirror")
     source = "Ibaraki and Hata 2010, Eq. (4)"
     kind = "reading"
     coefficients = ()
@@ -27,7 +28,7 @@ class MirrorMisalignment(Effect):
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Two tilts for each setup."""
         return tuple(
-            Coefficient(f"{i}.t{k}", "rad", -0.02, 0.02, f"tilt of the mirror of {i} about direction {k}")
+            Coefficient(f"{i}.t{k}", "rad", -0.02, 0.02, say("coefficient.mirror_tilt", setup=i, n=k))
             for i in observations.session.setup_ids
             for k in (1, 2)
         )

@@ -9,6 +9,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 __all__ = ["PitchPeriodic"]
 
@@ -31,13 +32,13 @@ class PitchPeriodic(Effect):
         """Periodic error of x, y or z."""
         self.axis = axis
         self.id = f"pitch_periodic_{axis}"
-        self.title = f"periodic error of {axis.upper()}"
+        self.title = say("effect.periodic", axis=axis.upper())
         self.formula = f"e_{axis} = s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead)"
         self.coefficients = (
-            Coefficient("s", "m", -5e-5, 5e-5, "sine part of the wave"),
-            Coefficient("c", "m", -5e-5, 5e-5, "cosine part of the wave"),
+            Coefficient("s", "m", -5e-5, 5e-5, say("coefficient.wave_sine")),
+            Coefficient("c", "m", -5e-5, 5e-5, say("coefficient.wave_cosine")),
         )
-        self.shapes = (Shape("lead", "m", _SHORTEST, 1.0, meaning="length of a wave"),)
+        self.shapes = (Shape("lead", "m", _SHORTEST, 1.0, meaning=say("coefficient.wave_length")),)
         self.needs = (axis,)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

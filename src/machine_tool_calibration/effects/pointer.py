@@ -9,6 +9,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["PointerAxisOffset", "PointerRadialError", "PointerZeroOffset", "beam_azimuth"]
 
@@ -25,8 +26,8 @@ class PointerRadialError(HarmonicEffect):
     """
 
     id = "pointer_radial_error"
-    title = "radial error motion of the pointer"
-    formula = "reading = cos(elevation) (sum of s_k sin(k azimuth) + c_k cos(k azimuth), k from 2)"
+    title = say("effect.pointer_radial")
+    formula = say("formula.pointer_radial")
     source = "Ibaraki et al. 2014, Table 4, u21; ISO 230-7"
     coefficients = ()
     limit = 5e-5
@@ -48,11 +49,11 @@ class PointerZeroOffset(Effect):
     """The beam turned by a constant angle reads the path's projection (cosine error)."""
 
     id = "pointer_zero_offset"
-    title = "zero offset of the pointer"
-    formula = "reading = -q path, q = offset^2 / 2"
+    title = say("effect.pointer_zero")
+    formula = say("formula.pointer_zero")
     source = "Ibaraki et al. 2014, Section 4 and Table 4, u41"
     kind = "reading"
-    coefficients = (Coefficient("q", "1", 0.0, 2e-4, "half the square of the angle"),)
+    coefficients = (Coefficient("q", "1", 0.0, 2e-4, say("coefficient.half_square")),)
     covariates = ("path", "displacement")
     methods = ("tracking_interferometer",)
     instruments = ("tracking_interferometer",)
@@ -72,13 +73,13 @@ class PointerAxisOffset(Effect):
     """
 
     id = "pointer_axis_offset"
-    title = "axes of the pointer that do not intersect"
-    formula = "reading = -d cos(elevation) - q / (2 path), q = h^2 where the beam follows the target"
+    title = say("effect.pointer_axes")
+    formula = say("formula.pointer_axes")
     source = "Hughes et al. 2011, laser tracker error determination; ISO 10360-10, offset of axes and beam"
     kind = "reading"
     coefficients = (
-        Coefficient("d", "m", -1e-3, 1e-3, "elevation axis in front of the azimuth axis"),
-        Coefficient("q", "m^2", 0.0, 1e-5, "square of the beam's distance from the axis"),
+        Coefficient("d", "m", -1e-3, 1e-3, say("coefficient.elevation_in_front")),
+        Coefficient("q", "m^2", 0.0, 1e-5, say("coefficient.beam_off")),
     )
     covariates = ("elevation", "path")
     methods = ("tracking_interferometer", "rotary_axis")

@@ -11,6 +11,7 @@ from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.effects.pointer import beam_azimuth
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 __all__ = ["RetroreflectorForm"]
 
@@ -24,8 +25,8 @@ class RetroreflectorForm(HarmonicEffect):
     """
 
     id = "retroreflector_form"
-    title = "form error of the retroreflector"
-    formula = "reading = sum of s_k sin(k incidence) + c_k cos(k incidence), k from 2"
+    title = say("effect.retroreflector")
+    formula = say("formula.harmonics", angle=say("formula.angle_incidence"))
     source = "Takatsuji et al. 1999; Ibaraki et al. 2014, Table 3"
     coefficients = ()
     limit = 2e-5

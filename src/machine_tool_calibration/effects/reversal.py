@@ -10,6 +10,7 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.effects.error_motion import sensed_motion
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["REVERSALS", "Reversal"]
 
@@ -32,10 +33,10 @@ class Reversal(Effect):
         self.motion = parse_motion(name)
         self.axis = self.motion.axis.lower()
         self.id = f"reversal_{name}"
-        self.title = f"reversal of {name}"
+        self.title = say("effect.reversal", name=name)
         self.formula = f"{name} = -b dir_{self.axis}"
         unit, limit = ("rad", 2e-4) if self.motion.is_rotation else ("m", 5e-5)
-        self.coefficients = (Coefficient("b", unit, -limit, limit, "half width"),)
+        self.coefficients = (Coefficient("b", unit, -limit, limit, say("coefficient.half_width")),)
         self.needs = (self.axis, f"dir_{self.axis}")
 
     def why_not(self, observations: Observations) -> str | None:

@@ -9,6 +9,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, table_axis
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 __all__ = ["RotaryAxisDrift"]
 
@@ -21,13 +22,16 @@ class RotaryAxisDrift(Effect):
     """
 
     id = "rotary_axis_drift"
-    title = "drift of the rotary table's axis"
-    formula = "table = (v + w x position) time"
+    title = say("effect.rotary_drift")
+    formula = say("formula.rotary_drift")
     source = "ISO 230-3; ISO 230-7, axis average line"
     kind = "position"
     coefficients = (
-        *(Coefficient(f"v{axis}", "m/s", -1e-7, 1e-7, f"velocity of the axis along {axis}") for axis in "xyz"),
-        *(Coefficient(f"w{turn}", "rad/s", -1e-7, 1e-7, f"rate of the axis's tilt {turn.upper()}") for turn in "abc"),
+        *(Coefficient(f"v{axis}", "m/s", -1e-7, 1e-7, say("coefficient.axis_velocity", axis=axis)) for axis in "xyz"),
+        *(
+            Coefficient(f"w{turn}", "rad/s", -1e-7, 1e-7, say("coefficient.axis_tilt_rate", turn=turn.upper()))
+            for turn in "abc"
+        ),
     )
     needs = ("time",)
     methods = ("rotary_axis", "probing")

@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["AxisScale", "Scale"]
 
@@ -16,12 +17,12 @@ class Scale(Effect):
     """The part or the machine was not at 20 degrees Celsius when it was made or measured."""
 
     id = "scale"
-    title = "one scale for all axes"
-    formula = "e = s position"
+    title = say("effect.one_scale")
+    formula = say("formula.one_scale")
     source = "ISO 1; linear expansion of part or machine"
     kind = "position"
     tolerance = 0.0  # geometry, and no law
-    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, "relative change of length"),)
+    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
     covariates = ("x", "y", "z", "path", "displacement")
     methods = ("step_diagonal", "tracking_interferometer", "probing", "direct")
 
@@ -45,9 +46,9 @@ class AxisScale(Effect):
         """Scale of x, y or z."""
         self.axis = axis
         self.id = f"scale_{axis}"
-        self.title = f"scale of {axis.upper()}"
+        self.title = say("effect.scale", axis=axis.upper())
         self.formula = f"e_{axis} = s {axis}"
-        self.coefficients = (Coefficient("s", "1", -2e-3, 2e-3, "relative change of length"),)
+        self.coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
         self.needs = (axis,)
         self.covariates = (axis, "path", "displacement")
 

@@ -10,6 +10,7 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
 from machine_tool_calibration.machine.error_motions import squareness_field
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say, together
 
 __all__ = ["SquarenessDrift", "SquarenessThermal"]
 
@@ -39,9 +40,9 @@ class SquarenessDrift(Effect):
         """Drift of A0Z, B0Z or C0Y."""
         self.name = name
         self.id = f"squareness_drift_{name}"
-        self.title = f"drift of the squareness {name}"
-        self.formula = f"{name} = r time"
-        self.coefficients = (Coefficient("r", "rad/s", -1e-7, 1e-7, "rate"),)
+        self.title = say("effect.squareness_drift", name=name)
+        self.formula = say("formula.squareness_drift", name=name)
+        self.coefficients = (Coefficient("r", "rad/s", -1e-7, 1e-7, say("coefficient.rate")),)
         self.needs = (name[2].lower(), "time")
 
     def why_not(self, observations: Observations) -> str | None:
@@ -67,10 +68,11 @@ class SquarenessThermal(Effect):
         """Thermal change of A0Z, B0Z or C0Y."""
         self.name = name
         self.id = f"squareness_thermal_{name}"
-        self.title = f"squareness {name} with the temperature"
+        self.title = say("effect.squareness_thermal", name=name)
         self.sensors = tuple(f"temperature_{axis}" for axis in _BETWEEN[name])
-        self.formula = f"{name} = g (mean of {' and '.join(self.sensors)} - 20)"
-        self.coefficients = (Coefficient("g", "rad/K", -1e-4, 1e-4, "change per kelvin"),)
+        sensors = together(self.sensors, say("text.and"))
+        self.formula = say("formula.squareness_thermal", name=name, sensors=sensors)
+        self.coefficients = (Coefficient("g", "rad/K", -1e-4, 1e-4, say("coefficient.per_kelvin")),)
         self.needs = (name[2].lower(),)
         self.covariates = (name[2].lower(), *self.sensors)
 

@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["REFERENCE_TEMPERATURE", "ThermalExpansion"]
 
@@ -32,11 +33,11 @@ class ThermalExpansion(Effect):
         """Expansion of x, y or z."""
         self.axis = axis
         self.id = f"thermal_expansion_{axis}"
-        self.title = f"thermal expansion of {axis.upper()}"
-        self.formula = f"e_{axis} = (temperature_{axis} - 20) (k {axis} - q), q = k times the fixed point"
+        self.title = say("effect.thermal", axis=axis.upper())
+        self.formula = say("formula.thermal", axis=axis)
         self.coefficients = (
-            Coefficient("k", "1/K", -2e-4, 2e-4, "expansion coefficient"),
-            Coefficient("q", "m/K", -5e-5, 5e-5, "expansion coefficient times the position of the fixed point"),
+            Coefficient("k", "1/K", -2e-4, 2e-4, say("coefficient.expansion")),
+            Coefficient("q", "m/K", -5e-5, 5e-5, say("coefficient.expansion_fixed")),
         )
         self.needs = (axis, f"temperature_{axis}")
 

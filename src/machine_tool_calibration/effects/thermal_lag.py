@@ -11,6 +11,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Shape
 from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["ThermalLag", "followed"]
 
@@ -32,9 +33,9 @@ class ThermalLag(ThermalExpansion):
         super().__init__(axis)
         self.contains = (self.id,)
         self.id = f"thermal_lag_{axis}"
-        self.title = f"thermal expansion of {axis.upper()} behind its sensor"
-        self.formula = f"e_{axis} = (temperature_{axis} delayed by tau - 20) (k {axis} - q)"
-        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
+        self.title = say("effect.thermal_lag", axis=axis.upper())
+        self.formula = say("formula.thermal_lag", axis=axis)
+        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
         self.needs = (*self.needs, "time")
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

@@ -8,6 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["Warmup"]
 
@@ -26,10 +27,10 @@ class Warmup(Effect):
         """Warm-up of x, y or z."""
         self.axis = axis
         self.id = f"warmup_{axis}"
-        self.title = f"warm-up of {axis.upper()}"
-        self.formula = f"e_{axis} = a (1 - exp(-time / tau))"
-        self.coefficients = (Coefficient("a", "m", -_LARGEST, _LARGEST, "displacement when warm"),)
-        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
+        self.title = say("effect.warm_up", axis=axis.upper())
+        self.formula = say("formula.warm_up", axis=axis)
+        self.coefficients = (Coefficient("a", "m", -_LARGEST, _LARGEST, say("coefficient.when_warm")),)
+        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
         self.needs = (axis, "time")
         self.covariates = ("time",)
 

@@ -165,7 +165,7 @@ def identify_sessions(chosen: FitRequest) -> Result | JointResult:
     angles = stated(joint, common.angles)
     agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
-        agreed = replace(agreed, statement=agreed.statement + angles.hidden)
+        agreed = replace(agreed, statement=angles.hiding(agreed.statement))
     refuse_impossible(fitted)
     return JointResult(
         labels=names,

@@ -165,10 +165,7 @@ def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[Machin
     return out
 
 
-RIGID_BODY_DATUM = (
-    "every error motion is zero at its axis's zero (the node next to it); straightness is counted from the "
-    "least-squares line through its table, so that the slope between two axes is their squareness"
-)
+RIGID_BODY_DATUM = say("datum.rigid_body")
 # Share of a column's norm that others leave below which it says nothing of its own.
 _OWN_SHARE = 1e-6
 # Share of the largest entry of a table's columns below which a node's is rounding.

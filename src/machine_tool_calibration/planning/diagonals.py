@@ -56,7 +56,7 @@ def _diagonals(
         beam = motion / np.linalg.norm(motion)
         new.append((like[0], replace(runs[like[0]], id=name, name=name, sign=np.array(sign), start=start,
                                      motion=motion, beam=beam)))  # fmt: skip
-    names = together((run.id for _, run in new), say("measure.and"))
+    names = together((run.id for _, run in new), say("text.and"))
     yield _option(session, description, new, "diagonal", say("measure.diagonals", n=len(new), names=names))
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, new_figure
-from machine_tool_calibration.reports.budget import chosen_sums, default_names, sum_title
+from machine_tool_calibration.reports.budget import chosen_sums, default_names, sum_name, unit_of
+from machine_tool_calibration.words import named, say, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,9 +39,9 @@ def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
     """
     sums = chosen_sums(budget, names or default_names(budget))[:_MOST_BARS]
     rows = max(len(budget.lines) + 2, len(sums))
-    figure = new_figure(11.0, 1.8 + 0.28 * rows, "Uncertainty budget")
+    figure = new_figure(11.0, 1.8 + 0.28 * rows, say("budget.title"))
     if not sums:
-        figure.text(0.5, 0.5, "nothing is determined", ha="center")
+        figure.text(0.5, 0.5, say("budget.nothing"), ha="center")
         return figure
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
     _contributions(left, budget, sums[0])
@@ -50,9 +51,10 @@ def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
 
 def _contributions(panel: Axes, budget: Budget, one: Sum) -> None:
     """Standard uncertainties, the largest on top, and below them their sum and what the readings show."""
-    factor = 1e6 if one.quantity.unit in ("m", "rad") else 1.0
+    factor, unit = unit_of(one)
     order = np.argsort([-part.u for part in one.shares], kind="stable")
-    names = [*(budget.lines[k].name for k in order), "combined", "what the readings show"]
+    names = [named("contributor", budget.lines[k].name) for k in order]
+    names += [say("budget.combined_short"), say("budget.readings_show")]
     values = [one.shares[k].u for k in order] + [one.u, one.stated]
     colors = [FOUND] * len(order) + [COLORS[6], BAND]
     place = np.arange(len(names))
@@ -64,9 +66,9 @@ def _contributions(panel: Axes, budget: Budget, one: Sum) -> None:
     panel.set_yticks(place, names, fontsize="small")
     panel.invert_yaxis()
     panel.margins(x=0.15)
-    title, _, unit = sum_title(one).rpartition(" / ")
-    panel.set_xlabel(f"standard uncertainty / {unit}")
-    panel.set_title(f"{title}\n{one.where}" if one.index is not None else title, fontsize="small")
+    panel.set_xlabel(say("budget.axis_u", unit=unit))
+    where = [one.where] if one.index is not None else []
+    panel.set_title(together([sum_name(one), *where], "\n"), fontsize="small")
 
 
 def _shares(panel: Axes, budget: Budget, sums: Sequence[Sum]) -> None:
@@ -76,13 +78,20 @@ def _shares(panel: Axes, budget: Budget, sums: Sequence[Sum]) -> None:
     place, begin = np.arange(len(sums)), np.zeros(len(sums))
     largest = [k for k in order[:_MOST_COLORS] if shares[:, k].max() >= _LEAST_SHARE]
     for number, k in enumerate(largest):
-        panel.barh(place, 100 * shares[:, k], _HEIGHT, begin, color=COLORS[number], label=budget.lines[k].name)
+        panel.barh(
+            place,
+            100 * shares[:, k],
+            _HEIGHT,
+            begin,
+            color=COLORS[number],
+            label=named("contributor", budget.lines[k].name),
+        )
         begin += 100 * shares[:, k]
     rest = np.maximum(100.0 * shares.sum(axis=1) - begin, 0.0)
     if len(order) > len(largest):
-        panel.barh(place, rest, _HEIGHT, begin, color="0.8", label="all others")
-    panel.set_yticks(place, [sum_title(one).rpartition(" / ")[0] for one in sums], fontsize="small")
+        panel.barh(place, rest, _HEIGHT, begin, color="0.8", label=say("budget.others"))
+    panel.set_yticks(place, [sum_name(one) for one in sums], fontsize="small")
     panel.set_xlim(0, 100)
-    panel.set_xlabel("share of the sum of squares / %")
+    panel.set_xlabel(say("budget.axis_share"))
     panel.set_ylim(max(len(sums), 4) - 0.4, -0.6)
     panel.figure.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="outside lower center", ncols=4)

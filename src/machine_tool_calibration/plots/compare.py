@@ -24,6 +24,7 @@ from machine_tool_calibration.plots.residuals import (
 )
 from machine_tool_calibration.plots.style import COLORS, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,18 +107,19 @@ def _draw_fit(comparison: Comparison) -> Figure:
         middle.plot(factor * own["predicted"], 1e6 * own["residual"], **style)
     ends = factor * np.array([predicted.min(), predicted.max()])
     left.plot(ends, ends, color="0.6", lw=0.8, zorder=0)
-    left.set(xlabel=f"predicted, {unit}", ylabel=f"measured, {unit}", title="Measured against predicted")
-    middle.set(xlabel=f"predicted, {unit}", ylabel="measured − predicted, µm", title="What the model leaves")
+    predicted_in, measured_in = (say(f"picture.{what}", unit=unit) for what in ("predicted", "measured_unit"))
+    left.set(xlabel=predicted_in, ylabel=measured_in, title=say("picture.against"))
+    middle.set(xlabel=predicted_in, ylabel=say("picture.measured_less"), title=say("picture.left"))
     _noise_band(middle, comparison)
     if len(comparison.setups) <= _LISTED:
-        left.legend(title="setup", fontsize="small", markerscale=3)
+        left.legend(title=say("picture.setup"), fontsize="small", markerscale=3)
     normal = np.sort(table["studentized"].dropna())
     if len(normal):
         expected = special.ndtri((np.arange(len(normal)) + 0.5) / len(normal))
         right.plot(expected, normal, ls="", marker=".", ms=3, color=COLORS[0])
         right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
-    right.set(xlabel="expected of normal noise", ylabel="residual over its declared uncertainty")
-    right.set_title(f"Studentized residuals,\nscatter {rounded(comparison.overall.ratio)} × declared")
+    right.set(xlabel=say("picture.normal_noise"), ylabel=say("picture.over_declared"))
+    right.set_title(say("picture.studentized", ratio=rounded(comparison.overall.ratio)))
     grids(figure)
     return figure
 
@@ -144,7 +146,12 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     if len(ids) <= _LISTED:
         handles = [Line2D([], [], ls="", marker="o", ms=5, color=color(k)) for k in range(len(ids))]
         figure.legend(
-            handles, ids, loc="outside upper center", ncols=min(len(ids), 3 * columns), frameon=False, title="setup"
+            handles,
+            ids,
+            loc="outside upper center",
+            ncols=min(len(ids), 3 * columns),
+            frameon=False,
+            title=say("picture.setup"),
         )
     grids(figure)
     return figure
@@ -170,14 +177,14 @@ def draw_map(comparison: Comparison) -> Figure:
             panel.vlines(place, 0.0, shown, colors=own, lw=0.6, alpha=0.5)
             panel.plot(place, shown, ".", color=own, ms=4)
         panel.axhline(0.0, color="0.6", lw=0.8)
-        panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=f"residual along {'xyz'[line]}, µm")
+        panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=say("picture.residual_along", axis="xyz"[line]))
     else:
         figure = new_figure(6.4 * len(views), 6.0)
         scaled = arrow_scale(position, arrow, same)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
             draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
             panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
-    figure.suptitle("Residuals along the sensed direction (orange: more than predicted, blue: less)", fontsize=11)
+    figure.suptitle(say("picture.arrows"), fontsize=11)
     grids(figure)
     return figure
 
@@ -207,14 +214,13 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
         strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)
     if residuals.max() > 2.5 * spread:
         strip.set_xlim(-2.5e6 * spread, 2.5e6 * spread)
-        beyond = f"{int((residuals > 2.5 * spread).sum())} readings beyond"
+        beyond = say("picture.beyond", n=int((residuals > 2.5 * spread).sum()))
         strip.text(0.99, 0.02, beyond, transform=strip.transAxes, ha="right", fontsize=8, color="0.4")
     strip.set_yticks(range(len(lines)), ["/".join(names) for names in setups.filter(["session", "name"]).to_numpy()])
     strip.invert_yaxis()
-    strip.set(xlabel="measured − predicted, µm", ylabel="setup, worst first")
-    title = "Residuals, in order downwards (gray: twice the declared uncertainty; black: means of repeats)"
-    strip.set_title(title, fontsize=10)
-    bars.set(xlabel="RMS, µm", title="RMS, and times declared")
+    strip.set(xlabel=say("picture.measured_less"), ylabel=say("picture.worst_first"))
+    strip.set_title(say("picture.downwards"), fontsize=10)
+    bars.set(xlabel=say("picture.rms"), title=say("picture.rms_declared"))
     bars.title.set_fontsize(10)
     bars.margins(x=0.25)
     grids(figure)

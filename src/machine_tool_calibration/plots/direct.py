@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.plots.style import COLORS, new_figure, numbers, round_down
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +23,7 @@ __all__ = ["draw_diagonals", "draw_map", "draw_positioning", "draw_tables", "fig
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
 # Of figures of ISO 230-2 whose name in the document is not what people call them.
-_SYMBOLS = {"B_mean": "mean B", "R_up": "R↑", "R_down": "R↓"}
+_SYMBOLS = {"B_mean": say("picture.mean_B"), "R_up": "R↑", "R_down": "R↓"}
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
@@ -54,10 +55,11 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     panel = figure.subplots()
     _draw_run(panel, run)
     panel.set_xlabel(f"{run['axis']}, mm")
-    panel.set_ylabel("deviation, µm")
+    panel.set_ylabel(say("picture.deviation"))
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
-    text = "   ".join(f"{_SYMBOLS.get(name, name)} {1e6 * value:.2f}" for name, value in figures if _known(value))
-    figure.suptitle(f"ISO 230-2:2014, axis {run['axis']}, setup {run['setup']}\n{text} µm")
+    known = ((_SYMBOLS.get(name, name), f"{1e6 * value:.2f}") for name, value in figures if _known(value))
+    values = together((together((together(one) for one in known), "   "), "µm"))
+    figure.suptitle(together((say("picture.run", axis=run["axis"], setup=run["setup"]), values), "\n"))
     panel.legend(frameon=False)
     return figure
 
@@ -70,16 +72,16 @@ def draw_diagonals(runs: Sequence[Mapping[str, Any]]) -> Figure:
     """
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
-    figure = new_figure(max(4 * columns, 7), 2.8 * rows + 0.6, "Diagonals by ISO 230-6:2002")
+    figure = new_figure(max(4 * columns, 7), 2.8 * rows + 0.6, say("picture.diagonals"))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for panel, run in zip(panels.flat, runs, strict=False):
         _draw_run(panel, run)
         panel.set_title(run["axis"] if run["axis"].lower() == run["setup"] else f"{run['axis']}, {run['setup']}")
-        panel.set_xlabel("along the diagonal, mm")
+        panel.set_xlabel(say("picture.along_diagonal"))
     for panel in panels.flat[len(runs) :]:
         panel.set_visible(False)
     for panel in panels[:, 0]:
-        panel.set_ylabel("deviation, µm")
+        panel.set_ylabel(say("picture.deviation"))
     panels[0, 0].legend(frameon=False)
     return figure
 
@@ -93,9 +95,9 @@ def _draw_run(panel: Axes, run: Mapping[str, Any]) -> None:
             continue
         for single in run[f"runs_{name}"]:
             panel.plot(position, 1e6 * numbers(single), color=color, linewidth=0.6, alpha=0.5)
-        panel.plot(position, mean, "o-", color=color, markersize=4, label=f"mean {arrow}")
+        panel.plot(position, mean, "o-", color=color, markersize=4, label=say("picture.mean", way=arrow))
         if np.isfinite(s).any():
-            panel.plot(position, mean - 2 * s, "--", color=color, linewidth=1, label=f"mean ± 2 s {arrow}")
+            panel.plot(position, mean - 2 * s, "--", color=color, linewidth=1, label=say("picture.mean_2s", way=arrow))
             panel.plot(position, mean + 2 * s, "--", color=color, linewidth=1)
     panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
 
@@ -121,7 +123,7 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
         for name, table in tables.items()
         if "nodes" not in table and _known(table["value"])
     ]
-    figure.suptitle("Error motions with expanded uncertainty (k = 2)" + "".join(f"\n{text}" for text in squareness))
+    figure.suptitle(together((say("picture.motions_U"), *squareness), "\n"))
     return figure
 
 
@@ -174,6 +176,7 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     known = np.linalg.norm(np.nan_to_num(error[np.isfinite(error).any(axis=1)]), axis=1)
     longest = quantity(float(known.max(initial=0.0)), "m")
     nowhere = ", ".join("xyz"[k] for k in (i, j) if lost[k])
-    words = f"\nnot determined along {nowhere}" if nowhere else ""
-    panel.set_title(f"Position error: {quantity(rms(known), 'm')} RMS, {longest} at most{words}")
+    lines = [say("picture.map_title", rms=quantity(rms(known), "m"), most=longest)]
+    lines += [say("text.not_determined_along", names=nowhere)] if nowhere else []
+    panel.set_title(together(lines, "\n"))
     return figure

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from machine_tool_calibration.plots.style import (
     spaced,
 )
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +88,9 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
     if not any(table[:, 2].any() for table in tables.values()):
         # Nothing but the datum has a value.
         panel.set(xticks=[], yticks=[])
-        panel.text(0.5, 0.6, "not determined", transform=panel.transAxes, ha="center", va="center", color="0.4")
+        panel.text(
+            0.5, 0.6, say("picture.not_determined"), transform=panel.transAxes, ha="center", va="center", color="0.4"
+        )
     panel.set_xlabel(f"{axis}, {unit}")
     panel.set_ylabel("µrad" if next(iter(tables))[1] in "ABC" else "µm")
     panel.legend(fontsize="small", frameon=False, ncols=len(tables), loc="lower left", bbox_to_anchor=(0.0, 0.99))
@@ -100,8 +103,8 @@ def _headed(parameters: Iterable[Mapping[str, Any]]) -> str:
         f"{name} = {quantity(entry['value'], entry['unit'], entry['standard_uncertainty'])}"
         for name, entry in sorted(found.items())
     ]
-    text = "Error motions, bands: U (k = 2)"
-    return f"{text}\nsquareness: {', '.join(parts)}" if parts else text
+    text = say("picture.motions_bands")
+    return together((text, say("picture.squareness", parts=", ".join(parts))), "\n") if parts else text
 
 
 # Largest error as a share of the distance between neighbours.
@@ -148,7 +151,7 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     columns = {1: 1, 2: 2, 4: 2}.get(len(layers), 3)
     rows = -(-len(layers) // columns)
     size = (7.2, 7.4) if columns == 1 else (4.6 * columns, 4.7 * rows + 0.6)
-    figure = new_figure(*size, f"Measured positions, errors magnified {spaced(scale)} times{_figures(whole)}{unknown}")
+    figure = new_figure(*size, together((*_headline(whole, scale), *unknown), "\n"))
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).reshape(-1)
     limit = 0.0 if flat else 1e6 * float(np.nanmax(np.abs(whole.error[:, 2]), initial=0.0))
     drawn = _Drawing(scale, _larger(whole, scale), limit, float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0)))
@@ -161,14 +164,14 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _known(whole: _Map) -> tuple[_Map, str]:
-    """The map with zeros in the directions that are determined nowhere, and these in words for the title."""
+def _known(whole: _Map) -> tuple[_Map, list[str]]:
+    """The map with zeros in the directions that are determined nowhere, and these in a line for the title."""
     lost = np.asarray(~np.isfinite(whole.error).any(axis=0))
     if lost.all() or not lost.any():
-        return whole, ""
+        return whole, []
     names = ", ".join(name for name, gone in zip("xyz", lost, strict=False) if gone)
     filled = (np.where(lost, 0.0, values) for values in (whole.error, whole.uncertainty))
-    return _Map(whole.points, *filled), f"\nnot determined along {names}"
+    return _Map(whole.points, *filled), [say("text.not_determined_along", names=names)]
 
 
 def _layers(whole: _Map) -> list[tuple[str, _Map]]:
@@ -181,7 +184,7 @@ def _layers(whole: _Map) -> list[tuple[str, _Map]]:
     edges = np.quantile(z, [0.0, 0.25, 0.5, 0.75, 1.0])
     slices = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, 3)
     return [
-        (f"z = {edges[k] * 1e3:.4g} to {edges[k + 1] * 1e3:.4g} mm", whole.take(slices == k))
+        (say("picture.slice", low=f"{edges[k] * 1e3:.4g}", high=f"{edges[k + 1] * 1e3:.4g}"), whole.take(slices == k))
         for k in range(4)
         if (slices == k).any()
     ]
@@ -197,14 +200,16 @@ class _Drawing:
     largest: float
 
 
-def _figures(whole: _Map) -> str:
-    """The map in one line."""
+def _headline(whole: _Map, scale: float) -> Iterator[str]:
+    """The map in a line or two."""
     if not whole.good.any():
-        return "; no target is determined"
+        yield say("picture.no_target", scale=spaced(scale))
+        return
+    yield say("picture.magnified", scale=spaced(scale))
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
     # Along a direction that was not measured there is none.
     expanded = 2 * float(np.linalg.norm(np.nan_to_num(whole.uncertainty[whole.good]), axis=1).max())
-    return f"\nlargest error {quantity(largest, 'm')}, U (k = 2) at most {quantity(expanded, 'm')}"
+    yield say("picture.largest", error=quantity(largest, "m"), u=quantity(expanded, "m"))
 
 
 def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
@@ -235,19 +240,27 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
         # Room for the ellipses, but not for one that hardly anything determines.
         reach = np.minimum(size / 2, _ROOM * np.ptp(nominal, axis=0).max())
         panel.update_datalim(np.vstack([found[good] - reach, found[good] + reach]))
-        text = "U (k = 2)" + (f", {larger:g} times larger" if larger > 1 else "")
+        text = say("picture.U_larger" if larger > 1 else "picture.U", times=f"{larger:g}")
         panel.plot([], [], "o", mfc="none", mec=BAND, label=text)
-    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=NOMINAL, ms=4, label="nominal", zorder=2)
+    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=NOMINAL, ms=4, label=say("picture.nominal"), zorder=2)
     if layer.error.shape[1] == 3:
         across = layer.error[good][:, 2] * 1e6
         panel.scatter(
             found[good, 0], found[good, 1], s=34, c=across, cmap=DIVERGING, vmin=-limit, vmax=limit, ec="0.2", lw=0.5,
-            label="measured", zorder=3,
+            label=say("picture.measured"), zorder=3,
         )  # fmt: skip
     else:
-        panel.plot(found[good, 0], found[good, 1], "o", color=FOUND, ms=4, label="measured", zorder=3)
+        panel.plot(found[good, 0], found[good, 1], "o", color=FOUND, ms=4, label=say("picture.measured"), zorder=3)
     if not good.all():
-        panel.plot(nominal[~good, 0], nominal[~good, 1], "x", color="black", ms=6, label="not determined", zorder=3)
+        panel.plot(
+            nominal[~good, 0],
+            nominal[~good, 1],
+            "x",
+            color="black",
+            ms=6,
+            label=say("picture.not_determined"),
+            zorder=3,
+        )
     panel.set_aspect("equal")
     panel.margins(0.08)
     drawn = np.vstack([nominal, found[good]])
@@ -266,11 +279,11 @@ def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit:
     seen: dict[str, Any] = {}
     for panel in panels[:count]:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-            seen.setdefault(str(label), handle)
+            seen.setdefault(label, handle)
     figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=4, frameon=False, fontsize="small")
     shown = next((c for p in panels[:count] for c in p.collections if c.get_array() is not None), None)
     if shown is not None and limit > 0:
-        figure.colorbar(shown, ax=panels[:count], label="error along z, µm", shrink=0.7)
+        figure.colorbar(shown, ax=panels[:count], label=say("picture.error_z"), shrink=0.7)
 
 
 def _larger(whole: _Map, scale: float) -> float:

@@ -20,6 +20,7 @@ from machine_tool_calibration.reports.improvement import step_document
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,12 +59,12 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
         first = steps[1]
     along = _along(first) if len(sessions) == 1 else None
     size = float(np.quantile(np.abs(Pool(first.result.joint).residuals), 0.98)) or 1e-9  # of the bulk, m
-    for panel, step, title in ((before, first, "before"), (after, last, "after")):
+    for panel, step, when in ((before, first, "before"), (after, last, "after")):
         if along is not None:  # arrows would lie on each other
             _curves(panel, step, along, size)
         else:
             _arrows(panel, step, size)
-        panel.set_title(f"{title}: {quantity(step.result.rms_residual, 'm')} RMS", fontsize=10)
+        panel.set_title(say(f"picture.{when}", size=quantity(step.result.rms_residual, "m")), fontsize=10)
     grids(figure)
     return figure
 
@@ -77,17 +78,19 @@ def _along(step: Step) -> str | None:
 
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     at = np.arange(len(steps))
-    panel.plot(at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label="residual, RMS")
+    panel.plot(
+        at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label=say("picture.residual_rms")
+    )
     left = [step.residual_volumetric_error(steps[-1]) for step in steps]
     tool = [np.nan if value is None else 1e6 * value for value in left]
     if np.isfinite(tool).any():
-        panel.plot(at, tool, "s-", color="tab:blue", label="residual volumetric error (k = 2), RMS")
-    panel.axhline(1e6 * declared, color="0.3", ls=":", label="declared uncertainty of a reading")
+        panel.plot(at, tool, "s-", color="tab:blue", label=say("picture.volumetric"))
+    panel.axhline(1e6 * declared, color="0.3", ls=":", label=say("picture.declared"))
     panel.set_xticks(at, [s.label for s in steps], rotation=20, ha="right", fontsize=8)
     panel.set_ylim(0.0)
     panel.margins(x=0.15)
     panel.set_ylabel("µm")
-    panel.set_title("The error falls", fontsize=10)
+    panel.set_title(say("picture.falls"), fontsize=10)
     panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
 
 
@@ -146,7 +149,7 @@ def _curves(panel: Axes, step: Step, name: str, size: float) -> None:
         panel.plot(factor * values[mine], residuals[mine], ".-", ms=3, lw=0.7, color=color(k), label=text)
     panel.set_ylim(-1.6e6 * size, 1.6e6 * size)
     panel.set_xlabel(label)
-    panel.set_ylabel("residual, µm")
+    panel.set_ylabel(say("picture.residual"))
     panel.legend(fontsize=7, ncols=4, loc="lower center")
 
 

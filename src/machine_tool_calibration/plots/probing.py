@@ -13,6 +13,7 @@ from machine_tool_calibration.plots.style import numbers, round_down, spaced
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,16 +56,16 @@ def _draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any
     place, normal = _points(description)
     form, u = numbers(content["workpiece_form"]), numbers(content["workpiece_form_u"])
     scale = _magnification(place, np.abs(form) + 2 * np.nan_to_num(u))
-    panel.plot(*place.T * 1e3, ls="", marker=".", ms=3, color=_GRAY, label="nominal")
+    panel.plot(*place.T * 1e3, ls="", marker=".", ms=3, color=_GRAY, label=say("picture.nominal"))
     ends = [place + (form + sign * 2 * u)[:, None] * scale * normal for sign in (-1, 1)]
     for low, high in zip(*ends, strict=True):
         panel.plot([1e3 * low[0], 1e3 * high[0]], [1e3 * low[1], 1e3 * high[1]], color="tab:orange", lw=0.8)
     moved = place + form[:, None] * scale * normal
-    panel.plot(*moved.T * 1e3, ls="", marker="d", ms=3.5, color="tab:red", label="identified, bars: U (k = 2)")
+    panel.plot(*moved.T * 1e3, ls="", marker="d", ms=3.5, color="tab:red", label=say("picture.identified"))
     missing = ~np.isfinite(form)
     if missing.any():
-        panel.plot(*place[missing].T * 1e3, ls="", marker="x", ms=5, color="black", label="not determined")
-    panel.set_title(f"Form of the workpiece, errors × {spaced(scale)}")
+        panel.plot(*place[missing].T * 1e3, ls="", marker="x", ms=5, color="black", label=say("picture.not_determined"))
+    panel.set_title(say("picture.form", scale=spaced(scale)))
     _frame(panel)
 
 
@@ -76,10 +77,10 @@ def _draw_uncertainty(panel: Axes, description: Probing, content: Mapping[str, A
     if good.any():
         x, y = place[good].T * 1e3
         marks = panel.scatter(x, y, c=u[good], s=22, cmap="viridis")
-        panel.figure.colorbar(marks, ax=panel, label="U (k = 2) of the form, µm")
+        panel.figure.colorbar(marks, ax=panel, label=say("picture.form_U_axis"))
     panel.plot(*place[~good].T * 1e3, ls="", marker="x", ms=5, color="black")
-    largest = f", at most {quantity(1e-6 * float(np.max(u[good])), 'm')}" if good.any() else ""
-    panel.set_title(f"Uncertainty of the form{largest}")
+    largest = quantity(1e-6 * float(np.max(u[good], initial=0.0)), "m")
+    panel.set_title(say("picture.form_U_most" if good.any() else "picture.form_U", u=largest))
     _frame(panel, legend=False)
 
 
@@ -100,11 +101,13 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
         for k in range(len(ys)):
             panel.plot(lines[:, k, 0], lines[:, k, 1], color=color, lw=width)
     if poor.any():
-        panel.plot(*1e3 * grid[poor].T, ls="", marker="o", ms=4, mfc="none", color="tab:orange", label="uncertain")
+        panel.plot(
+            *1e3 * grid[poor].T, ls="", marker="o", ms=4, mfc="none", color="tab:orange", label=say("picture.uncertain")
+        )
     if not good.all():
-        panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label="not determined")
-    known = f"; median U (k = 2) {quantity(2 * float(np.nanmedian(u)), 'm')}" if good.any() else ""
-    panel.set_title(f"X and Y, errors × {spaced(scale)}{known}")
+        panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label=say("picture.not_determined"))
+    known = quantity(2 * float(np.nanmedian(u)), "m") if good.any() else ""
+    panel.set_title(say("picture.plane_U" if known else "picture.plane", scale=spaced(scale), u=known))
     _frame(panel, legend=bool(poor.any() or not good.all()))
 
 
@@ -119,11 +122,10 @@ def _draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
     bars = 2e6 * numbers(content["ECC_u"])
     ecc = 1e6 * numbers(content["ECC"])
     turned.errorbar(angle, ecc, bars, marker="s", ms=4, lw=0.8, color="tab:red", capsize=3, label="ECC")
-    turned.set_ylabel("ECC, µrad, positive counter-clockwise", color="tab:red")
+    turned.set_ylabel(say("picture.ecc"), color="tab:red")
     panel.set_xlabel("C, °")
-    panel.set_ylabel("EXC and EYC, µm")
-    seen = "" if np.isfinite(ecc).any() else " (ECC is not determined)"
-    panel.set_title(f"C, relative to its first angle{seen}")
+    panel.set_ylabel(say("picture.exc"))
+    panel.set_title(say("picture.table" if np.isfinite(ecc).any() else "picture.table_no_ecc"))
     panel.grid(color="0.9")
     panel.legend(loc="best", fontsize="small")
 

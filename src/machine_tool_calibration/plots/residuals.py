@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.style import COLORS, round_down
 from machine_tool_calibration.residuals.covariates import bins
+from machine_tool_calibration.words import named, say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,13 +41,13 @@ _THIN = 0.01
 _DEGREES = 180.0 / np.pi
 # Covariates for people, and the factor from SI.
 _LABELS = {
-    **{name: (f"{name}, mm", 1e3) for name in ("x", "y", "z", "path", "displacement")},
-    **{name: (f"{name} of the beam, °", _DEGREES) for name in ("azimuth", "elevation")},
-    "normal": ("direction of the surface's normal, °", _DEGREES),
+    **{name: (f"{name}, mm", 1e3) for name in "xyz"},
+    **{name: (say(f"picture.{name}"), 1e3) for name in ("path", "displacement")},
+    **{name: (say(f"picture.{name}"), _DEGREES) for name in ("azimuth", "elevation", "normal")},
     "c": ("c, °", _DEGREES),
-    "order": ("row, in the order of time", 1.0),
-    "time": ("time, min", 1.0 / 60.0),
-    "air_pressure": ("air pressure, hPa", 1e-2),
+    "order": (say("picture.order"), 1.0),
+    "time": (say("picture.time"), 1.0 / 60.0),
+    "air_pressure": (say("picture.air_pressure"), 1e-2),
 }
 
 
@@ -72,7 +73,7 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
     if len(bar):
         at = means.loc[bar.index]
         panel.errorbar(at["x"], at["y"], bar, color="black", marker="o", ms=3.5, lw=1.0, capsize=2, zorder=5)
-    panel.set(xlabel=label, ylabel="measured − predicted, µm")
+    panel.set(xlabel=label, ylabel=say("picture.measured_less"))
     panel.locator_params(axis="x", nbins=5)
     panel.ticklabel_format(axis="x", useOffset=False)
 
@@ -116,7 +117,14 @@ def draw_arrows(
     sign = sign[:, 0]
     if len(place) > _ARROWS:
         keep = np.linspace(0, len(place) - 1, _ARROWS).astype(int)
-        panel.text(0.01, 0.01, f"{_ARROWS} of {len(place)} places", transform=panel.transAxes, fontsize=8, color="0.4")
+        panel.text(
+            0.01,
+            0.01,
+            say("picture.places", n=_ARROWS, count=len(place)),
+            transform=panel.transAxes,
+            fontsize=8,
+            color="0.4",
+        )
         place, arrow, sign = place[keep], arrow[keep], sign[keep]
     scale = _LENGTH * extent / long
     panel.plot(*1e3 * place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
@@ -141,19 +149,19 @@ def draw_arrows(
 def axis_label(name: str) -> tuple[str, float]:
     """Label of a covariate for people, and the factor from SI."""
     if name.startswith("temperature_"):
-        return f"temperature, {name.removeprefix('temperature_')}, °C", 1.0
+        return say("picture.temperature", of=named("of", name.removeprefix("temperature_"))), 1.0
     if name.startswith("dir_"):
         return _approach_label(name)
-    return _LABELS.get(name, (name, 1.0))
+    return _LABELS.get(name, (named("column", name), 1.0))
 
 
 def _approach_label(name: str) -> tuple[str, float]:
     """Direction of approach: its sign, or times what the reading senses of the axis (C: per radian of turn)."""
     axis = name[4:5]
-    sign = f"direction of approach of {axis}"
     if " along " not in name:
-        return f"{sign} (+1, -1)", 1.0
-    return (f"{sign} × its arm, mm", 1e3) if axis == "c" else (f"{sign} × its share in a reading", 1.0)
+        return say("picture.approach", axis=axis), 1.0
+    kind, factor = ("arm", 1e3) if axis == "c" else ("share", 1.0)
+    return say(f"picture.approach_{kind}", axis=axis), factor
 
 
 def planes(position: Array, direction: Array) -> list[tuple[int, int]]:

@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.plots.style import new_figure, numbers
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,25 +38,26 @@ def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
         axis: letter of the rotary axis.
     """
     figure = new_figure(12, 7)
-    figure.suptitle(f"Error motions of {axis} relative to its axis average line, with expanded uncertainty (k = 2)")
+    figure.suptitle(say("picture.rotary", axis=axis))
     panels = figure.subplots(2, 3, sharex=True)
     angle = np.degrees(numbers(content[axis.lower()]))
     for panel, component in zip(panels.flat, "XYZABC", strict=True):
         name = f"E{component}{axis}"
         _curve(panel, angle, 1e6 * numbers(content[name]), 1e6 * numbers(content[f"{name}_u"]))
-        panel.set_title(name + _meaning(component, axis))
+        panel.set_title(_headed(name, component, axis))
         panel.set_ylabel("µm" if component in "XYZ" else "µrad")
     for panel in panels[1]:
         panel.set_xlabel(f"{axis}, °")
     return figure
 
 
-def _meaning(component: str, axis: str) -> str:
+def _headed(name: str, component: str, axis: str) -> str:
     if component == axis:
-        return ": angular positioning"
+        return say("picture.angular_positioning", name=name)
     if component in "ABC":
-        return f": tilt about {'XYZ'['ABC'.index(component)]}"
-    return ": axial" if "XYZ".index(component) == "ABC".index(axis) else ": radial"
+        return say("picture.tilt", name=name, axis="XYZ"["ABC".index(component)])
+    axial = "XYZ".index(component) == "ABC".index(axis)
+    return say("picture.axial" if axial else "picture.radial", name=name)
 
 
 def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
@@ -66,7 +68,9 @@ def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
     for lost in angle[~np.isfinite(value)]:
         panel.axvline(lost, color="0.6", linestyle=":", linewidth=1)
     if not np.isfinite(value).any():
-        panel.text(0.5, 0.5, "not determined", transform=panel.transAxes, ha="center", va="center", color="0.4")
+        panel.text(
+            0.5, 0.5, say("picture.not_determined"), transform=panel.transAxes, ha="center", va="center", color="0.4"
+        )
 
 
 def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:
@@ -74,7 +78,7 @@ def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:
     along = "ABC".index(axis)
     first, second = (along + 1) % 3, (along + 2) % 3
     figure = new_figure(11, 5.5)
-    figure.suptitle("Where stations and targets were found, frame of the axis average line")
+    figure.suptitle(say("picture.arrangement"))
     for panel, (i, j) in zip(figure.subplots(1, 2), ((first, second), (first, along)), strict=True):
         stations, targets = 1e3 * numbers(content["stations"]), 1e3 * numbers(content["targets"])
         _marks(panel, stations[:, [i, j]], content["station_ids"], "^", "tab:red")

@@ -13,6 +13,7 @@ from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, numbers
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,9 +41,7 @@ def draw_stations(content: Mapping[str, Any]) -> Figure:
     uncertainty = numbers(content["stations_u"]) * 1e6
     flat = np.array(content["position_error"]).shape[1] == 2
     views = [(0, 1)] if flat else [(0, 1), (0, 2)]
-    figure = new_figure(
-        6.4 * len(views), 6.4, "Stations and targets; in brackets the largest U (k = 2) of a coordinate"
-    )
+    figure = new_figure(6.4 * len(views), 6.4, say("picture.stations"))
     for panel, (a, b) in zip(np.atleast_1d(figure.subplots(1, len(views))), views, strict=True):
         _plan(panel, points[:, [a, b]], stations[:, [a, b]], uncertainty, list(content["station_ids"]))
         panel.set_xlabel(f"{'xyz'[a]}, mm")

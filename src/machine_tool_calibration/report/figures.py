@@ -6,7 +6,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -19,14 +19,14 @@ from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.reports.result_tables import error_motions
-from machine_tool_calibration.words import Words
+from machine_tool_calibration.words import Words, say
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
     from matplotlib.ticker import Formatter
 
-__all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "standard_pictures", "translated"]
+__all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "standard_pictures", "told"]
 
 # Width of a picture, inches, of which two stand side by side.
 _NARROW = 5.0
@@ -34,6 +34,8 @@ _NARROW = 5.0
 _WIDEST, _LOWEST = 9.5, 0.8
 # Dots of an inch on paper.
 _DPI = 150
+# Pictures of a method with a caption of their own.
+_CAPTIONS = ("error_map", "map", "stations", "arrangement", "probing")
 # Panels of residuals over covariates.
 _PANELS = 4
 
@@ -45,7 +47,7 @@ class Picture:
     Attributes:
         name: of its file, without the ending.
         caption: below it, and for those who do not see it.
-        figure: itself, with its texts in the report's language.
+        figure: itself.
     """
 
     name: str
@@ -83,9 +85,10 @@ class Picture:
 
         self.figure.set_dpi(_DPI)
         canvas = FigureCanvasAgg(self.figure)
-        canvas.draw()
+        canvas.draw()  # type: ignore[no-untyped-call]
         out = io.BytesIO()
-        Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(out, "PNG", compress_level=1)
+        drawn = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        Image.fromarray(drawn[..., :3]).save(out, "PNG", compress_level=1)
         return out.getvalue()
 
     def address(self, *, for_paper: bool) -> str:
@@ -94,15 +97,16 @@ class Picture:
         return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def translated(name: str, caption: str, figure: Figure, words: Words) -> Picture:
-    """A picture of the report from a figure in English, as wide as can be read on a page."""
-    if words.phrases:
+def told(picture: Picture, words: Words) -> Picture:
+    """A picture in the report's language, as wide as can be read on a page; its figure changes."""
+    figure = picture.figure
+    if words.language != "en":
         _translate(figure, words)
     wide, high = (float(size) for size in figure.get_size_inches())
     if wide > _WIDEST:
         figure.set_size_inches(_WIDEST, high * max(_WIDEST / wide, _LOWEST))
         _wrap_titles(figure)
-    return Picture(name, caption, figure)
+    return replace(picture, caption=words.told(picture.caption))
 
 
 def _translate(figure: Figure, words: Words) -> None:
@@ -111,13 +115,13 @@ def _translate(figure: Figure, words: Words) -> None:
 
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        text.set_text(words.numbers(words.phrase(text.get_text())))
+        text.set_text(words.numbers(words.told(text.get_text())))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
         # Names of places are written anew whenever the figure is drawn.
         said = [label.get_text() for label in axis.get_majorticklabels()]
         # Of panels that share an axis one alone has them.
         if isinstance(axis.get_major_locator(), FixedLocator) and any(said):
-            axis.set_ticklabels([words.phrase(text) for text in said])
+            axis.set_ticklabels([words.told(text) for text in said])
         elif isinstance(axis.get_major_formatter(), ScalarFormatter):
             axis.set_major_formatter(_numbered(axis.get_major_formatter(), words))
 
@@ -146,33 +150,31 @@ def _wrap_titles(figure: Figure) -> None:
             panel.set_title("\n".join(wrap(text, max(int(room * len(text)), 12))), fontsize=panel.title.get_fontsize())
 
 
-def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+def map_pictures(found: Evaluation) -> Iterator[Picture]:
     """The map and what the method draws besides."""
     for name, figure in figures(found.measured.recorded, found.document).items():
         if name == "error_motions":  # one by one in motion_pictures
             continue
         if name.startswith("iso230_"):  # with the figures of the standard
             continue
-        caption = words(f"figure_{name}" if f"figure_{name}" in words.texts else "figure")
-        yield translated(name, caption, figure, words)
+        yield Picture(name, say(f"report.figure_{name}" if name in _CAPTIONS else "report.figure"), figure)
 
 
-def standard_pictures(content: Mapping[str, Any], standard: str, words: Words) -> Iterator[Picture]:
+def standard_pictures(content: Mapping[str, Any], standard: str) -> Iterator[Picture]:
     """Runs by ISO 230-2, or the diagonals of ISO 230-6: `standard` is the entry of the error map's content."""
     for name, figure in standard_figures(content).items():
         if name.startswith(standard):
-            yield translated(name, words(f"figure_{standard}", setup=name.removeprefix(f"{standard}_")), figure, words)
+            yield Picture(name, say(f"report.figure_{standard}", setup=name.removeprefix(f"{standard}_")), figure)
 
 
-def motion_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+def motion_pictures(found: Evaluation) -> Iterator[Picture]:
     """Each error motion over its axis with the band of its expanded uncertainty (k = 2)."""
     table = error_motions(found.result)
     for name, rows in table[table["position"].notna()].groupby("motion", sort=False):
-        caption = words("figure_motion", motion=name)
-        yield translated(f"motion_{name}", caption, _draw_motion(str(name), rows, words), words)
+        yield Picture(f"motion_{name}", say("report.figure_motion", motion=name), _draw_motion(str(name), rows))
 
 
-def _draw_motion(name: str, rows: pd.DataFrame, words: Words) -> Figure:
+def _draw_motion(name: str, rows: pd.DataFrame) -> Figure:
     figure = new_figure(3.5, 2.4, name)
     panel = figure.subplots()
     rows = rows.sort_values("position")
@@ -187,19 +189,21 @@ def _draw_motion(name: str, rows: pd.DataFrame, words: Words) -> Figure:
     panel.plot(at[lost], np.zeros(lost.sum()), "x", color="black", ms=5)
     panel.axhline(0.0, color=NOMINAL, lw=0.8, zorder=0)
     panel.set_xlabel(f"{name[2]}, {'°' if rotary else 'mm'}")
-    panel.set_ylabel(f"{words('error')}, {'µrad' if angle else 'µm'}")
+    panel.set_ylabel(say("picture.axis", axis=say("report.error"), unit="µrad" if angle else "µm"))
     return figure
 
 
-def residual_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+def residual_pictures(found: Evaluation) -> Iterator[Picture]:
     """Residuals by setup, as arrows, and over what they follow most."""
     labels = found.measured.chosen.labels or ("",)
     for label, comparison in zip(labels, found.comparisons, strict=True):
-        begin = f"{label}: " if label else ""
-        named = f"{label}_" if label else ""
-        yield translated(f"{named}setups", begin + words("figure_setups"), draw_setups(comparison), words)
-        yield translated(f"{named}residual_map", begin + words("figure_residual_map"), draw_map(comparison), words)
+        drawn = {"setups": draw_setups(comparison), "residual_map": draw_map(comparison)}
         chosen = chosen_covariates(comparison, _PANELS)
         for names in (chosen[k : k + 2] for k in range(0, len(chosen), 2)):
-            drawn = draw_against(comparison, names)
-            yield translated(f"{named}residuals_{'_'.join(names)}", begin + words("figure_residuals"), drawn, words)
+            drawn[f"residuals_{'_'.join(names)}"] = draw_against(comparison, names)
+        for name, figure in drawn.items():
+            caption = say(f"report.figure_{'residuals' if name.startswith('residuals_') else name}")
+            if label:
+                yield Picture(f"{label}_{name}", say("text.join", one=label, other=caption), figure)
+            else:
+                yield Picture(name, caption, figure)

@@ -99,7 +99,7 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         words=words,
         sections=content,
         origin=origin,
-        footer="  ·  ".join(map(words.phrase, origin.footer.split("  ·  "))),
+        footer=words.told(origin.footer),
         machine=", ".join(dict.fromkeys(name for name in machines if name)),
         measured=", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured)),
         for_paper=for_paper,

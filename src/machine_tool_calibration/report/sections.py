@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
@@ -20,7 +20,7 @@ from machine_tool_calibration.report.figures import (
     motion_pictures,
     residual_pictures,
     standard_pictures,
-    translated,
+    told,
 )
 from machine_tool_calibration.report.turnable import turnable
 from machine_tool_calibration.reports.budget import budget_tables
@@ -51,12 +51,12 @@ from machine_tool_calibration.reports.quantities import (
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
-from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
-from machine_tool_calibration.words import Verbatim, Words
+from machine_tool_calibration.words import Verbatim, Words, named, say, together
 
 __all__ = ["Section", "Turnable", "sections"]
 
@@ -93,94 +93,99 @@ class Section:
 
 
 def sections(found: Evaluation, words: Words) -> list[Section]:
-    """The report's content, in the order in which it is read; without sections of what there is not."""
+    """The report's content in a language, in the order in which it is read; without sections of what there is not."""
     parts = {
-        "summary": _summary(found, words),
-        "measurement": _measurement(found, words),
-        **{name: _standard(found, name, words) for name in STANDARDS},
+        "summary": _summary(found),
+        "measurement": _measurement(found),
+        **{name: _standard(found, name) for name in STANDARDS},
         "map": _map(found, words),
-        "motions": _motions(found, words),
-        "reproducibility": _reproducibility(found, words),
-        "residuals": _residuals(found, words),
-        "diagnosis": _diagnosis(found, words),
-        "improvement": _improvement(found, words),
-        "budget": _budget(found, words),
-        "conformity": _conformity(found, words),
-        "undetermined": _undetermined(found, words),
-        "rejected": _rejected(found, words),
-        "provenance": _provenance(found, words),
+        "motions": _motions(found),
+        "reproducibility": _reproducibility(found),
+        "residuals": _residuals(found),
+        "diagnosis": _diagnosis(found),
+        "improvement": _improvement(found),
+        "budget": _budget(found),
+        "conformity": _conformity(found),
+        "undetermined": _undetermined(found),
+        "rejected": _rejected(found),
+        "provenance": _provenance(found),
     }
     out = []
     for name, blocks in parts.items():
-        section = Section(name, words(f"section_{name}"), [_translated(block, words) for block in blocks])
+        section = Section(name, words(f"report.section_{name}"), [_told(block, words) for block in blocks])
         if section.blocks:
             out.append(section)
     return out
 
 
-def _translated(block: str | TextTable | Picture | Turnable, words: Words) -> str | TextTable | Picture | Turnable:
-    """Tables of other rooms are in English; what this one writes is in the report's language, but for its numbers."""
+def _told(block: str | TextTable | Picture | Turnable, words: Words) -> str | TextTable | Picture | Turnable:
+    """A block in the report's language; of a table the columns in which there is anything."""
     if isinstance(block, str):
-        return words.numbers(block)
+        return words.numbers(words.told(block))
+    if isinstance(block, Picture):
+        return told(block, words)
     if not isinstance(block, TextTable):
         return block
     used = [k for k in range(len(block.columns)) if any(row[k] for row in block.rows)]
     return TextTable(
-        words.numbers(words.phrase(block.title)),
-        tuple(words.phrase(block.columns[k]) for k in used),
+        words.numbers(words.told(block.title)),
+        tuple(words.told(block.columns[k]) for k in used),
         tuple(tuple(_cell(row[k], words) for k in used) for row in block.rows),
-        words.numbers(words.phrase(block.note)),
+        words.numbers(words.told(block.note)),
     )
 
 
 def _cell(text: str, words: Words) -> str:
-    return text if isinstance(text, Verbatim) else words.numbers(words.phrase(text).strip())
+    return text if isinstance(text, Verbatim) else words.numbers(words.told(text).strip())
 
 
-def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _summary(found: Evaluation) -> Iterator[str | TextTable]:
     document = found.document
     if "agreement" in document:
-        yield words.phrase(document["agreement"]["statement"])
+        yield document["agreement"]["statement"]
     if found.conformity is not None:
-        yield words.phrase(decision_words(found.conformity))
-    yield words.phrase(goodness_of_fit(document))
+        yield decision_words(found.conformity)
+    yield goodness_of_fit(document)
     if fits(document["p_value"]) == "bad" and "one_direction" not in (document["error_map"].get("scatter") or {}):
-        yield words("only_if_right")
+        yield say("report.only_if_right")
     complete = "u_is_general" if found.general else "u_is_complete"
-    yield words(complete if document["uncertainty"] == "budget" else "u_is_incomplete")
-    yield words("model_is", model=", ".join([words.phrase(found.result.model_name), *document["effects"]]))
+    yield say(f"report.{complete if document['uncertainty'] == 'budget' else 'u_is_incomplete'}")
+    yield say("report.model_is", model=_model(found.result.model_name, document["effects"]))
     yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
     if document["effects"]:
-        yield _effects(found, words)
-        yield from map(words.phrase, negative_words(found.result.joint, document["effects"]))
+        yield _effects(found)
+        yield from negative_words(found.result.joint, document["effects"])
     for text in document["suspicious"]:
-        yield words("suspicious", what=words.phrase(text))
+        yield say("report.suspicious", what=text)
 
 
-def _measurement(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _model(variant: str, effects: Sequence[str]) -> str:
+    return together((named("variant", variant), *effects), ", ")
+
+
+def _measurement(found: Evaluation) -> Iterator[str | TextTable]:
     measured = found.measured
     for label, session in zip(measured.chosen.labels or ("",), measured.recorded, strict=True):
         if label:
-            yield words("session_named", label=label)
+            yield say("report.session_named", label=label)
         about = tuple(
-            (_said(name, words), Verbatim(value))
-            for name, value in flattened(session.description.about)
-            if value.strip()
+            (_said(name), Verbatim(value)) for name, value in flattened(session.description.about) if value.strip()
         )
         if about:
-            yield TextTable(words("about"), ("", ""), about)
-        yield _set_up(session, words)
-        yield _setups(session, words)
-        yield _environment(session, words)
+            yield TextTable(say("report.about"), ("", ""), about)
+        yield _set_up(session)
+        yield _setups(session)
+        yield _environment(session)
 
 
-def _said(name: str, words: Words) -> str:
+def _said(name: str) -> str:
     """A name of descriptive data for people: `instruments[1].serial` is `instruments 1, serial`."""
-    parts = re.sub(r"\[(\d+)\]", r" \1", name.replace("_", " ")).split(".")
-    return ", ".join(words.phrase(part) for part in parts)
+    parts = (re.fullmatch(r"(.*?)(?:\[(\d+)\])?", part) for part in name.replace("_", " ").split("."))
+    named_parts = ((named("about", part[1]), part[2]) for part in parts if part is not None)
+    return together((together((text, number)) if number else text for text, number in named_parts), ", ")
 
 
-def _set_up(session: Session, words: Words) -> TextTable:
+def _set_up(session: Session) -> TextTable:
     summary, description = summarize(session), session.description
     travel = ", ".join(
         f"{axis.upper()} " + " … ".join(f"{np.degrees(v) if axis in 'abc' else 1e3 * v:g}" for v in ends)
@@ -188,73 +193,67 @@ def _set_up(session: Session, words: Words) -> TextTable:
         for axis, ends in description.machine.travel.items()
     )  # fmt: skip
     rows = [
-        (words("method"), words.phrase(session.method.replace("_", " "))),
-        (words("instrument"), words.phrase((session.instrument or "").replace("_", " "))),
-        (words("chain"), description.machine.chain),
-        (words("travel"), travel),
-        (words("readings"), words("readings_of", count=summary.readings, missing=summary.missing)),
-        (words("places"), str(summary.targets)),
-        (words("declared_u"), quantity(session.sigma, "m")),
+        (say("report.method"), named("method", session.method.replace("_", " "))),
+        (say("report.instrument"), named("instrument", (session.instrument or "").replace("_", " "))),
+        (say("report.chain"), description.machine.chain),
+        (say("report.travel"), travel),
+        (say("report.readings"), say("report.readings_of", count=summary.readings, missing=summary.missing)),
+        (say("report.places"), str(summary.targets)),
+        (say("report.declared_u"), quantity(session.sigma, "m")),
     ]
     if summary.duration is not None:
-        rows.insert(-1, (words("duration"), f"{summary.duration / 60.0:.0f} min"))
-    return TextTable(words("what_and_how"), ("", ""), tuple(row for row in rows if row[1]))
+        rows.insert(-1, (say("report.duration"), f"{summary.duration / 60.0:.0f} min"))
+    return TextTable(say("report.what_and_how"), ("", ""), tuple(row for row in rows if row[1]))
 
 
-def _setups(session: Session, words: Words) -> TextTable:
+def _setups(session: Session) -> TextTable:
     rows = [
         (Verbatim(own.id), setup_place(setup), str(own.readings), str(own.repeats))
         for setup, own in zip(session.description.setups, summarize(session).setups, strict=True)
     ]
-    note = words("more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
-    heads = (words("setup"), words("place"), words("readings"), words("repeats"))
-    return TextTable(words("setups"), heads, tuple(rows[:_SETUPS]), note)
+    note = say("report.more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
+    return TextTable(say("report.setups"), heads("setup", "place", "readings", "repeats"), tuple(rows[:_SETUPS]), note)
 
 
-def _environment(session: Session, words: Words) -> TextTable:
+def _environment(session: Session) -> TextTable:
     rows = []
     for name, values in session.readings.columns.items():
         if name.startswith(_ENVIRONMENT) and np.isfinite(values).any():
             scale, unit = (1e-2, "hPa") if name == "air_pressure" else (1e2, "%") if "humidity" in name else (1.0, "°C")
             low, high = (f"{scale * float(end):.2f}" for end in (np.nanmin(values), np.nanmax(values)))
-            rows.append((words.phrase(name), low, high, unit))
-    return TextTable(words("environment"), ("", words("lowest"), words("highest"), words("unit")), tuple(rows))
+            rows.append((named("column", name), low, high, unit))
+    return TextTable(say("report.environment"), heads("", "lowest", "highest", "unit"), tuple(rows))
 
 
 def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture | Turnable]:
-    yield from map_pictures(found, words)
+    yield from map_pictures(found)
     drawing = turnable(found.result, words)
     if drawing is not None:
         yield Turnable(drawing)
-    for part in direct_tables(found.document["error_map"]):
-        yield words.phrase(part) if isinstance(part, str) else part
+    yield from direct_tables(found.document["error_map"])
 
 
-def _standard(found: Evaluation, name: str, words: Words) -> Iterator[str | TextTable | Picture]:
+def _standard(found: Evaluation, name: str) -> Iterator[str | TextTable | Picture]:
     """Figures of a standard and its plot, of ISO 230-2 one run after the other."""
     content = found.document["error_map"]
     entry = content.get(name) or ()
     for one in [[run] for run in entry] if name == "iso230_2" else [entry]:
         own = {**content, name: one}
-        for part in standard_tables(own, name):
-            yield words.phrase(part) if isinstance(part, str) else part
-        yield from standard_pictures(own, name, words)
+        yield from standard_tables(own, name)
+        yield from standard_pictures(own, name)
 
 
-def _effects(found: Evaluation, words: Words) -> TextTable:
+def _effects(found: Evaluation) -> TextTable:
     """Effects in the model, with what was found of them."""
     rows = [
-        (_title(name, found, words), name, sizes_in_words([p for p in found.result.parameters if p.owner == name]))
+        (found.titles.get(name, name), name, sizes_in_words([p for p in found.result.parameters if p.owner == name]))
         for name in found.document["effects"]
     ]
-    return TextTable(words("effects_in_model"), (words("effect"), "id", words("size_u")), tuple(rows))
+    (effect, size) = heads("effect", "size_u")
+    return TextTable(say("report.effects_in_model"), (effect, "id", size), tuple(rows))
 
 
-def _title(name: str, found: Evaluation, words: Words) -> str:
-    return words.phrase(found.titles[name]) if name in found.titles else name
-
-
-def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
+def _motions(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     table = error_motions(found.result)
     known = table[table["determined"].astype(bool)]
     single = tuple(
@@ -262,17 +261,17 @@ def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pict
         for row in known[known["position"].isna()].to_dict("records")
     )
     if not len(table):
-        yield words("no_motions")
+        yield say("report.no_motions")
     yield from value_tables(found.result)
     if single:
-        yield TextTable(words("squareness"), ("", words("value_u"), words("unit")), single)
-    yield from motion_pictures(found, words)
+        yield TextTable(say("report.squareness"), heads("", "value_u", "unit"), single)
+    yield from motion_pictures(found)
 
 
-def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _reproducibility(found: Evaluation) -> Iterator[str | TextTable]:
     rows = [
         (
-            words(f"spread_{one['family']}"),
+            say(f"report.spread_{one['family']}"),
             quantity(one["size"], "m"),
             f"{quantity(one['interval'][0], 'm')} … {quantity(one['interval'][1], 'm')}",
             probability(one["probability"]),
@@ -280,58 +279,55 @@ def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTabl
         for one in found.document["spread"]
     ]
     if not rows:
-        yield words("nothing_spreads")
+        yield say("report.nothing_spreads")
         return
-    yield words("spread_is")
-    heads = (words("between"), words("size_rms"), words("interval"), words("spread_probability"))
-    yield TextTable("", heads, tuple(rows))
+    yield say("report.spread_is")
+    yield TextTable("", heads("between", "size_rms", "interval", "spread_probability"), tuple(rows))
 
 
-def _residuals(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
+def _residuals(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     labels = found.measured.chosen.labels or ("",)
     rows = [
         (Verbatim(label), Verbatim(one["name"]), str(one["readings"]), micrometres(one["rms"]),
          times_declared(one["reduced_chi_square"]))
         for label, comparison in zip(labels, found.comparisons, strict=True) for one in records(comparison.setups)
     ]  # fmt: skip
-    heads = (words("session"), words("setup"), words("readings"), words("residual_um"), words("over_declared"))
-    note = words("more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
-    yield TextTable(words("by_setup"), heads, tuple(rows[:_SETUPS]), note)
-    yield from residual_pictures(found, words)
+    columns = heads("session", "setup", "readings", "residual_um_rms", "over_declared")
+    note = say("report.more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
+    yield TextTable(say("report.by_setup"), columns, tuple(rows[:_SETUPS]), note)
+    yield from residual_pictures(found)
 
 
-def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
     """As `mtcal diagnose` tells it."""
     if found.improvement is None or found.conclusions is None:
         return
-    told = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
-    for paragraph in told.words:
-        yield words.phrase(paragraph)
-    yield from told.tables
+    report = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
+    yield from report.words
+    yield from report.tables
 
 
-def _improvement(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
-    heads = (words("step"), words("readings"), words("residual_um"), "χ²/ν", words("map_um"), words("map_u_um"))
+def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
+    rows: list[tuple[str, int, float, float | None, float | None, float | None]]
+    columns = (*heads("model", "readings", "residual_um_rms"), "χ²/ν", *heads("map_um_rms", "map_u_um"))
     if found.measured.history:
+        known = {entry.number: entry for entry in found.measured.history}
         rows = [
-            (f"{entry.number}: {_change(entry.change, words)}", entry.used, entry.rms_residual,
-             entry.reduced_chi_square, entry.map_rms, None if found.budget else entry.map_uncertainty_rms)
+            (say("text.join", one=entry.number, other=entry.changed(known.get(entry.parent or 0))), entry.used,
+             entry.rms_residual, entry.reduced_chi_square, entry.map_rms,
+             None if found.budget else entry.map_uncertainty_rms)
             for entry in found.measured.history
         ]  # fmt: skip
-        yield TextTable(words("steps_history"), heads, tuple(map(_step, rows)))
+        yield TextTable(say("report.steps_history"), columns, tuple(map(_step, rows)))
     done = found.improvement
     if done is not None and len(done.steps) > 1:
         rows = [
-            (_change(step.change, words), step.result.joint.assembly.problem.n_readings, step.result.rms_residual,
+            (step.change or say("step.first"), step.result.joint.assembly.problem.n_readings, step.result.rms_residual,
              step.reduced_chi_square, step.map_rms, step.map_uncertainty)
             for step in done.steps
         ]  # fmt: skip
-        yield TextTable(words("steps"), heads, tuple(map(_step, rows)))
-        yield translated("improve", words("figure_improve"), draw_improvement(done), words)
-
-
-def _change(change: str, words: Words) -> str:
-    return words.phrase(change) if change else words("first_model")
+        yield TextTable(say("report.steps"), columns, tuple(map(_step, rows)))
+        yield Picture("improve", say("report.figure_improve"), draw_improvement(done))
 
 
 def _step(row: tuple[str, int, float, float | None, float | None, float | None]) -> tuple[str, ...]:
@@ -346,49 +342,46 @@ def _with_digits(size: float, expanded: float) -> tuple[str, str]:
     return fixed(1e6 * size, places), fixed(1e6 * expanded, places)
 
 
-def _budget(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
+def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     if found.budget is not None:
-        for part in budget_tables(found.budget):
-            yield words.phrase(part) if isinstance(part, str) else part
-        yield translated("budget", words("figure_budget"), draw_budget(found.budget), words)
+        yield from budget_tables(found.budget)
+        yield Picture("budget", say("report.figure_budget"), draw_budget(found.budget))
 
 
-def _conformity(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _conformity(found: Evaluation) -> Iterator[str | TextTable]:
     if found.conformity is not None:
-        yield words.phrase(decision_words(found.conformity))
+        yield decision_words(found.conformity)
         yield conformity_table(found.conformity)
 
 
-def _undetermined(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _undetermined(found: Evaluation) -> Iterator[str | TextTable]:
     document = found.document
-    rows = tuple(
-        (names, words.phrase(why))
-        for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"])
-    )
-    if rows:
-        yield TextTable("", (words("what"), words("why")), rows)
+    found_why = group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"])
+    if found_why:
+        yield TextTable("", heads("what", "why"), tuple((names, why) for why, names in found_why))
     else:
-        yield words("all_determined")
-    yield words("datum", datum=words.phrase(datum_words(document)))
+        yield say("report.all_determined")
+    yield say("report.datum", datum=datum_words(document))
 
 
-def _rejected(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
+def _rejected(found: Evaluation) -> Iterator[str | TextTable]:
     document = found.document
-    table = readings_set_aside(document, found.measured.recorded)
-    yield words("used_of", used=document["used"], count=document["observations"])
+    yield say("report.used_of", used=document["used"], count=document["observations"])
+    table = replace(readings_set_aside(document, found.measured.recorded), note="")
     if table.rows:
-        yield TextTable(table.title, table.columns, table.rows)
+        yield table
 
 
-def _provenance(found: Evaluation, words: Words) -> Iterator[TextTable]:
+def _provenance(found: Evaluation) -> Iterator[TextTable]:
     origin = found.result.provenance
-    rows = [(words("evaluated"), origin.evaluated), (words("software"), Verbatim(origin.software))]
-    rows.append((words("model"), ", ".join([origin.model, *origin.effects])))
+    rows: list[tuple[str, str]] = [(say("report.evaluated"), origin.evaluated)]
+    rows += [(say("report.software"), Verbatim(origin.software))]
+    rows.append((say("head.model"), _model(origin.model, origin.effects)))
     for one in origin.sessions:
-        where = f" ({one.label})" if one.label else ""
-        if one.measured:
-            rows.append((words("measured_on") + where, one.measured))
-        rows.append((words("sha256") + where, one.sha256))
+        for key, value in (("measured_on", one.measured), ("sha256", one.sha256)):
+            what = say(f"report.{key}")
+            if value:
+                rows.append((say("text.in_brackets", text=what, more=one.label) if one.label else what, value))
     if len(origin.sessions) > 1:
-        rows.append((words("sha256_all"), origin.sha256))
-    yield TextTable("", ("", ""), tuple(rows), words("sha256_note"))
+        rows.append((say("report.sha256_all"), origin.sha256))
+    yield TextTable("", ("", ""), tuple(rows), say("report.sha256_note"))

@@ -60,20 +60,20 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
     ]
     arrows = np.stack([place, found], axis=1)
     data = [
-        _lines(1e3 * place[pairs], _GRAY, words("nominal"), "dot"),
-        _lines(1e3 * found[pairs], COLORS[0], words("measured"), "solid"),
-        _lines(1e3 * arrows, COLORS[1], words("deviation"), "solid"),
+        _lines(1e3 * place[pairs], _GRAY, words("report.nominal"), "dot"),
+        _lines(1e3 * found[pairs], COLORS[0], words("report.measured"), "solid"),
+        _lines(1e3 * arrows, COLORS[1], words("report.deviation"), "solid"),
         {
             "type": "scatter3d",
             "mode": "markers",
-            "name": words("measured"),
+            "name": words("report.measured"),
             "showlegend": False,
             **_columns(1e3 * found),
             "marker": {
                 "size": 4,
                 "color": np.round(1e6 * size, 4).tolist(),
                 "colorscale": "Cividis",
-                "colorbar": {"title": {"text": words("deviation_um")}, "len": 0.7},
+                "colorbar": {"title": {"text": words("report.deviation_um")}, "len": 0.7},
             },
             "text": texts,
             "hoverinfo": "text",
@@ -81,12 +81,12 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
     ]
     axes = {f"{axis}axis": {"title": {"text": f"{axis.upper()}, mm"}} for axis in "xyz"}
     layout = {
-        "title": {"text": words("magnified", scale=spaced(scale)), "font": {"size": 14}},
+        "title": {"text": words("report.magnified", scale=spaced(scale)), "font": {"size": 14}},
         "scene": {**axes, "aspectmode": "data" if (np.ptp(place, axis=0) > 1e-6).all() else "cube"},
         "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
         "legend": {"orientation": "h"},
         "height": 560,
-        "separators": f"{words('decimal')}\u202f",
+        "separators": f"{words('report.decimal')}\u202f",
     }
     return {"data": data, "layout": layout}
 

@@ -11,26 +11,23 @@ from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILIT
 from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
-from machine_tool_calibration.reports.tables import TextTable, show_table
-from machine_tool_calibration.words import say, together
+from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.words import named, say, together
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["budget_document", "budget_tables", "chosen_sums", "default_names", "show_budget", "sum_title"]
+__all__ = [
+    "budget_document",
+    "budget_tables",
+    "chosen_sums",
+    "default_names",
+    "line_name",
+    "show_budget",
+    "sum_name",
+    "unit_of",
+]
 
-_ENTERS = {
-    "reading": "reading",
-    "along": "along the beam",
-    "across": "across the beam",
-    "angle": "angle of the beam",
-    "length": "length",
-    "temperature": "expansion",
-    "air_temperature": "air's temperature",
-    "air_pressure": "air's pressure",
-    "air_humidity": "air's humidity",
-}
-_VARIES = {"angle": "beam direction", "never": "none"}
 _LEAST_NAMED = 1.0  # %
 # Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
 _USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")
@@ -61,18 +58,24 @@ def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
     return [one for one in out if one is not None]
 
 
-def sum_title(one: Sum) -> str:
-    """Name of a column: the quantity, which of its numbers, and the unit."""
-    which = ", RMS" if one.index is None else ", largest" if one.quantity.count > 1 else ""
-    name = "position error per axis" if one.quantity.name == POSITION_ERROR else one.quantity.name
-    return f"{name}{which} / {_unit(one)[1]}"
+def sum_name(one: Sum) -> str:
+    """The quantity, and which of its numbers."""
+    name = say("budget.position_error_per_axis") if one.quantity.name == POSITION_ERROR else one.quantity.name
+    if one.index is None:
+        return say("budget.rms_of", name=name)
+    return say("budget.largest_of", name=name) if one.quantity.count > 1 else name
+
+
+def _title(one: Sum) -> str:
+    """The same with the unit, for a column."""
+    return say("budget.in_unit", what=sum_name(one), unit=unit_of(one)[1])
 
 
 def _quantity_name(one: Sum) -> str:
-    return "position error" if one.quantity.name == POSITION_ERROR else one.quantity.name
+    return say("budget.position_error") if one.quantity.name == POSITION_ERROR else one.quantity.name
 
 
-def _unit(one: Sum) -> tuple[float, str]:
+def unit_of(one: Sum) -> tuple[float, str]:
     """Factor from SI, and the unit shown."""
     unit = one.quantity.unit
     return (1e6, "µ" + unit) if unit in ("m", "rad") else (1.0, unit)
@@ -118,19 +121,18 @@ def _contributors(budget: Budget) -> TextTable:
         freedom = "" if c.degrees_of_freedom is None else f"{c.degrees_of_freedom:g}"
         rows.append(
             (
-                _name(line),
+                line_name(line),
                 c.type,
-                c.distribution,
+                named("distribution", c.distribution),
                 quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
                 freedom,
-                _ENTERS[c.enters],
-                _VARIES.get(c.varies, c.varies),
+                say(f"enters.{c.enters}"),
+                say(f"varies.{c.varies}"),
                 micrometres(line.reading) if line.reading >= _LEAST_READING else "< 0.001",
             )
         )
-    heads = ("contributor", "type", "distribution", "u", "ν", "enters by", "varies with", "in a reading / µm")
-    title = "contributors (u: standard uncertainty; in a reading: the largest that it gives one reading)"
-    return TextTable(title, heads, tuple(rows))
+    begin, end = ("contributor", "type", "distribution"), ("enters_by", "varies_with", "in_a_reading")
+    return TextTable(say("budget.contributors"), (*heads(*begin), "u", "ν", *heads(*end)), tuple(rows))
 
 
 def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
@@ -138,28 +140,25 @@ def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
     for k, line in enumerate(budget.lines):
         if line.name == REPEATABILITY and not any(one.shares[k].u for one in sums):
             continue
-        rows.append((_name(line), *(_part(one, k) for one in sums)))
+        rows.append((line_name(line), *(_part(one, k) for one in sums)))
     rows += [
-        ("combined standard uncertainty u", *(_shown(one, one.u) for one in sums)),
-        ("effective degrees of freedom", *(_freedom(one.degrees_of_freedom) for one in sums)),
-        ("coverage factor k (95.45 %)", *(f"{one.k:.2f}" for one in sums)),
-        ("expanded uncertainty U = k u", *(_shown(one, one.expanded) for one in sums)),
-        ("u that the readings show", *(_shown(one, one.stated) for one in sums)),
+        (say("budget.combined"), *(_shown(one, one.u) for one in sums)),
+        (say("budget.freedom"), *(_freedom(one.degrees_of_freedom) for one in sums)),
+        (say("budget.coverage"), *(f"{one.k:.2f}" for one in sums)),
+        (say("budget.expanded"), *(_shown(one, one.expanded) for one in sums)),
+        (say("budget.u_readings"), *(_shown(one, one.stated) for one in sums)),
     ]
-    return TextTable(
-        "what they contribute: standard uncertainty, and its square's share of the sum of squares",
-        ("contributor", *(sum_title(one) for one in sums)),
-        tuple(rows),
-    )
+    return TextTable(say("budget.contribute"), (*heads("contributor"), *map(_title, sums)), tuple(rows))
 
 
-def _name(line: Line) -> str:
-    symbol = line.contributor.symbol if line.contributor else ""
-    return say("budget.contributor", symbol=symbol, name=line.name) if symbol else line.name
+def line_name(line: Line) -> str:
+    """A contributor with its symbol."""
+    symbol, name = line.contributor.symbol if line.contributor else "", named("contributor", line.name)
+    return say("budget.contributor", symbol=symbol, name=name) if symbol else name
 
 
 def _shown(one: Sum, value: float) -> str:
-    text = rounded(_unit(one)[0] * value) if math.isfinite(value) else NOT_DETERMINED
+    text = rounded(unit_of(one)[0] * value) if math.isfinite(value) else NOT_DETERMINED
     return f"{text:>6}"
 
 
@@ -180,14 +179,14 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
     rows = []
     for one in sums:
         order = sorted(range(len(budget.lines)), key=lambda k, one=one: -one.shares[k].share)[:2]  # type: ignore[misc]
-        shares = [(_name(budget.lines[k]), 100.0 * one.shares[k].share) for k in order]
+        shares = [(line_name(budget.lines[k]), 100.0 * one.shares[k].share) for k in order]
         most = together(
             (say("budget.share", name=name, share=f"{share:.0f}") for name, share in shares if share >= _LEAST_NAMED),
             ", ",
         )
         rows.append(
             (
-                sum_title(one),
+                _title(one),
                 _shown(one, one.u).strip(),
                 f"{one.k:.2f}",
                 _shown(one, one.expanded).strip(),
@@ -196,8 +195,8 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
             )
         )
     return TextTable(
-        "further quantities (u of the readings: what these show, without instrument and temperature)",
-        ("quantity", "u", "k", "U", "u of the readings", "most from"),
+        say("budget.further"),
+        (*heads("quantity"), "u", "k", "U", *heads("u_readings", "most_from")),
         tuple(rows),
     )
 
@@ -209,10 +208,10 @@ def _check(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         if one.index is None:
             continue
         low, high = budget.drawn.interval(one.index)
-        factor = _unit(one)[0]
+        factor = unit_of(one)[0]
         rows.append(
             (
-                sum_title(one),
+                _title(one),
                 _shown(one, one.u).strip(),
                 _shown(one, float(budget.drawn.u[one.index])).strip(),
                 say("budget.interval", low=rounded(factor * low), high=rounded(factor * high)),
@@ -220,24 +219,28 @@ def _check(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         )
     return TextTable(
         say("budget.check", n=len(budget.drawn.deviation)),
-        ("quantity", "u linear", "u drawn", "deviations of 95 %"),
+        heads("quantity", "u_linear", "u_drawn", "deviations_95"),
         tuple(rows),
     )
 
 
 def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
-    places = [f"{_quantity_name(one)} {one.where}" for one in sums if one.where and one.index is not None]
+    places = [
+        say("budget.quantity_where", name=_quantity_name(one), where=one.where)
+        for one in sums
+        if one.where and one.index is not None
+    ]
     if places:
-        yield f"Largest: {'; '.join(places)}."
+        yield say("budget.largest", places=together(places, "; "))
     more = list(dict.fromkeys(_quantity_name(one) for one in sums if one.stated > one.expanded / 2.0))
     if more:
         yield say("budget.readings_show_more", names=together(more, ", "))
-    taken = [line.name for line in budget.lines if line.how == "draws"]
+    taken = [named("contributor", line.name) for line in budget.lines if line.how == "draws"]
     if taken:
         own = f"{100 / math.sqrt(2 * DRAWS):.0f}"
         yield say("budget.drawn", n=DRAWS, share=own, names=together(taken, ", "))
     if any(line.name == KNOWN for line in budget.lines):
-        yield say("budget.known", name=KNOWN)
+        yield say("budget.known", name=named("contributor", KNOWN))
 
 
 def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]:

@@ -6,23 +6,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.budget.conformity import INCOMPLETE, VOLUMETRIC, Conformity, Verdict
+from machine_tool_calibration.budget.conformity import VOLUMETRIC, Conformity, Verdict
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.words import named, say
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 __all__ = ["conformity_document", "conformity_table", "decision_words", "show_conformity"]
-
-_RULES = {
-    "guarded": "pass and fail with a probability of {level} each, else undecided (ISO 14253-1)",
-    "guarded-acceptance": "pass with a probability of {level}, else fail (JCGM 106, guarded acceptance)",
-    "guarded-rejection": "fail with a probability of {level}, else pass (JCGM 106, guarded rejection)",
-    "simple": "the measured value decides (JCGM 106, simple acceptance, shared risk)",
-}
 
 
 def show_conformity(screen: Console, found: Conformity) -> None:
@@ -33,41 +27,38 @@ def show_conformity(screen: Console, found: Conformity) -> None:
 
 def decision_words(found: Conformity) -> str:
     """Of all tolerances together, in a sentence."""
-    why = "" if found.uncertainty == "budget" else f": {INCOMPLETE}"
-    return f"All together: {found.decision}{why}."
+    key = "conformity.together" if found.uncertainty == "budget" else "conformity.together_incomplete"
+    return say(key, decision=named("decision", found.decision))
 
 
 def conformity_table(found: Conformity) -> TextTable:
     """The verdicts, one a row."""
-    rows = [_row(verdict) for verdict in found.verdicts]
-    rule = _RULES[found.rule].format(level=f"{100 * found.level:g} %")
     return TextTable(
-        f"conformity: {rule}",
-        ("figure", "tolerance", "measured ± U (k = 2)", "probability", "decision", "why"),
-        tuple(rows),
-        "U by the budget; probability that the true value lies within the tolerance"
-        if found.uncertainty == "budget"
-        else f"nothing passes or fails: {INCOMPLETE}",
+        say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %"),
+        heads("figure", "tolerance", "measured_u", "probability", "decision", "why"),
+        tuple(map(_row, found.verdicts)),
+        say("conformity.by_budget" if found.uncertainty == "budget" else "conformity.nothing_decided"),
     )
 
 
 def _row(verdict: Verdict) -> tuple[str, ...]:
     measured = quantity(verdict.value, verdict.unit, verdict.u) if math.isfinite(verdict.value) else NOT_DETERMINED
     return (
-        f"{verdict.name}{_kind(verdict.name)}",
+        _figure(verdict.name),
         quantity(verdict.tolerance, verdict.unit),
         measured,
         _percent(verdict.probability),
-        verdict.decision,
+        named("decision", verdict.decision),
         verdict.why,
     )
 
 
-def _kind(name: str) -> str:
+def _figure(name: str) -> str:
     """What of a name a tolerance is for, which is not its values along the axis."""
     if name in ERROR_MOTIONS:
-        return ", range" if parse_motion(name).is_rotation or name[1] == name[2] else ", about its straight line"
-    return " error, largest" if name == VOLUMETRIC else ""
+        ranges = parse_motion(name).is_rotation or name[1] == name[2]
+        return say("conformity.range" if ranges else "conformity.about_line", name=name)
+    return say("conformity.volumetric") if name == VOLUMETRIC else name
 
 
 def _percent(probability: float) -> str:

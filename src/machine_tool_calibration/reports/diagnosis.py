@@ -25,11 +25,12 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, heads, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,25 +51,25 @@ def dominant_words(found: Dominant) -> Iterator[str]:
     In shares: what U is, the map says, and the sizes assumed here are no part of that.
     """
     if found.cause == "readings":
-        yield (
-            f"the readings' own scatter dominates the map's uncertainty: {100 * found.shares['readings']:.0f} % of its "
-            "variance; more repeats help"
-        )
+        yield say("found.dominant_readings", share=f"{100 * found.shares['readings']:.0f}")
         return
-    share = f"{100 * found.shares[found.cause]:.0f} % of its variance"
-    assumed = f"angular errors of {quantity(found.angular, 'rad')}"
+    share = f"{100 * found.shares[found.cause]:.0f}"
     if found.cause == "time":
-        assumed = f"a drift of {quantity(found.drift, 'm/s')}"
-    yield (
-        f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty: {share}, for {assumed}"
-    )
+        yield say("found.dominant_time", share=share, size=quantity(found.drift, "m/s"))
+    else:
+        yield say("found.dominant", share=share, size=quantity(found.angular, "rad"))
     for remedy in found.remedies:
-        besides = f", and {remedy.aside}" if remedy.aside else ""
-        time = f" ({duration(remedy.seconds)}{besides})" if remedy.seconds is not None else ""
-        again = "" if found.again is None else f", the same once more {100 * found.again / found.uncertainty:.0f} %"
-        yield f"  {remedy.measure}{time} leaves {100 * remedy.uncertainty / found.uncertainty:.0f} % of U{again}"
+        measure: str = remedy.measure
+        if remedy.seconds is not None:
+            key = "found.remedy_besides" if remedy.aside else "found.remedy_time"
+            measure = say(key, measure=measure, time=duration(remedy.seconds), besides=remedy.aside)
+        left, again = (
+            None if u is None else f"{100 * u / found.uncertainty:.0f}" for u in (remedy.uncertainty, found.again)
+        )
+        key = "found.remedy" if again is None else "found.remedy_again"
+        yield say(key, measure=measure, share=left, again=again)
     if not found.remedies:
-        yield "  none of the further measurements that were considered does clearly better than the same once more"
+        yield say("found.no_remedy")
 
 
 # Errors of position that are not the machine's: a map that takes them up is wrong by them.
@@ -86,23 +87,21 @@ def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]
         for p in () if change is None else change.parameters:
             size = quantity(p.value, p.unit, p.standard_uncertainty)
             rows.append((name, p.name.removeprefix(f"{name}."), meanings.get(p.name, ""), size))
-    heads = ("effect", "coefficient", "what it is", "size ± U (k = 2)")
-    return TextTable("What was found, coefficient by coefficient", heads, tuple(rows))
+    columns = heads("effect", "coefficient", "what_it_is", "size_u")
+    return TextTable(say("found.coefficients"), columns, tuple(rows))
 
 
 def _in_map_table(diagnosis: Diagnosis) -> TextTable:
     """Errors of the machine that are part of the map already: whatever their size, nothing needs to be added."""
-    title = "Errors that the map holds already, whatever their size: nothing needs to be added for them"
-    return TextTable(title, ("errors", "they are part of"), _rows(diagnosis, True))
+    return TextTable(say("found.in_map"), heads("errors", "part_of"), _rows(diagnosis, True))
 
 
 def _hidden_table(diagnosis: Diagnosis) -> TextTable:
     """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
-    title = "Effects that would not show here: fully correlated with unknowns of the model"
     rows = _rows(diagnosis, False)
     wrong = any(unknown.in_map for a in _absorbed(diagnosis, False) for unknown in a.by[:1])
-    note = "taken for an error motion, a squareness or the points, they make the map wrong" if wrong else ""
-    return TextTable(title, ("effects", "taken for"), rows, note)
+    note = say("found.wrong_map") if wrong else ""
+    return TextTable(say("found.hidden"), heads("effects", "taken_for"), rows, note)
 
 
 def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
@@ -130,11 +129,11 @@ def _of_the_map(absorbed: Absorbed, effect: Effect | None, surface: bool) -> boo
 
 def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
     if absorbed.effect in absorbed.families:
-        return "unknowns of this model themselves"
+        return say("found.unknowns_themselves")
     chosen = [unknown for unknown in absorbed.by if unknown.in_map or not of_map]
     if chosen == [POINTS] and spec_of(diagnosis.chosen.sessions[0]).probes_surface:
-        return "form of the workpiece: each probed point has an error of its own"
-    return unknowns_in_words(chosen) or "the model"
+        return say("found.form")
+    return unknowns_in_words(chosen) or say("found.the_model")
 
 
 def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
@@ -217,34 +216,29 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
                 probability(r.probability),
                 probability(r.p_value),
                 sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(r)),
-                "" if r.plausible else "no",
+                "" if r.plausible else say("text.no"),
                 _held_out(diagnosis, name),
                 micrometres(after),
                 micrometres(None if change is None else change.map_change_rms),
             )
         )
-    title = "Effects looked for, the most probable first"
-    if diagnosis.verdict == "unexplained":
-        title = "Effects looked for: none of them is named as the cause"
+    title = say("found.none_named" if diagnosis.verdict == "unexplained" else "found.candidates")
     left = len(ranked) - len(rows)
     before = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
-    note = (
-        "group: the same letter, confounded effects; p-value: largest chance of so much evidence if nothing is "
-        "missing; size ± U (k = 2); "
-        "cross-validation: fall of the mean square error of predicting readings left out, worst of setups, blocks of "
-        f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before}"
-    )
+    notes = [say("found.note_found")] if accepted else []
+    notes += [say("found.note_group"), say("found.note_p"), say("head.size_u"), say("found.note_cross")]
+    notes += [say("found.note_residual"), say("found.note_without", size=before)]
     if accepted:
-        note = f"✓ found; {note}; the others as they were before anything was added"
+        notes.append(say("found.note_others"))
     if any(not r.plausible for r in ranked):
-        note += "; plausible: no, if such a size does not occur"
+        notes.append(say("found.note_plausible"))
     if left:
-        note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
-    heads = (
-        *("effect", "group", "probability", "p-value", "size", "plausible", "cross-validation"),
-        *("residual / µm", "map moves / µm"),
+        notes.append(say("found.note_left", n=left))
+    columns = heads(
+        *("effect", "group", "probability", "p_value", "size", "plausible", "cross_validation"),
+        *("residual_um", "map_moves_um"),
     )
-    return TextTable(title, heads, tuple(rows), note)
+    return TextTable(title, columns, tuple(rows), together(notes, "; "))
 
 
 def _held_out(diagnosis: Diagnosis, name: str) -> str:
@@ -258,20 +252,15 @@ def _outliers(diagnosis: Diagnosis) -> TextTable:
         (str(o.row), f"{o.studentized:+.1f}", micrometres(o.deviation, signed=True))
         for o in sorted(diagnosis.outliers, key=lambda o: o.row)
     )
-    return TextTable(
-        "Readings that do not belong to the rest; they were set aside",
-        ("row", "× expected", "deviation / µm"),
-        rows,
-        "× expected: deviation over the scatter that it should have; row 0 is the second line of observations.csv",
-    )
+    columns = heads("row", "times_expected", "deviation_um")
+    return TextTable(say("found.outliers"), columns, rows, say("found.note_outliers"))
 
 
 def _structure(diagnosis: Diagnosis) -> TextTable:
     left = diagnosis.search.left
     rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
-    title = "What the residuals still depend on"
-    note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
-    return TextTable(title, ("covariate", "shape", "p-value", "share of the sum of squares"), rows, note)
+    note = say("text.more", n=len(left) - _SHOWN) if len(left) > _SHOWN else ""
+    return TextTable(say("found.structure"), heads("covariate", "shape", "p_value", "share"), rows, note)
 
 
 def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
@@ -288,11 +277,9 @@ def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
                 f"{s.apart_before:.1f} → {s.apart_after:.1f}" if found else "",
             )
         )
-    heads = ("confounded effects", "to distinguish them", "time", "besides", "cosine", "apart / u")
-    note = "cosine: of the angle between their patterns in the readings, now → then; 1: fully correlated"
-    if any(row[-1] for row in rows):
-        note += "; apart: how far the patterns differ at the size found, in standard uncertainties u"
-    return TextTable("Confounded effects, and what to measure next", heads, tuple(rows), note)
+    columns = heads("confounded", "to_distinguish", "time", "besides", "cosine", "apart")
+    notes = [say("found.note_cosine"), *([say("found.note_apart")] if any(row[-1] for row in rows) else [])]
+    return TextTable(say("found.confounded"), columns, tuple(rows), together(notes, "; "))
 
 
 def _next(advice: Advice) -> TextTable:
@@ -302,13 +289,13 @@ def _next(advice: Advice) -> TextTable:
             v.measure,
             duration(v.seconds),
             v.aside,
-            "not at all" if v.before is None else quantity(v.before, v.unit),
+            say("found.not_at_all") if v.before is None else quantity(v.before, v.unit),
             quantity(v.after, v.unit),
         )
         for v in advice.visibilities
     )
-    heads = ("effect", "to detect it", "time", "besides", "smallest size: now", "then")
-    return TextTable("Effects that hardly show here, and what would show them", heads, rows)
+    columns = heads("effect", "to_detect", "time", "besides", "smallest_now", "then")
+    return TextTable(say("found.hardly"), columns, rows)
 
 
 def _detectable(diagnosis: Diagnosis) -> TextTable:
@@ -318,22 +305,22 @@ def _detectable(diagnosis: Diagnosis) -> TextTable:
         if sizes:
             rows.append((found.name, *_smallest(found, sizes)))
     rows.sort()
-    title = "Smallest size that this measurement would have found (80 % power)"
-    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows))
+    return TextTable(say("found.detectable"), heads("effect", "smallest", "occurs"), tuple(rows))
 
 
 def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, str]:
     known = {s.coefficient.name: s.coefficient for s in ranked.sizes}
     first = known[next(iter(sizes))]
     seen = {name: value for name, value in sizes.items() if value is not None}
+    text: str
     if not seen:
-        text = "none that occurs"
+        text = say("found.none_occurs")
     elif len(sizes) <= _MANY:
         text = ", ".join(f"{name}: {quantity(value, known[name].unit)}" for name, value in seen.items())
     else:
-        low, high = min(seen.values()), max(seen.values())
-        many = f"{len(sizes)}" if len(seen) == len(sizes) else f"{len(seen)} of {len(sizes)}"
-        text = f"{many} coefficients, {quantity(low, first.unit)} to {quantity(high, first.unit)}"
+        ends = range_of(min(seen.values()), max(seen.values()), first.unit)
+        many = len(sizes) if len(seen) == len(sizes) else say("text.of", n=len(seen), count=len(sizes))
+        text = say("text.coefficients", n=many, one=ends)
     return text, range_of(first.low, first.high, first.unit)
 
 
@@ -343,7 +330,7 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
         by.setdefault(why, []).append(name)
     longest_last = sorted(by.items(), key=lambda entry: len(entry[1]))
     rows = tuple((", ".join(names), why) for why, names in longest_last)
-    return TextTable("Effects that were not looked for", ("effect", "why"), rows)
+    return TextTable(say("found.excluded"), heads("effect", "why"), rows)
 
 
 def show_diagnosis(
@@ -363,9 +350,7 @@ def show_diagnosis(
             screen.print(paragraph)
         show_table(screen, _brief(found, then.changes))
         screen.print(next_step(found, then.advice))
-        screen.print(
-            "--details: how sure, what is confounded or would not show, smallest sizes, all that was looked for"
-        )
+        screen.print(say("found.details"))
         return
     report = diagnosis_report(found, then.advice, then.changes, shown)
     for paragraph in (*report.words, *report.forecast):
@@ -381,12 +366,8 @@ def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTabl
     others = [finding for finding in ranked if finding not in own][:_FEW]
     likely = [finding for finding in others if finding.probability > AS_GOOD]
     rows = tuple(_sized(diagnosis, finding, changes) for finding in ([*own, *likely] if own else others))
-    title = "Found (✓), and what else is probable" if likely else "Found"
-    return TextTable(
-        title if own else "Looked for, the most probable first",
-        ("effect", "probability", "size ± U (k = 2)", "residual then / µm"),
-        rows,
-    )
+    title = "looked_for" if not own else "found_and" if likely else "found"
+    return TextTable(say(f"found.{title}"), heads("effect", "probability", "size_u", "residual_then_um"), rows)
 
 
 def _sized(diagnosis: Diagnosis, finding: Finding, changes: Mapping[str, Consequence]) -> tuple[str, ...]:

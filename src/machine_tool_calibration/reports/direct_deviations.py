@@ -8,7 +8,7 @@ from typing import Any
 
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
-from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.words import Said, say, together
 
 __all__ = ["direct_tables", "scatter_words"]
@@ -50,7 +50,6 @@ def direct_tables(content: Mapping[str, Any]) -> Iterator[TextTable | str]:
 
 def _plate_table(plate: Mapping[str, Any]) -> TextTable:
     title = say("plate.title", n=plate["places"])
-    heads = ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes")
     rows = (
         (
             step["model"],
@@ -62,7 +61,7 @@ def _plate_table(plate: Mapping[str, Any]) -> TextTable:
         )
         for step in plate["steps"]
     )
-    return TextTable(title, heads, tuple(rows))
+    return TextTable(title, heads("model", "unknowns", "rms_um", "scatter_um", "p_of_step", "sizes"), tuple(rows))
 
 
 def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:

@@ -25,11 +25,11 @@ from machine_tool_calibration.reports.quantities import (
 )
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
-from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import TextTable, heads, show_suspicions, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.words import Said
+from machine_tool_calibration.words import Said, named, say, together
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,87 +56,90 @@ _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 
 def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     """What the result of a session says, in words and micrometres."""
-    rows = [
-        ("readings used", f"{document['used']} of {document['observations']}"),
-        ("RMS residual", quantity(document["rms_residual"], "m")),
+    rows: list[tuple[str, str]] = [
+        (say("result.readings_used"), say("text.of", n=document["used"], count=document["observations"])),
+        (say("result.rms_residual"), quantity(document["rms_residual"], "m")),
     ]
     chi = document.get("reduced_chi_square")
     if chi is not None:
-        rows.append(("reduced chi-square", f"{rounded(chi)} (1 if the model and the declared uncertainty are right)"))
+        rows.append((say("result.chi"), say("result.chi_value", value=rounded(chi))))
     error_map = document.get("error_map") or {}
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     if error.size:
-        rows.append(("points of the map", _points(error_map.get("points"), len(error))))
-        text = "not determined"
+        rows.append((say("result.points"), _points(error_map.get("points"), len(error))))
+        text = say("text.not_determined")
         known = np.isfinite(uncertainty).any()
         expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
-            shown = [as_exact(size, "m", u) for size, u in zip((_rms(error), _largest(error)), expanded, strict=True)]
-            text = f"{shown[0]} RMS, {shown[1]} at most{_lost(error)}"
-        rows.append(("position error", text))
+            sizes = zip((_rms(error), _largest(error)), expanded, strict=True)
+            text = _lost(_rms_and_most(as_exact(size, "m", u) for size, u in sizes), error)
+        rows.append((say("result.position_error"), text))
         if known:
-            mean, most = (as_exact(u, "m", u) for u in expanded if u is not None)
-            text = f"{mean} RMS, {most} at most{_without(document)}{_if_right(document)}"
-            rows.append(("its uncertainty U (k = 2)", text))
+            text = _rms_and_most(as_exact(u, "m", u) for u in expanded if u is not None)
+            if document.get("uncertainty") != "budget":
+                text = say("result.without", text=text)
+            rows.append((say("result.uncertainty"), say("result.if_right", text=text) if _doubtful(document) else text))
     rows += _motions(error_map)
     missing = document.get("not_determined") or []
     if missing:
         names = ", ".join(entry["name"] for entry in missing[:6])
-        rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
+        rows.append((say("text.not_determined"), f"{names}{' …' if len(missing) > 6 else ''}"))
     return rows
 
 
-def _without(document: Mapping[str, Any]) -> str:
-    """What U lacks."""
-    return "" if document.get("uncertainty") == "budget" else ", without instrument and temperature"
+def _rms_and_most(sizes: Iterable[str]) -> Said:
+    rms, most = sizes
+    return say("result.rms_and_most", rms=rms, most=most)
 
 
-def _lost(error: np.ndarray) -> str:
-    """Directions in which no point has a value, and how many points lack one in the others."""
+def _lost(text: Said, error: np.ndarray) -> Said:
+    """The text with directions in which no point has a value, and how many points lack one in the others."""
     known = np.isfinite(error)
     lost = [axis for axis, any_known in zip("xyz", known.any(axis=0), strict=False) if not any_known]
     partly = int((~known[:, known.any(axis=0)]).any(axis=1).sum())
-    return (f"; not determined along {', '.join(lost)}" if lost else "") + (
-        f"; not determined at {partly} of {len(error)} points" if partly else ""
-    )
+    if lost:
+        text = say("result.lost_along", text=text, names=", ".join(lost))
+    return say("result.lost_at", text=text, n=partly, count=len(error)) if partly else text
 
 
 def _points(points: Any, count: int) -> str:
     """How many, and why one place may be there more than once."""
     places = len({tuple(point) for point in points}) if points else count
-    if places == count:
-        return str(count)
-    return (
-        f"{count} at {places} places: one for each direction of approach (or temperature) in which a place was reached"
-    )
+    return str(count) if places == count else say("result.points_at", n=count, places=places)
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Largest value and uncertainty of what a map holds beside positions."""
-    out = []
+    out: list[tuple[str, str]] = []
     for name, value in content.items():
         known = name in _PUBLISHED or name in ERROR_MOTIONS
         if not known or f"{name}_u" not in content or not isinstance(value, list):
             continue
         found, u = (np.array(content[key], dtype=float).reshape(-1) for key in (name, f"{name}_u"))
         good = np.isfinite(found)
-        title = f"errors of {name.upper()}" if name in ("x", "y", "z") else name.replace("_", " ")
+        title: str = name
+        if name in ("x", "y", "z"):
+            title = say("result.errors_of", axis=name.upper())
+        elif name not in ERROR_MOTIONS:
+            title = say(f"result.{name}")
         if not good.any():
-            out.append((title, "not determined"))
+            out.append((title, say("text.not_determined")))
             continue
         unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
         largest = 2 * float(u[good].max())
         most, expanded = (as_exact(size, unit, largest) for size in (float(np.abs(found[good]).max()), largest))
-        text = f"{most} at most, U (k = 2) at most {expanded}"
-        out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
+        text = say("result.at_most", most=most, u=expanded)
+        if not good.all():
+            text = say("result.lost_values", text=text, n=int((~good).sum()), count=len(good))
+        out.append((title, text))
     return out
 
 
-def _if_right(document: dict[str, Any]) -> str:
-    """A warning where the readings speak against the model on which the uncertainty rests."""
+def _doubtful(document: Mapping[str, Any]) -> bool:
+    """Whether the readings speak against the model on which the uncertainty rests."""
     if "one_direction" in ((document.get("error_map") or {}).get("scatter") or {}):
-        return ""  # only the reversal, which is part of the result, is in it beside the scatter
-    return ", if the model were right" if fits(document.get("p_value")) == "bad" else ""
+        return False  # only the reversal, which is part of the result, is in it beside the scatter
+    return fits(document.get("p_value")) == "bad"
 
 
 def _array(value: Any) -> np.ndarray:
@@ -167,9 +170,10 @@ def show_result(
     for session in opened:
         screen.print(session_headline(session))
     if document["effects"]:
-        screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
-    ask = " `mtcal diagnose` looks for what is missing." if fits(document["p_value"]) in ("bad", "nearly") else ""
-    screen.print(goodness_of_fit(document) + ask)
+        screen.print(say("result.model_with", model=_variants(document), effects=", ".join(document["effects"])))
+    fitting = goodness_of_fit(document)
+    doubt = fits(document["p_value"]) in ("bad", "nearly")
+    screen.print(say("result.ask_diagnosis", text=fitting) if doubt else fitting)
     show_suspicions(screen, document["suspicious"])
     for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
         screen.print(words)
@@ -183,7 +187,7 @@ def show_result(
     if "agreement" in document:
         screen.print(document["agreement"]["statement"])
     for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
-        screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
+        screen.print(say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason))
     aside = readings_set_aside(document, opened)
     if aside.rows:
         show_table(screen, aside)
@@ -192,10 +196,10 @@ def show_result(
         screen.print(words)
     namesakes = _namesakes(fit)
     missing = document["not_determined"]
-    lost = (("effect " * (entry["name"] in namesakes) + entry["name"], entry["why"]) for entry in missing)
-    for why, names in group_by_reason(lost):
-        screen.print(f"not determined: {names}: {why}")
-    screen.print(f"datum: {datum_words(document)}")
+    names = ((e["name"] if e["name"] not in namesakes else say("result.effect", name=e["name"])) for e in missing)
+    for why, lost in group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True)):
+        screen.print(say("result.not_determined", names=lost, why=why))
+    screen.print(say("result.datum", datum=datum_words(document)))
 
 
 def _namesakes(fit: JointFit) -> set[str]:
@@ -207,8 +211,8 @@ def _namesakes(fit: JointFit) -> set[str]:
 def datum_words(document: Mapping[str, Any]) -> str:
     """What the values refer to; of the map besides, where its datum is another one."""
     of_map = (document["error_map"] or {}).get("datum")
-    own = str(document["datum"])
-    return own if not of_map or of_map in own else f"{own}; map: {of_map}"
+    own: str = document["datum"]
+    return own if not of_map or of_map in own else say("datum.and_map", own=own, map=of_map)
 
 
 def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -> TextTable:
@@ -242,9 +246,8 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
                 micrometres(entry["deviation"]) if "deviation" in entry else "",
             )
         )
-    heads = ("session", "row", "time, s", "setup", "repeat", "position, mm or °", "deviation, µm")
-    note = "deviation from what all others predict; --keep ROW puts a reading back, --keep-all all of them"
-    return TextTable("Readings set aside", heads, tuple(rows[:_MOST_ROWS]), note)
+    columns = heads("session", "row", "time_s", "setup", "repeat", "position", "deviation")
+    return TextTable(say("result.set_aside"), columns, tuple(rows[:_MOST_ROWS]), say("result.note_aside"))
 
 
 def _place(axis: str, value: float) -> str:
@@ -255,9 +258,9 @@ def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
     """Profiles of the three axes by one of the formulations of a step diagonal."""
     for axis in "xyz":
         rows = tuple((str(k), *map(micrometres, row)) for k, row in enumerate(document["error_map"][axis]))
-        title = f"{axis.upper()}: errors by the formulation {document['formulation']}, µm"
+        title = say("result.formulation", axis=axis.upper(), formulation=document["formulation"])
         if rows:
-            show_table(screen, TextTable(title, ("block", "ex", "ey", "ez"), rows))
+            show_table(screen, TextTable(title, (*heads("block"), "ex", "ey", "ez"), rows))
 
 
 def _variants(document: Mapping[str, Any]) -> str:
@@ -272,12 +275,14 @@ def session_headline(session: Session) -> str:
     ids = session.setup_ids
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
     words = spec_of(session).words
-    kind = session.method.replace("_", " ") if words is None else words(session.description)
-    repeats = len(np.unique(session.readings.repeat))
-    return (
-        f"{kind}: {len(session.readings)} readings in {len(ids)} setup{'s' if len(ids) > 1 else ''} ({names}), "
-        f"{repeats} repeat{'s' if repeats > 1 else ''}, declared standard uncertainty "
-        f"{declared_words(session.description.standard_uncertainty)}"
+    return say(
+        "result.headline",
+        kind=named("method", session.method.replace("_", " ")) if words is None else words(session.description),
+        readings=say("result.readings", n=len(session.readings)),
+        setups=say("result.setups", n=len(ids)),
+        names=names,
+        repeats=say("result.repeats", n=len(np.unique(session.readings.repeat))),
+        declared=declared_words(session.description.standard_uncertainty),
     )
 
 
@@ -293,11 +298,9 @@ def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]
     for name, reason in entries:
         names.setdefault(reason, []).append(name)
     return [
-        (
-            reason,
-            ", ".join(own[:_MOST_NAMES]) + (f" and {len(own) - _MOST_NAMES} more" if len(own) > _MOST_NAMES else ""),
-        )
+        (reason, say("text.and_more", names=text, n=len(own) - _MOST_NAMES) if len(own) > _MOST_NAMES else text)
         for reason, own in names.items()
+        for text in [together(own[:_MOST_NAMES], ", ")]
     ]
 
 
@@ -317,6 +320,6 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         rows.append((name, *texts, "" if what == name else what))
     if rows:
         left = len(single) - len(rows)
-        notes = [f"{left} more; --json gives all of them"] if left else []
-        heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
-        show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join(notes)))
+        note = say("text.more_with_json", n=left) if left else ""
+        columns = heads("name", "value", "u1", "U2", "unit", "what_it_is")
+        show_table(screen, TextTable(say("result.parameters"), columns, tuple(rows), note))

@@ -13,6 +13,7 @@ from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration
 from machine_tool_calibration.reports.tables import TextTable, show_head, show_suspicions, show_table
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -149,7 +150,7 @@ def setup_place(setup: Any) -> str:
         return "(" + ", ".join(f"{1e3 * value:.1f}" for value in setup.position) + ") mm"
     if hasattr(setup, "direction"):
         signs = "".join("+" if value > 0 else "-" if value < 0 else "0" for value in setup.direction)
-        return f"{setup.kind} {signs}"
+        return say(f"place.{setup.kind}", signs=signs)
     if hasattr(setup, "c"):
         return f"c = {math.degrees(setup.c):.2f}°"
     return ""

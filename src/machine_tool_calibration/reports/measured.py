@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.words import say
+
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import Entry
     from machine_tool_calibration.methods.fitted import FitRequest
@@ -34,10 +36,11 @@ class Measured:
     def document(self, result: Result | JointResult) -> dict[str, Any]:
         """The result as a JSON document, with the readings that the history's model set aside among the rejected."""
         document = result.document()
-        last = f"model {self.history[-1].number} of the history" if self.history else "the history"
+        last = self.history[-1].number if self.history else 0
+        why = say("result.aside_by", n=last) if last else say("result.aside_by_history")
         for label, session, kept in zip(self.chosen.labels or ("",), self.recorded, self.chosen.sessions, strict=True):
             gone = sorted(set(session.readings.row.tolist()) - set(kept.readings.row.tolist()))
             named = {"session": label} if label else {}
-            document["rejected"] += [{**named, "row": row, "reason": f"set aside by {last}"} for row in gone]
+            document["rejected"] += [{**named, "row": row, "reason": why} for row in gone]
             document["observations"] += len(gone)
         return document

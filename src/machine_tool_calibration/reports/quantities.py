@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.words import Said, say
+from machine_tool_calibration.words import Said, say, together
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Estimate
@@ -161,7 +161,7 @@ def range_of(low: float, high: float, unit: str) -> str:
     """A plausible range."""
     if low == -high:
         return f"±{quantity(high, unit)}"
-    return f"{quantity(low, unit)} to {quantity(high, unit)}"
+    return say("text.range", low=quantity(low, unit), high=quantity(high, unit))
 
 
 def residual_change(before: float, after: float) -> Said:
@@ -184,7 +184,7 @@ def sizes_in_words(parameters: Sequence[Estimate]) -> str:
     if len(shown) > _MANY:
         shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
     text = ", ".join(f"{p.name.split('.', 1)[-1]} = {quantity(p.value, p.unit, p.standard_uncertainty)}" for p in shown)
-    return text if len(shown) == len(parameters) else f"{len(parameters)} coefficients, {text}"
+    return text if len(shown) == len(parameters) else say("text.coefficients", n=len(parameters), one=text)
 
 
 def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -198,12 +198,12 @@ def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 def not_ruled_out(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The most of what does not reproduce, where it is not sure that there is any: from the same entries."""
     most = [
-        f"{quantity(entry['interval'][1], 'm')} RMS between the {_family(entry)}"
+        say("result.between", size=quantity(entry["interval"][1], "m"), family=_family(entry))
         for entry in sizes
         if entry["probability"] <= _SURE and entry["interval"][1] > 0
     ]
     if most:
-        yield f"What does not reproduce is at most {' and '.join(most)} (95 %); the uncertainties contain it."
+        yield say("result.not_ruled_out", most=together(most, say("text.and")))
 
 
 def _family(entry: Mapping[str, Any]) -> str:
@@ -214,11 +214,12 @@ def declared_words(said: StandardUncertainty) -> str:
     """What was declared of one reading: a, a + b of the path, and what single setups have instead."""
 
     def one(entry: DeclaredUncertainty) -> str:
-        length = f" + {quantity(entry.per_length, '1')} of the path" if entry.per_length else ""
-        return quantity(entry.displacement, "m") + length
+        size = quantity(entry.displacement, "m")
+        return say("result.of_path", size=size, slope=quantity(entry.per_length, "1")) if entry.per_length else size
 
-    own = [f"{name}: {one(entry)}" for name, entry in said.setups.items()]
-    return "; ".join([one(said), *own[:_MANY], *([f"{len(own) - _MANY} more setups"] if len(own) > _MANY else [])])
+    own = [say("result.setup_declared", name=name, size=one(entry)) for name, entry in said.setups.items()]
+    more = [say("text.more_setups", n=len(own) - _MANY)] if len(own) > _MANY else []
+    return together((one(said), *own[:_MANY], *more), "; ")
 
 
 def plus_minus(value: float | None, uncertainty: float | None, factor: float) -> str:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, micrometres
-from machine_tool_calibration.reports.tables import TextTable, shortened
+from machine_tool_calibration.reports.tables import TextTable, heads, shortened
+from machine_tool_calibration.words import say, together
 
 __all__ = ["STANDARDS", "standard_tables"]
 
@@ -19,23 +20,18 @@ STANDARDS = ("iso230_2", "iso230_6", "iso230_7")
 _RUNS = 5
 # Figures of ISO 230-2:2014 in the order of its test report; up and down, then both.
 _FIGURES = (
-    ("reversal error B", ("", "", "B")),
-    ("mean reversal error", ("", "", "B_mean")),
-    ("repeatability R", ("R_up", "R_down", "R")),
-    ("systematic deviation E", ("E_up", "E_down", "E")),
-    ("mean deviation, range M", ("", "", "M")),
-    ("accuracy A", ("A_up", "A_down", "A")),
+    ("reversal_B", ("", "", "B")),
+    ("mean_reversal", ("", "", "B_mean")),
+    ("repeatability", ("R_up", "R_down", "R")),
+    ("systematic", ("E_up", "E_down", "E")),
+    ("mean_range", ("", "", "M")),
+    ("accuracy", ("A_up", "A_down", "A")),
 )
+_BOTH = ("figure", "up", "down", "both")
 _DIAGONAL = (
-    ("systematic deviation E_D", ("E_D_up", "E_D_down", "E_D")),
-    ("reversal error B_D", ("", "", "B_D")),
+    ("systematic_D", ("E_D_up", "E_D_down", "E_D")),
+    ("reversal_D", ("", "", "B_D")),
 )
-_KINDS = {
-    "radial": "radial error motion",
-    "axial": "axial error motion",
-    "tilt": "tilt error motion",
-    "angular positioning": "angular positioning error motion",
-}
 
 
 def standard_tables(content: Mapping[str, Any], name: str, most: int | None = None) -> Iterator[TextTable | str]:
@@ -74,23 +70,18 @@ def _cells(entry: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _figure_rows(entry: Mapping[str, Any], figures: Sequence[tuple[str, Sequence[str]]]) -> tuple[tuple[str, ...], ...]:
-    rows = ((title, *_cells(entry, names)) for title, names in figures)
+    rows = ((say(f"iso230.{name}"), *_cells(entry, names)) for name, names in figures)
     return tuple(row for row in rows if any(text not in ("", NOT_DETERMINED) for text in row[1:]))
 
 
 def _figures(run: Mapping[str, Any]) -> TextTable:
     counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
-    title = (
-        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
-        f"{counts[1]} down (µm, ± U, k = 2)"
-    )
-    notes = [run["note"].removesuffix(".")] if run.get("note") else []
+    own = {"axis": run["axis"], "setup": run["setup"], "n": len(run["position"])}
+    title = say("iso230.run", **own, up=counts[0], down=counts[1])
+    notes = [say("iso230.repeatability_only")] if run.get("note") else []
     if min(counts) < _RUNS:
-        notes.append(
-            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
-            + ("repeatability and accuracy are not determined" if max(counts) < 2 else "repeatability is uncertain")
-        )
-    return TextTable(title, ("figure", "up ↑", "down ↓", "both"), _figure_rows(run, _FIGURES), "; ".join(notes))
+        notes.append(say("iso230.one_run" if max(counts) < 2 else "iso230.few_runs", n=_RUNS))
+    return TextTable(title, heads(*_BOTH), _figure_rows(run, _FIGURES), together(notes, "; "))
 
 
 def _positions(run: Mapping[str, Any], most: int | None) -> TextTable:
@@ -101,43 +92,44 @@ def _positions(run: Mapping[str, Any], most: int | None) -> TextTable:
     known = least[np.isfinite(least) & (least > 0.0)]
     places = decimals(float(np.median(known))) if len(known) else 2
     up, down = (np.array(run[f"mean_{way}"], dtype=float) for way in ("up", "down"))
-    columns = [up, down, (up + down) / 2.0, np.array(run["reversal"], dtype=float), *s]
+    values = [up, down, (up + down) / 2.0, np.array(run["reversal"], dtype=float), *s]
     rows = [
-        (f"{1e3 * at:.6g}", *(fixed(1e6 * v, places) if np.isfinite(v) else NOT_DETERMINED for v in values))
-        for at, *values in zip(run["position"], *columns, strict=True)
+        (f"{1e3 * at:.6g}", *(fixed(1e6 * v, places) if np.isfinite(v) else NOT_DETERMINED for v in own))
+        for at, *own in zip(run["position"], *values, strict=True)
     ]
-    heads = (f"{run['axis']} / mm", "mean ↑", "mean ↓", "mean", "reversal B_i", "s ↑", "s ↓")
-    return TextTable(f"{run['axis']}, position by position (µm)", heads, shortened(rows, most))
+    columns = (f"{run['axis']} / mm", *heads("mean_up", "mean_down", "mean", "reversal"), "s ↑", "s ↓")
+    return TextTable(say("iso230.positions", axis=run["axis"]), columns, shortened(rows, most))
 
 
 def _diagonals(found: Mapping[str, Any]) -> Iterator[TextTable]:
     for test in found["tests"]:
-        what = "body diagonals" if test["diagonals"] == "body" else f"face diagonals {test['diagonals']}"
-        title = f"{what} by ISO 230-6: {test['measured']} of {test['of']} (µm, ± U, k = 2)"
+        kind = "body" if test["diagonals"] == "body" else "face"
+        title = say(f"iso230.{kind}", plane=test["diagonals"], measured=test["measured"], of=test["of"])
         one_way = test["B_D"] is None or not np.isfinite(test["B_D"])
-        note = "E_D and B_D of both directions are not determined: the runs went one way" if one_way else ""
-        yield TextTable(title, ("figure", "up ↑", "down ↓", "both"), _figure_rows(test, _DIAGONAL), note)
+        yield TextTable(title, heads(*_BOTH), _figure_rows(test, _DIAGONAL), say("iso230.one_way") if one_way else "")
     rows = tuple(
         (run["setup"], run["axis"], str(max([*run["count_up"], *run["count_down"]])),
          *_cells(run, ("E_up", "E_down", "E", "B")))
         for run in found["runs"]
     )  # fmt: skip
-    heads = ("setup", "diagonal", "runs", "E ↑", "E ↓", "E", "B")
-    yield TextTable("diagonal by diagonal (µm)", heads, rows, "P, N: the axes X, Y, Z move up or down")
+    columns = (*heads("setup", "diagonal", "runs"), "E ↑", "E ↓", "E", "B")
+    yield TextTable(say("iso230.diagonals"), columns, rows, say("iso230.letters"))
 
 
 def _rotary(found: Sequence[Mapping[str, Any]], line: Mapping[str, Any]) -> TextTable:
     rows = [
-        (_KINDS[one["kind"]], one["motion"], _said(one["value"], one["U"]), f"µ{one['unit']}", str(one["angles"]))
+        (
+            say(f"iso230.{one['kind'].replace(' ', '_')}"),
+            one["motion"],
+            _said(one["value"], one["U"]),
+            f"µ{one['unit']}",
+            str(one["angles"]),
+        )
         for one in found
     ]
     for name in (name for name in line if f"{name}_u" in line):
         u = line[f"{name}_u"]
         shown = _said(line[name], None if u is None else 2.0 * u)
-        rows.append(("axis average line", name, shown, "µm" if name[0] in "XYZ" else "µrad", ""))
-    title = "Rotary axis by ISO 230-7: error motion values (range) and axis average line, ± U (k = 2)"
-    note = (
-        "synchronous, in the machine's fixed directions; one motion for all revolutions is in the model, so that "
-        "asynchronous ones are not determined"
-    )
-    return TextTable(title, ("", "error motion", "value", "unit", "angles"), tuple(rows), note)
+        rows.append((say("iso230.axis_average_line"), name, shown, "µm" if name[0] in "XYZ" else "µrad", ""))
+    columns = heads("", "error_motion", "value", "unit", "angles")
+    return TextTable(say("iso230.rotary"), columns, tuple(rows), say("iso230.synchronous"))

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from textwrap import fill
 from typing import TYPE_CHECKING
 
+from machine_tool_calibration.words import say
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "is_number", "shortened", "show_head", "show_suspicions", "show_table"]
+__all__ = ["TextTable", "heads", "is_number", "shortened", "show_head", "show_suspicions", "show_table"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -42,6 +44,11 @@ class TextTable:
     note: str = ""
 
 
+def heads(*names: str) -> tuple[str, ...]:
+    """Heads of columns by their keys in the catalogue's room `head`; over names there is none."""
+    return tuple(say(f"head.{name}") if name else "" for name in names)
+
+
 def is_number(text: str) -> bool:
     """Whether a text of a table stands to the right: a number, a share, a bound, a dash."""
     return _NUMBER.fullmatch(text) is not None
@@ -58,7 +65,7 @@ def shortened(rows: Sequence[tuple[str, ...]], most: int | None) -> tuple[tuple[
 def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
     """Print what is suspicious in the sessions that were read (`suspicions`), a line each."""
     for words in suspicious:
-        screen.print(f"suspicious: {words}")
+        screen.print(say("result.suspicious", what=words))
 
 
 def show_head(screen: Console, head: str, words: str = "") -> None:

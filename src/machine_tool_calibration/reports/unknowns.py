@@ -8,33 +8,23 @@ from typing import TYPE_CHECKING
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.model.model import Kind, Parameter
+from machine_tool_calibration.words import Said, enumeration, say
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import JointFit
 
 __all__ = ["named_in_words", "unknown_in_words", "unknowns_in_words"]
 
-# What an unknown of each kind is; {} stands for its owner.
-_WORDS = {
-    Kind.MOTION: "error motion {}",
-    Kind.SQUARENESS: "squareness {}",
-    Kind.EFFECT: "effect {}",
-    Kind.POINTS: "the points of the map, each with an error of its own",
-    Kind.PLACE: "place of {}",
-    Kind.DEAD_PATH: "distance at which {} reads zero",
-    Kind.OFFSET: "offset of {}",
-    Kind.RUN_OFFSET: "zero of each run of {}",
-    Kind.TILT: "tilt of the mirror in {}",
-    Kind.MOUNTING: "how {} lies on the machine",
-    Kind.OTHER: "{}",
-}
-
 
 def unknown_in_words(unknown: Parameter) -> str:
     """What one unknown is; its name where nothing is known of it."""
     if unknown.kind is Kind.RUN_OFFSET:
-        return f"zero of {_owner(unknown)}, repeat {unknown.at}"
-    return _WORDS[unknown.kind].format(_owner(unknown))
+        return say("unknown.one_run", owner=_owner(unknown), repeat=unknown.at)
+    return _of(unknown.kind, _owner(unknown))
+
+
+def _of(kind: Kind, owner: str) -> Said:
+    return say(f"unknown.{kind.name.lower()}", owner=owner)
 
 
 def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
@@ -44,7 +34,7 @@ def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
         owners = kinds.setdefault(unknown.kind, [])
         if (owner := _owner(unknown)) not in owners:
             owners.append(owner)
-    return _list([_WORDS[kind].format(_list(sorted(owners))) for kind, owners in kinds.items()])
+    return enumeration([_of(kind, enumeration(sorted(owners))) for kind, owners in kinds.items()])
 
 
 def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
@@ -58,7 +48,7 @@ def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
     whole += [Parameter(name, "1", kind=Kind.EFFECT, owner=name) for name in effects]
     out = {unknown.name: unknown_in_words(unknown) for unknown in whole}
     for model in fit.assembly.models:
-        out |= {entry.name: f"effect {entry.effect}" for entry in model.left_out if entry.effect}
+        out |= {entry.name: _of(Kind.EFFECT, entry.effect) for entry in model.left_out if entry.effect}
     for unknown in fit.assembly.parameters:
         what = unknown.meaning or unknown_in_words(unknown)
         if what != unknown.name:
@@ -74,12 +64,6 @@ def _owner(unknown: Parameter) -> str:
         return unknown.name
     if not unknown.session:
         return unknown.owner
-    return (
-        f"{unknown.owner} in session {unknown.session}"
-        if unknown.kind is Kind.EFFECT
-        else f"{unknown.session}/{unknown.owner}"
-    )
-
-
-def _list(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else ""
+    if unknown.kind is Kind.EFFECT:
+        return say("unknown.in_session", owner=unknown.owner, session=unknown.session)
+    return f"{unknown.session}/{unknown.owner}"

@@ -12,7 +12,8 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus
 from machine_tool_calibration.reports.result_tables import error_map, error_motions, workpiece
-from machine_tool_calibration.reports.tables import TextTable, shortened
+from machine_tool_calibration.reports.tables import TextTable, heads, shortened
+from machine_tool_calibration.words import say
 
 __all__ = ["value_tables"]
 
@@ -43,14 +44,14 @@ def value_tables(result: Result | JointResult, most: int | None = None) -> Itera
             (str(r["point"]), _mm(r["x"]), _mm(r["y"]), _known(r["error"], r["u"]), _known(r["form"], r["u_form"]))
             for r in part.to_dict("records")
         ]
-        heads = ("point", "x / mm", "y / mm", "error / µm", "form / µm")
-        yield _titled("Points of the workpiece: error along the normal ± U (k = 2)", heads, rows, most)
+        columns = (*heads("point"), "x / mm", "y / mm", *heads("error_um", "form_um"))
+        yield _titled(say("result.part"), columns, rows, most)
 
 
-def _titled(title: str, heads: tuple[str, ...], rows: Sequence[tuple[str, ...]], most: int | None) -> TextTable:
+def _titled(title: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]], most: int | None) -> TextTable:
     shown = shortened(rows, most)
-    note = "" if len(shown) == len(rows) else f"{len(rows) - len(shown) + 1} more: --csv writes all of them"
-    return TextTable(title, heads, shown, note)
+    note = "" if len(shown) == len(rows) else say("text.more_with_csv", n=len(rows) - len(shown) + 1)
+    return TextTable(title, columns, shown, note)
 
 
 def _over_axis(axis: str, table: pd.DataFrame, most: int | None) -> TextTable:
@@ -63,8 +64,8 @@ def _over_axis(axis: str, table: pd.DataFrame, most: int | None) -> TextTable:
         by_place.setdefault(place, {})[row["motion"]] = _known(row["value"], row["u"])
     rows = [(f"{place:.6g}", *(values.get(n, "") for n in names)) for place, values in sorted(by_place.items())]
     unit = dict(zip(table["motion"], table["unit"], strict=True))
-    heads = (f"{axis} / {'°' if turned else 'mm'}", *(f"{name} / µ{unit[name]}" for name in names))
-    return _titled(f"Error motions of {axis} ± U (k = 2)", heads, rows, most)
+    columns = (f"{axis} / {'°' if turned else 'mm'}", *(f"{name} / µ{unit[name]}" for name in names))
+    return _titled(say("result.motions_of", axis=axis), columns, rows, most)
 
 
 def _map(table: pd.DataFrame, most: int | None) -> TextTable:
@@ -79,8 +80,8 @@ def _map(table: pd.DataFrame, most: int | None) -> TextTable:
         )
         for row in table.to_dict("records")
     ]
-    heads = ("x / mm", "y / mm", "z / mm", *own, *(f"e{axis} / µm" for axis in seen))
-    return _titled("Position errors ± U (k = 2)", heads, rows, most)
+    columns = ("x / mm", "y / mm", "z / mm", *heads(*own), *(f"e{axis} / µm" for axis in seen))
+    return _titled(say("result.position_errors"), columns, rows, most)
 
 
 def _mm(metres: float) -> str:

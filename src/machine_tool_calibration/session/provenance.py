@@ -17,6 +17,7 @@ from machine_tool_calibration.session.parse import description_yaml
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.version import __version__
+from machine_tool_calibration.words import say, together
 
 __all__ = ["Origin", "Provenance", "data_hash", "flattened", "provenance"]
 
@@ -94,13 +95,13 @@ class Provenance:
         dates = dict.fromkeys(origin.measured for origin in self.sessions if origin.measured)
         parts = [
             *(name for name in machines if name),
-            *(f"measured {date}" for date in dates),
-            f"evaluated {self.evaluated[:10]}",
+            *(say("footer.measured", date=date) for date in dates),
+            say("footer.evaluated", date=self.evaluated[:10]),
             self.software,
             ", ".join([self.model, *self.effects]),
-            f"data {self.sha256[:_SHORT]}",
+            say("footer.data", sum=self.sha256[:_SHORT]),
         ]
-        return "  ·  ".join(part for part in parts if part)
+        return together((part for part in parts if part), "  ·  ")
 
 
 def name_of_machine(about: Mapping[str, Any]) -> str:

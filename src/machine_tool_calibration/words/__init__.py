@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -14,18 +14,16 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["LANGUAGES", "Said", "Verbatim", "Words", "say", "together", "words"]
+__all__ = ["LANGUAGES", "Said", "Verbatim", "Words", "enumeration", "named", "say", "together", "words"]
 
 _FILES = {file.name.removesuffix(".yaml"): file for file in resources.files(__package__).iterdir() if ".y" in file.name}
 LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
 """Codes of the languages that have a file, English first."""
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_LETTERS = re.compile("[a-z]{2}")
-_BRACES = re.compile(r"\{\w+\}")
+_NO_LETTERS = re.compile("[^a-z0-9]+")
 # A number with decimals: not a part of a version or of an unknown's name, such as EXX(0.4).
 _DECIMAL = re.compile(r"(?<![\w.])(?<!\w\()(\d+)\.(\d+)(?=e[-+]?\d|(?!\w|\.\d))")
 _LISTED = re.compile(r"(?<=\d), (?=[-+−]?\d)")
-_PLACE = re.compile(r"\\\{(\w+)\\\}")
 
 
 class Verbatim(str):
@@ -43,12 +41,15 @@ class Said(str):
     key: str
     values: Mapping[str, Any] | tuple[str, ...]
 
+    def __str__(self) -> str:
+        """Itself, so that a picture, which takes the text of whatever it is given, keeps what it can be told from."""
+        return self
+
     def told(self, words: Words) -> str:
         """The same in another language."""
         if isinstance(self.values, tuple):
-            return words.phrase(self.key).join(map(words.phrase, self.values))
-        values = {name: words.phrase(value) if isinstance(value, str) else value for name, value in self.values.items()}
-        return words(self.key, **values)
+            return words.told(self.key).join(map(words.told, self.values))
+        return words(self.key, **{n: words.told(v) if isinstance(v, str) else v for n, v in self.values.items()})
 
 
 def say(key: str, /, **values: Any) -> Said:
@@ -61,10 +62,27 @@ def say(key: str, /, **values: Any) -> Said:
     return _said(words("en")(key, **values), key, values)
 
 
+def named(room: str, name: str) -> str:
+    """A name that the files of a measurement have too, such as that of a column; one of the user's own stays.
+
+    In English text it is the name itself; in the language of a report what the catalogue has for `room.name`, small
+    letters, digits and `_`.
+    """
+    key = f"{room}.{_NO_LETTERS.sub('_', name.lower()).strip('_')}"
+    return _said(name, key, {}) if key in words("en").texts else Verbatim(name)
+
+
 def together(texts: Iterable[str], between: str = " ") -> Said:
     """Several texts as one, each of which is said in another language by itself."""
     parts = tuple(texts)
     return _said(between.join(parts), between, parts)
+
+
+def enumeration(texts: Sequence[str]) -> Said:
+    """Several texts with commas between them, and `and` before the last."""
+    if len(texts) < 2:
+        return together(texts)
+    return together((together(texts[:-1], ", "), texts[-1]), say("text.and"))
 
 
 def _said(text: str, key: str, values: Mapping[str, Any] | tuple[str, ...]) -> Said:
@@ -80,20 +98,10 @@ class Words:
     Attributes:
         language: its code, ISO 639-1.
         texts: by key; of two forms the first is for one.
-        phrases: what has no key yet, by the English text; `{a}` stands for what differs, `{n}` for a number.
     """
 
     language: str
     texts: Mapping[str, str | list[str]]
-    phrases: Mapping[str, str]
-    _patterns: list[tuple[re.Pattern[str], str]] = field(init=False, repr=False, default_factory=list)
-
-    def __post_init__(self) -> None:
-        # those that say most come first
-        for english in sorted(self.phrases, key=lambda text: -len(_BRACES.sub("", text))):
-            if "{" in english:
-                pattern = _PLACE.sub(_group, re.escape(english))
-                self._patterns.append((re.compile(pattern, re.DOTALL), self.phrases[english]))
 
     def __call__(self, key: str, /, **values: Any) -> str:
         """The text of a key, with values put in."""
@@ -102,43 +110,16 @@ class Words:
             text = text[values["n"] != 1]
         return text.format(**values) if values else text
 
-    def phrase(self, text: str) -> str:
-        """A text of another room in this language; as it stands where it has no key and the catalogue not the phrase.
-
-        Of several, with semicolons between them, each by itself where all of them are known.
-        """
-        if isinstance(text, Verbatim):
-            return text
-        if isinstance(text, Said):
-            return text.told(self)
-        if text in self.phrases:
-            return self.phrases[text]
-        if not self.phrases or not _LETTERS.search(text):
-            return text
-        if "\n" in text:
-            return "\n".join(map(self.phrase, text.split("\n")))
-        parts = text.split("; ")
-        if len(parts) > 1:
-            # What is said of one of several must not reach into the next.
-            own = [self.phrase(part) for part in parts]
-            if not any(part == said and _LETTERS.search(part) for part, said in zip(parts, own, strict=True)):
-                return "; ".join(own)
-        for pattern, own_text in self._patterns:
-            if found := pattern.fullmatch(text):
-                return own_text.format(**{name: self.phrase(value) for name, value in found.groupdict().items()})
-        return text
+    def told(self, text: str) -> str:
+        """A text of another room in this language; as it stands where it is a name, or has no words."""
+        return text.told(self) if isinstance(text, Said) else text
 
     def numbers(self, text: str) -> str:
         """A text with the language's decimal sign, and semicolons between listed numbers where that is a comma."""
-        sign = self("decimal")
+        sign = self("report.decimal")
         if sign == "." or isinstance(text, Verbatim) or not _DECIMAL.search(text):
             return text
         return _DECIMAL.sub(rf"\1{sign}\2", _LISTED.sub("; ", text))
-
-
-def _group(place: re.Match[str]) -> str:
-    """`{n}` is a number, every other name any text."""
-    return f"(?P<{place[1]}>{'[0-9]+' if place[1].startswith('n') else '.+?'})"
 
 
 @cache
@@ -151,6 +132,5 @@ def words(language: str) -> Words:
     if language not in LANGUAGES:
         raise CalibrationError(f"there is no language {language!r}; there are {', '.join(LANGUAGES)}")
     content = yaml.load(_FILES[language].read_text(encoding="utf-8"), Loader=_LOADER)
-    phrases = content.pop("phrases", {})
     rooms = {f"{room}.{key}": text for room, texts in content.items() for key, text in texts.items()}
-    return Words(language, {key.removeprefix("report."): text for key, text in rooms.items()}, phrases)
+    return Words(language, rooms)

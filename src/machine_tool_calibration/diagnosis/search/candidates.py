@@ -14,6 +14,7 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.words import Said
 
 __all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "shaped_at", "to_some_percent"]
 
@@ -64,6 +65,7 @@ class Candidate:
         nonlinear: its nonlinear coefficients.
         equally: number of sets of nonlinear coefficients that are equally probable; more than are tried where the
             others were ruled out beforehand.
+        dependence: of a structure, on what the residuals depend and how; a wave or a step has its place put in.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Candidate:
     effect: Effect | None = None
     nonlinear: tuple[Shape, ...] = ()
     equally: int = 0
+    dependence: tuple[str, Said] | None = None
 
     @property
     def contains(self) -> tuple[str, ...]:

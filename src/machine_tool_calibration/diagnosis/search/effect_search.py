@@ -28,6 +28,7 @@ from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.words import say
 
 __all__ = ["Absorbed", "EffectSearch", "Structure", "search_effects"]
 
@@ -391,16 +392,19 @@ def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -
         if p <= priors.STRUCTURE_CHANCE:
             block = columns.blocks[beside.best[k].block]
             explained = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
-            words = _words(columns.candidates[k].name, block.shaped.shape)
+            words = _dependence(columns.candidates[k], block.shaped.shape)
             out.append((p, -log_factor, Structure(*words, p, explained / tried[0].squares)))
     return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
-def _words(name: str, shape: tuple[float, ...]) -> tuple[str, str]:
-    """Covariate and shape of a structure, with its first nonlinear coefficient."""
-    covariate, words = name.rsplit(": ", 1)
-    unit = "s" if covariate.endswith("time") else "readings"
-    return covariate, " ".join([words, *(f"{value:.3g} {unit}" for value in shape[:1])])
+def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, str]:
+    """Covariate and shape of a structure, with its nonlinear coefficient."""
+    assert candidate.dependence is not None
+    covariate, how = candidate.dependence
+    if not shape:
+        return covariate, how
+    at = f"{shape[0]:.3g}"
+    return covariate, say(how.key, at=f"{at} s" if covariate.endswith("time") else say("shape.readings", n=at))
 
 
 def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
@@ -410,7 +414,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
         p, repeats = noise.lack_of_fit_p, noise.from_repeats
         if p is not None and p < priors.LACK_OF_FIT_CHANCE and repeats is not None:
             share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)
-            out.append(Structure("place", "places differ more than their repeats", p, share))
+            out.append(Structure("place", say("shape.places_differ"), p, share))
     return tuple(out)
 
 

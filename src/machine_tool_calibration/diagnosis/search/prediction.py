@@ -26,6 +26,7 @@ from machine_tool_calibration.estimation.marginal import marginal_at
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["Prediction", "predictions"]
 
@@ -35,7 +36,7 @@ _PARTS = 4
 _MOST = 6
 # Variance of the noise over that declared below which the residuals are rounding.
 _LEAST_NOISE = 1e-12
-_PLACES = "blocks of places"
+_PLACES = say("part.places")
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
     """Ways to divide the readings, with the part of each reading of each session."""
     setups = [groups(s.readings.setup) for s in sessions]
     if max(int(part.max(initial=0)) for part in setups) >= 2:
-        yield "setups", [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
+        yield say("part.setups"), [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
     position = np.concatenate([s.readings.position() for s in sessions])
     angles = [s.readings.columns.get("c") for s in sessions]
     place = _zones(position, angles[0] if len(sessions) == 1 else None)
@@ -176,7 +177,7 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
         yield _PLACES, np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
     cycles = [groups(s.readings.repeat) for s in sessions]
     if max(int(part.max(initial=0)) for part in cycles) >= 1:
-        yield "cycles", [part % _PARTS for part in cycles]
+        yield say("part.cycles"), [part % _PARTS for part in cycles]
 
 
 def _zones(position: np.ndarray, angle: np.ndarray | None) -> IntArray | None:

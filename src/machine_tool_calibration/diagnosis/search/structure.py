@@ -16,6 +16,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.covariates import covariates
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import Said, named, say, together
 
 __all__ = ["structure_candidates"]
 
@@ -50,33 +51,38 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         for candidate in _of_session(observations, pool.residuals[piece] / pool.sigma[piece]):
             shapes = tuple(Shaped(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
-            out.append(replace(candidate, name=pool.label(k) + candidate.name, shapes=shapes))
+            assert candidate.dependence is not None
+            label, (covariate, how) = pool.label(k), candidate.dependence
+            of = (together((label, covariate), "") if label else covariate, how)
+            out.append(replace(candidate, name=label + candidate.name, shapes=shapes, dependence=of))
     return out
 
 
 def _of_session(observations: Observations, residual: Array) -> Iterator[Candidate]:
     for functions in (_of_one, _products, _lost_motions):
-        for name, columns in functions(observations):
-            yield Candidate(name, (Shaped((), columns),))
+        for covariate, how, columns in functions(observations):
+            yield _structure(covariate, how, (Shaped((), columns),))
     if len(observations) >= _ENOUGH:
         yield from _events(observations, residual)
 
 
-def _of_one(observations: Observations) -> Iterator[tuple[str, Array]]:
+def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     """Functions of one covariate, and of some of them displacements."""
     axes = [(axis, along) for axis, along in zip("xyz", observations.direction.T, strict=True) if np.ptp(along) > _SAME]
     for name, values in _covariates(observations).items():
         within = scaled_values(values)
         if within is None:
             continue
-        functions = {"its sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(within)}
+        functions = {"its_sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(within)}
         if name in _ANGLES:
             functions["periodic"] = np.array([wave(k * values) for k in _ORDERS for wave in (np.sin, np.cos)])
         displaces = name in _SIGNS or name == "time" or name.startswith("temperature")
+        covariate = named("column", name)
         for shape, columns in functions.items():
-            yield f"{name}: {shape}", columns
+            how = say(f"shape.{shape}")
+            yield covariate, how, columns
             for axis, along in axes if displaces else ():
-                yield f"{name}: {shape}, as a displacement along {axis}", columns * along
+                yield covariate, say("shape.displacement", shape=how, axis=axis), columns * along
 
 
 def _smooth(scaled: Array) -> Array:
@@ -91,21 +97,21 @@ def _positions(observations: Observations) -> dict[str, Array]:
     return {axis: values for axis, values in scaled.items() if values is not None}
 
 
-def _products(observations: Observations) -> Iterator[tuple[str, Array]]:
+def _products(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     for (a, u), (b, v) in combinations(_positions(observations).items(), 2):
         columns = np.concatenate([w * observations.direction.T for w in (u * v, u**2 * v, u * v**2)])
-        yield f"{a} and {b}: product, as a displacement", columns[np.abs(columns).max(axis=1) > 1e-9]
+        yield say("shape.axes", one=a, other=b), say("shape.product"), columns[np.abs(columns).max(axis=1) > 1e-9]
 
 
-def _lost_motions(observations: Observations) -> Iterator[tuple[str, Array]]:
+def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     for axis, direction in zip("xyz", observations.direction.T, strict=True):
         sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
         along = sign * direction
         # Where the direction of approach is unknown for some readings, the last is not a number.
         if len(np.unique(sign[sign != 0])) == 2 and np.ptp(along) >= _SAME:
             for other, scaled in _positions(observations).items():
-                name = f"dir_{axis} and {other}: lost motion of {axis.upper()} that varies along {other}"
-                yield name, _smooth(scaled) * along
+                both = say("shape.axes", one=named("column", f"dir_{axis}"), other=other)
+                yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
 
 
 def _events(observations: Observations, residual: Array) -> Iterator[Candidate]:
@@ -115,15 +121,18 @@ def _events(observations: Observations, residual: Array) -> Iterator[Candidate]:
     """
     name, time = "time" if observations.timed else "order", observations.clock
     moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    yield Candidate(
-        f"{name}: a step at", tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
-    )
+    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
+    yield _structure(named("column", name), say("shape.step_at", at=""), steps)
     waves = []
     for period in _strongest_periods(time, residual):
         phase = 2.0 * np.pi * (time - time[0]) / period
         waves.append(Shaped((period,), np.array([np.sin(phase), np.cos(phase)])))
     if waves:
-        yield Candidate(f"{name}: a wave with a period of", tuple(waves), equally=len(time) // 2)
+        yield _structure(named("column", name), say("shape.wave", at=""), tuple(waves), len(time) // 2)
+
+
+def _structure(covariate: str, how: Said, shapes: tuple[Shaped, ...], equally: int = 0) -> Candidate:
+    return Candidate(f"{covariate}: {how}", shapes, equally=equally, dependence=(covariate, how))
 
 
 def _covariates(observations: Observations) -> dict[str, Array]:

@@ -120,10 +120,10 @@ def setup_datum(
     """
     n = len(setup)
     if kind == "none":
-        return SetupDatum(kind, np.zeros((0, n)), (), (), np.zeros(n), "deviations are absolute")
+        return SetupDatum(kind, np.zeros((0, n)), (), (), np.zeros(n), say("datum.absolute"))
     if kind == "offset":
         names = tuple(Parameter(f"{name}.offset", "m", kind=Kind.OFFSET, owner=name) for name in ids)
-        return SetupDatum(kind, np.ones((1, n)), names, (), np.zeros(n), "each setup has an unknown offset")
+        return SetupDatum(kind, np.ones((1, n)), names, (), np.zeros(n), say("datum.offset"))
     count = np.maximum(np.bincount(setup, minlength=len(ids)), 1)
     total = np.stack([np.bincount(setup, position[:, j], minlength=len(ids)) for j in range(3)], axis=1)
     arm = position - (total / count[:, None])[setup]
@@ -145,7 +145,7 @@ def setup_datum(
         parameters,
         left,
         _curvature(columns, setup, len(ids), arm, direction, reading),
-        "each setup has an unknown shift, and an unknown turn about the middle of its points",
+        say("datum.shift_and_turn"),
     )
 
 

@@ -24,6 +24,7 @@ from machine_tool_calibration.model.rigid_body import (
     position_errors,
     tables_content,
 )
+from machine_tool_calibration.words import say
 
 __all__ = ["error_map", "sensed_axes"]
 
@@ -123,12 +124,8 @@ def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]
 
 
 def _words(setups: SetupDatum, reduced: bool) -> str:
-    what = {"none": "the tables share", "offset": "the offsets leave open", "rigid": "shifts and turns leave open"}[
-        setups.kind
-    ]
-    if not reduced:
-        return setups.words
-    return f"position errors hold nothing of what {what} (least squares over the points)"
+    what = {"none": "tables", "offset": "offsets", "rigid": "shifts"}[setups.kind]
+    return say(f"datum.nothing_of_{what}") if reduced else setups.words
 
 
 def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:

@@ -32,7 +32,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, distinct_nodes, table_datum, thinned
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import say, together
 
 __all__ = ["DirectModel", "asked_tables", "build", "build_direct", "nodes_from"]
 
@@ -183,7 +183,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
         constraints=constraints,
         priors=(),
         left_out=left + setups.left_out,
-        datum="; ".join([setups.words, *words]),
+        datum=together((setups.words, *words), "; "),
         tables=kept,
         setups=setups,
         fixed=fixed,
@@ -230,5 +230,5 @@ def _datum(
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]
     words = [f"{', '.join(zero)} = 0"] if zero else []
-    words += [f"{', '.join(slope)} counted from the least-squares line"] if slope else []
+    words += [say("datum.from_line", names=", ".join(slope))] if slope else []
     return tuple(needed), words, fixed * scale[:, None]

@@ -20,13 +20,14 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.machine.error_motions import squareness_field
 from machine_tool_calibration.methods.direct.datum import SetupDatum, setup_columns
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
 
 __all__ = ["plate_steps"]
 
 _STILL = 1e-6  # m
 _ROUNDING = 1e-9
 _PAIRS = {"C0Y": (0, 1), "B0Z": (0, 2), "A0Z": (1, 2)}
-_DATUM = {"none": "as measured", "offset": "an offset of each setup", "rigid": "where the part lay"}
+_DATUM = {"none": "as_measured", "offset": "offsets", "rigid": "where_it_lay"}
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any
     own = setup_columns(
         setups.columns[:, first], observations.readings.setup[first], len(observations.session.setup_ids)
     )
-    steps = _columns(position, direction, plane, _Step(_DATUM[setups.kind], own))
+    steps = _columns(position, direction, plane, _Step(say(f"plate.{_DATUM[setups.kind]}"), own))
     if len(reading) < 2 * sum(len(step.columns) for step in steps[:-1]) + 4:
         return None
     out = []
@@ -97,9 +98,9 @@ def _columns(position: Array, direction: Array, plane: Sequence[int], first: _St
     letters = ["xyz"[j] for j in plane]
     return [
         first,
-        _Step("+ one scale", np.array([np.sum(scale, axis=0)]), (("scale.s", "scale", "1"),)),
+        _Step(say("plate.one_scale"), np.array([np.sum(scale, axis=0)]), (("scale.s", "scale", "1"),)),
         _Step(
-            "+ different scales, squareness",
+            say("plate.scales"),
             # The first scale of all is in the model already: together they are the scales of the axes.
             np.array([*scale, *skew]),
             (
@@ -107,7 +108,7 @@ def _columns(position: Array, direction: Array, plane: Sequence[int], first: _St
                 *((f"{name}.angle", name, "rad") for name in square),
             ),
         ),
-        _Step("+ curves of second order", np.array(bows)),
+        _Step(say("plate.curves_model"), np.array(bows)),
     ]
 
 

@@ -24,10 +24,10 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, interpola
 from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.model.fit import JointFit, screen_joint
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
+from machine_tool_calibration.words import say, together
 
 __all__ = ["Agreement", "Contradiction", "agreement"]
 
-_NOTHING_SHARED = "the sessions share no error motion that could be compared"
 _LEVEL = 0.01
 _ROUNDS = 3
 _DEGREE = 4
@@ -120,7 +120,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     """
     candidates = _candidates(common.models)
     if not candidates:
-        return Agreement(0, None, 1.0, (), _NOTHING_SHARED)
+        return Agreement(0, None, 1.0, (), say("agreement.nothing_shared"))
     scores = _scores(joint, candidates)
     factor = max(1.0, spread)
     pending = list(range(len(candidates)))
@@ -158,11 +158,11 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
         )
         scores = scores.without(chosen)
         pending = [k for k in pending if k != chosen and candidates[k].columns.size]
-    text = f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}" if count else _NOTHING_SHARED
+    text = say("agreement.agree", n=count, p=f"{smallest:.2g}") if count else say("agreement.nothing_shared")
     if found:
-        text = "; ".join(_sentence(entry) for entry in found)
+        text = together(map(_sentence, found), "; ")
     if any(len(entry.others) == 1 for entry in found):
-        text += " (two sessions alone do not determine which of them is wrong)"
+        text = say("agreement.two_alone", what=text)
     return Agreement(count, smallest, float(np.sqrt(factor)), tuple(found), text)
 
 
@@ -177,12 +177,12 @@ def _log_tail(chi_square: float, rank: int) -> float:
 
 def _sentence(entry: Contradiction) -> str:
     scale, unit = _SHOWN.get(entry.unit, (1.0, entry.unit))
-    motion = entry.motion if not entry.alike else f"{entry.motion} (or {', '.join(entry.alike)})"
+    motion: str = entry.motion
+    if entry.alike:
+        motion = say("agreement.motion_or", motion=entry.motion, others=", ".join(entry.alike))
     size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (k = 2)"
-    if len(entry.others) == 1:
-        pair = f"sessions {entry.session!r} and {entry.others[0]!r}"
-        return f"{pair} contradict each other in {motion} by {size}"
-    return f"session {entry.session!r} contradicts the others in {motion} by {size}"
+    key = "agreement.pair" if len(entry.others) == 1 else "agreement.others"
+    return say(key, one=entry.session, other=entry.others[0], motion=motion, size=size)
 
 
 def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:

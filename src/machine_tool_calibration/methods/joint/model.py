@@ -37,6 +37,8 @@ from machine_tool_calibration.model.rigid_body import (
     thinned,
 )
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.words import say
+from machine_tool_calibration.words import together as told_together
 
 __all__ = ["CommonModels", "common_models", "tables_of"]
 
@@ -91,7 +93,7 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     shared = tuple(_with_tables(model, tables) for model in models)
     angles = tuple(table for table in tables if table.name in random)
     common = _with_datum(expected(shared, angles), labels, tables)
-    words = "; ".join([common.datum, in_words(angles)]) if angles else common.datum
+    words = told_together((common.datum, in_words(angles)), "; ") if angles else common.datum
     return replace(common, angles=angles, datum=words)
 
 
@@ -276,9 +278,8 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     for index, model in enumerate(bare):
         mine = [candidates[k].constraint for k in chosen if candidates[k].session == index]
         out.append(replace(model, constraints=model.constraints + tuple(mine)))
-    words = "; ".join(
-        ["conditions that all readings together need", *(_words(candidates[k].constraint, families) for k in chosen)]
-    )
+    conditions = (_words(candidates[k].constraint, families) for k in chosen)
+    words = told_together((say("datum.together"), *conditions), "; ")
     by_name = {p.name: row for p, row in zip(assembly.parameters, fixed * scale[:, None], strict=True) if p.shared}
     return CommonModels(tuple(out), tuple(tables), by_name, words)
 
@@ -287,7 +288,7 @@ def _words(constraint: Constraint, families: Mapping[str, str]) -> str:
     name = next(iter(constraint.weights))
     if len(constraint.weights) == 1:
         return f"{name} = {constraint.value:.6g}"
-    return f"{families[name]} without slope" if constraint.value == 0.0 else f"{families[name]} as measured"
+    return say("datum.without_slope" if constraint.value == 0.0 else "datum.as_measured", name=families[name])
 
 
 def _preference(constraint: Constraint, motions: Mapping[str, MachineTable]) -> int:

@@ -29,6 +29,7 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.words import say
 
 __all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
 
@@ -52,19 +53,15 @@ class StatedAngles:
     probability: float
     untold: tuple[NotDetermined, ...]
 
-    @property
-    def hidden(self) -> str:
-        """What an agreement of sessions does not mean, because angular errors explain as much; empty if they do not.
+    def hiding(self, statement: str) -> str:
+        """An agreement of sessions, with what it does not mean where angular errors explain as much.
 
         A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX like EYX):
         a straightness that another session sees differently cannot be distinguished from such a rotation.
         """
         if self.probability < _LIKELY:
-            return ""
-        return (
-            f"; a straightness that step diagonals and others see differently may be taken for angular errors "
-            f"(angular_size: {1e6 * self.size:.2g} µrad) and not show as a contradiction"
-        )
+            return statement
+        return say("agreement.hidden", what=statement, size=f"{1e6 * self.size:.2g}")
 
 
 def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
@@ -75,10 +72,8 @@ def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
 
 def in_words(angles: Sequence[MachineTable]) -> str:
     """What is assumed of these angular errors."""
-    return (
-        f"{', '.join(table.name for table in angles)} are zero (with a probability of {NONE:g} before any reading) or "
-        f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} µrad, and the map is the mean over these"
-    )
+    names = ", ".join(table.name for table in angles)
+    return say("datum.random", names=names, p=f"{NONE:g}", low=f"{1e6 * SMALLEST:g}", high=f"{1e6 * LARGEST:g}")
 
 
 def without_spread(model: MethodModel) -> MethodModel:

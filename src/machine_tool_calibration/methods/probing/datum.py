@@ -16,6 +16,7 @@ from machine_tool_calibration.methods.probing.geometry import point_means
 from machine_tool_calibration.model.model import weight_row
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import KnownLength
+from machine_tool_calibration.words import say
 
 __all__ = [
     "LENGTH",
@@ -248,7 +249,7 @@ class _Search:
         return set(fixed.tolist()) <= set(sits.tolist())
 
 
-LENGTH = "absolute length"
+LENGTH = say("datum.absolute_length")
 
 
 def conditions(
@@ -306,7 +307,12 @@ def _direction(table: MachineTable) -> Condition:
 def _length(by_name: Mapping[str, MachineTable], known: Mapping[str, KnownLength]) -> Condition:
     """The measured length; where no touch reaches it, the straight line from the axis's zero to it."""
     places = [
-        Place(known_weights(by_name[n], e.position), e.value, f"{n}({e.position:.6g}) as measured", is_measured=True)
+        Place(
+            known_weights(by_name[n], e.position),
+            e.value,
+            say("datum.as_measured", name=f"{n}({e.position:.6g})"),
+            is_measured=True,
+        )
         for n, e in known.items()
     ]
     name = next(iter(known), "EXX")
@@ -315,7 +321,7 @@ def _length(by_name: Mapping[str, MachineTable], known: Mapping[str, KnownLength
     for k in _from_outside(table.nodes):
         words = f"{table.labels[k]} = 0"
         if entry is not None:
-            words = f"{table.labels[k]} on the line from 0 to the measured {name}({entry.position:.6g})"
+            words = say("datum.on_line", name=table.labels[k], measured=f"{name}({entry.position:.6g})")
         places.append(Place(known_weights(table, float(table.nodes[k])), slope * float(table.nodes[k]), words))
     return Condition(tuple(places), is_far=True)
 

@@ -222,14 +222,11 @@ def _no_length(description: Probing, unused: Sequence[str]) -> NotDetermined:
     if not description.known:
         why = say("undetermined.no_length")
     else:
-        why = say("undetermined.length_untouched", names=together(unused, say("undetermined.and")))
+        why = say("undetermined.length_untouched", names=together(unused, say("text.and")))
     return NotDetermined(LENGTH, why)
 
 
 def _words(put: Sequence[Place], measured: bool) -> str:
-    text = ", ".join(place.words for place in put)
-    relative = "" if measured else "; the absolute length is not determined"
-    return (
-        f"{text}{relative}; workpiece_form: without the shift and turn of the workpiece as a whole (least squares)"
-        f"{'' if measured else ', and without its uniform growth'}; ECC is positive counter-clockwise about +Z"
-    )
+    relative = [] if measured else [say("datum.no_length")]
+    form = say("datum.form" if measured else "datum.form_no_length")
+    return together((together((place.words for place in put), ", "), *relative, form, say("datum.ecc")), "; ")

@@ -17,6 +17,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, gaps_around
 from machine_tool_calibration.estimation.solve import Linearised
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
+from machine_tool_calibration.words import say
 
 __all__ = [
     "HELD_WITHIN",
@@ -32,11 +33,7 @@ __all__ = [
 ]
 
 
-ROTARY_DATUM = (
-    "relative to the axis average line (ISO 230-7): the six error motions hold no constant, and the radial and tilt "
-    "motions nothing that turns with the axis (least squares over all angles); angle and height of the table are those "
-    "at which the targets have on the average their nominal place; lengths are the interferometer's"
-)
+ROTARY_DATUM = say("datum.rotary")
 # Share of its largest singular value below which an angle's readings say nothing of a direction.
 _RANK = 1e-5
 _FIXED = 1e-6

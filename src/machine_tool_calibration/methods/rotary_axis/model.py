@@ -50,7 +50,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import say, together
 
 __all__ = ["RotaryAxisModel", "build"]
 
@@ -278,8 +278,8 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
     priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * stated))
     if not priors:
         return model
-    held = f"{len(priors)} directions of stations and targets that the readings leave open stay where they are stated"
-    return replace(model, priors=model.priors + priors, datum=f"{model.datum}; {held}")
+    datum = together((model.datum, say("datum.held", n=len(priors))), "; ")
+    return replace(model, priors=model.priors + priors, datum=datum)
 
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:

@@ -27,7 +27,7 @@ from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import say, together
 
 __all__ = ["build", "second_order"]
 
@@ -67,10 +67,7 @@ def second_order(
 
 _SMALL = say("undetermined.only_size")
 _ZERO = say("undetermined.taken_zero")
-_RANDOM = (
-    f"; the map is the mean over angular errors that are zero (with a probability of {NONE:g} before any reading) or "
-    f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} µrad"
-)
+_RANDOM = say("datum.random_map", p=f"{NONE:g}", low=f"{1e6 * SMALLEST:g}", high=f"{1e6 * LARGEST:g}")
 
 
 def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
@@ -247,5 +244,11 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
     if not angles:
         return replace(base, left_out=left_out)
     spread = Spread(tuple(angles))
-    whole = replace(base, terms=base.terms + spread.terms, spread=spread, left_out=left_out, datum=base.datum + _RANDOM)
+    whole = replace(
+        base,
+        terms=base.terms + spread.terms,
+        spread=spread,
+        left_out=left_out,
+        datum=together((base.datum, _RANDOM), "; "),
+    )
     return whole.settled()

@@ -39,7 +39,9 @@ def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:
         content["angular_probability"] = told.probability
     if fit.joint.given is None:  # of the readings themselves: a refit changes nothing of them
         content |= diagonal_tests(model.observations)
-    content["datum"] = f"{model.datum}; here {profiles.oriented}" if profiles.oriented else model.datum
+    content["datum"] = (
+        say("datum.oriented", own=model.datum, what=profiles.oriented) if profiles.oriented else model.datum
+    )
     corner = np.array([nodes[0] for nodes in model.blocks])
     points = np.concatenate(
         [np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(model.blocks)]

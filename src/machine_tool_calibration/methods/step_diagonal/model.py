@@ -24,13 +24,11 @@ from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term, motion_value, weight_row
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+from machine_tool_calibration.words import say, together
 
 __all__ = ["DATUM", "Spread", "StepDiagonalModel"]
 
-DATUM = (
-    "position errors are zero at the first block position of each axis; e_y(x), e_z(x) and e_y(z) are zero at the last "
-    "one too (Ibaraki and Hata 2010, Eq. (17)), which orients the coordinate system; lengths are the interferometer's"
-)
+DATUM = say("datum.step_diagonal")
 
 
 @dataclass(frozen=True)
@@ -197,11 +195,11 @@ class StepDiagonalModel(MethodModel):
                     last, least = (x_y, x_z, z_y), count
         names = ("e_y(x)", "e_z(x)", "e_y(z)" if axes[2] == 2 else "e_z(y)")
         words = [
-            f"{name} is zero at {1e3 * self.blocks[axis][at]:g} mm"
+            say("datum.zero_at", name=name, place=f"{1e3 * self.blocks[axis][at]:g}")
             for name, axis, at in zip(names, axes, last, strict=True)
             if at != -1
         ]
-        return eq17(self.blocks, rows, last).T, ", ".join(words)
+        return eq17(self.blocks, rows, last).T, together(words, ", ")
 
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""

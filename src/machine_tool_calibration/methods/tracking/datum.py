@@ -8,13 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, best_motion
+from machine_tool_calibration.words import say
 
 __all__ = ["MAP_DATUM", "NetworkMotion", "OwnSight", "carried_stations", "turned_back"]
 
-MAP_DATUM = (
-    "no shift and no turn of all targets together against their commanded positions (least squares); the length is "
-    "the interferometer's"
-)
+MAP_DATUM = say("datum.map")
 
 
 class NetworkMotion:

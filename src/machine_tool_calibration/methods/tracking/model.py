@@ -227,7 +227,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
     tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
     constraints = table_datum(tables, [read_nodes(term.columns) for term in terms])
-    datum = f"{RIGID_BODY_DATUM}; map: {MAP_DATUM}"
+    datum = say("datum.and_map", own=RIGID_BODY_DATUM, map=MAP_DATUM)
     return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=datum, tables=tables)
 
 
