@@ -15,6 +15,7 @@ import html5lib
 import pypdf
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.quiver import QuiverKey
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
@@ -277,7 +278,8 @@ def shown_in(name: str, language: str) -> tuple[list[str], list[str]]:
         elif isinstance(block, Picture):
             shown.append(block.caption)
             block.figure.draw_without_rendering()
-            drawn += [text.get_text() for text in block.figure.findobj(Text)]
+            texts = [*block.figure.findobj(Text), *(key.text for key in block.figure.findobj(QuiverKey))]
+            drawn += [text.get_text() for text in texts]
     return shown, drawn
 
 

@@ -142,7 +142,7 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
         draw_residuals(panel, name, comparison.covariate(name), comparison.fit.residuals, number)
         _noise_band(panel, comparison)
     for panel in panels[len(names) :]:
-        panel.set_visible(False)
+        panel.remove()
     if len(ids) <= _LISTED:
         handles = [Line2D([], [], ls="", marker="o", ms=5, color=color(k)) for k in range(len(ids))]
         figure.legend(
@@ -184,7 +184,7 @@ def draw_map(comparison: Comparison) -> Figure:
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
             draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
             panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
-    figure.suptitle(say("picture.arrows"), fontsize=11)
+    figure.suptitle(say("picture.arrows"), fontsize=11, wrap=True)
     grids(figure)
     return figure
 

@@ -78,10 +78,10 @@ def draw_diagonals(runs: Sequence[Mapping[str, Any]]) -> Figure:
         _draw_run(panel, run)
         panel.set_title(run["axis"] if run["axis"].lower() == run["setup"] else f"{run['axis']}, {run['setup']}")
         panel.set_xlabel(say("picture.along_diagonal"))
-    for panel in panels.flat[len(runs) :]:
-        panel.set_visible(False)
     for panel in panels[:, 0]:
         panel.set_ylabel(say("picture.deviation"))
+    for panel in panels.flat[len(runs) :]:
+        panel.remove()
     panels[0, 0].legend(frameon=False)
     return figure
 
@@ -117,7 +117,7 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
     for panel, (name, table) in zip(panels, curves.items(), strict=False):
         _curve(panel, name, table)
     for panel in panels[len(curves) :]:
-        panel.set_visible(False)
+        panel.remove()
     squareness = [
         f"{name} = {quantity(table['value'], 'rad', table['value_u'])}"
         for name, table in tables.items()

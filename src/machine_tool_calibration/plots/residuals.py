@@ -141,7 +141,7 @@ def draw_arrows(
     )
     shown = round_down(long)
     panel.set_title(" ", fontsize=10)  # room for the key
-    panel.quiverkey(quiver, 0.80, 1.03, 1e3 * scale * shown, f"{1e6 * shown:g} µm", labelpos="E", color="0.2")
+    panel.quiverkey(quiver, 0.94, 1.03, 1e3 * scale * shown, f"{1e6 * shown:g} µm", labelpos="W", color="0.2")
     panel.set_aspect("equal", adjustable="datalim")
     panel.margins(0.04)
 

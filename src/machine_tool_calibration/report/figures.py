@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "standard_pictures", "told"]
 
-# Width of a picture, inches, of which two stand side by side.
-_NARROW = 5.0
+# Width of a picture, inches, of which three stand side by side; and up to which two do, made that wide.
+_NARROW, _SQUARE, _HALF = 5.0, 7.5, 5.6
 # Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.
 _WIDEST, _LOWEST = 9.5, 0.8
 # Dots of an inch on paper.
@@ -60,9 +60,15 @@ class Picture:
         return round(float(self.figure.get_figwidth()), 2)
 
     @property
-    def narrow(self) -> bool:
-        """Whether two of it stand side by side."""
-        return self.inches < _NARROW
+    def beside(self) -> int:
+        """How many of its width stand side by side."""
+        return 3 if self.inches < _NARROW else 2 if self.inches <= _HALF else 1
+
+    @property
+    def tall(self) -> bool:
+        """Whether its panels stand below each other, so that it needs more of a page to be read."""
+        places = [panel.get_subplotspec() for panel in self.figure.axes]
+        return len({place.rowspan.start for place in places if place is not None}) > 1 and self.beside == 1
 
     @cached_property
     def svg(self) -> bytes:
@@ -106,14 +112,19 @@ def told(picture: Picture, words: Words) -> Picture:
     if wide > _WIDEST:
         figure.set_size_inches(_WIDEST, high * max(_WIDEST / wide, _LOWEST))
         _wrap_titles(figure)
+    elif _HALF < wide <= _SQUARE:
+        figure.set_size_inches(_HALF, high * _HALF / wide)
+        _wrap_titles(figure)
     return replace(picture, caption=words.told(picture.caption))
 
 
 def _translate(figure: Figure, words: Words) -> None:
+    from matplotlib.quiver import QuiverKey
     from matplotlib.text import Text
     from matplotlib.ticker import FixedLocator, ScalarFormatter
 
-    for text in figure.findobj(Text):
+    keys = [key.text for key in figure.findobj(QuiverKey) if isinstance(key, QuiverKey)]
+    for text in (*figure.findobj(Text), *keys):
         assert isinstance(text, Text)
         text.set_text(words.numbers(words.told(text.get_text())))
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):

@@ -86,10 +86,11 @@ class Section:
     title: str
     blocks: list[str | TextTable | Picture | Turnable] = field(default_factory=list)
 
-    def rows(self) -> Iterator[tuple[bool, list[str | TextTable | Picture | Turnable]]]:
-        """Blocks that follow each other: those as wide as the page, and narrow pictures, which stand side by side."""
-        for narrow, blocks in groupby(self.blocks, lambda one: isinstance(one, Picture) and one.narrow):
-            yield not narrow, list(blocks)
+    def rows(self) -> Iterator[tuple[int, list[str | TextTable | Picture | Turnable]]]:
+        """Blocks that follow each other, and how many of them stand side by side."""
+        for beside, blocks in groupby(self.blocks, lambda one: one.beside if isinstance(one, Picture) else 1):
+            same = list(blocks)
+            yield min(beside, len(same)), same
 
 
 def sections(found: Evaluation, words: Words) -> list[Section]:
