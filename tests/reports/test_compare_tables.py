@@ -55,7 +55,7 @@ def test_columns_without_any_number_are_left_out_and_named() -> None:
     rows = (("A", NOT_DETERMINED, "+1 ± 1"), ("B", NOT_DETERMINED, NOT_DETERMINED))
     shown, note = mark_not_determined(("setup", "mean / µm", "drift / (µm/h)"), rows, (1, 2))
     assert shown == (("A", "", "+1 ± 1"), ("B", "", NOT_DETERMINED))
-    assert "mean: not determined" in note
+    assert "mean / µm: not determined" in note
     assert note.startswith(NOT_DETERMINED)
 
 

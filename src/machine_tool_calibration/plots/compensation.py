@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.export.preview import ResidualErrors
 from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, MARKERS, new_figure
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +32,8 @@ def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
         title: begins the title.
     """
     axes = [k for k in range(3) if np.ptp(errors.points[:, k]) > _EXTENT] or [0]
-    rows = [(f"error along {'XYZ'[j]}", j) for j in range(3) if errors.known[:, j].any()]
-    words = f"{title}\nposition errors without shift and turn of the whole; band: U (k = 2) of the identified errors"
+    rows = [(say("compensation.along", axis="XYZ"[j]), j) for j in range(3) if errors.known[:, j].any()]
+    words = together((title, say("compensation.title")), "\n")
     figure = new_figure(1.2 + 3.9 * len(axes), 0.9 + 2.3 * (len(rows) + 1), words)
     panels = figure.subplots(len(rows) + 1, len(axes), sharex="col", sharey="row", squeeze=False)
     for line, (name, j) in zip(panels[:-1], rows, strict=True):
@@ -41,13 +42,13 @@ def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
             where = errors.points[at, k]
             _draw(panel, where, errors.before[at, j], errors.after[at, j])
             _band(panel, where, errors.uncertainty[at, j], signed=True)
-        line[0].set_ylabel(f"{name}, µm")
+        line[0].set_ylabel(name)
     before, after, spread = (np.linalg.norm(part, axis=1) for part in (errors.before, errors.after, errors.uncertainty))
     for panel, k in zip(panels[-1], axes, strict=True):
         _draw(panel, errors.points[:, k], before, after)
         _band(panel, errors.points[:, k], spread, signed=False)
         panel.set_xlabel(f"{'XYZ'[k]}, mm")
-    panels[-1][0].set_ylabel("length of the error, µm")
+    panels[-1][0].set_ylabel(say("compensation.length"))
     panels[0][0].legend(fontsize="small", frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 0.99))
     return figure
 
@@ -55,8 +56,24 @@ def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
 def _draw(panel: Axes, where: Array, before: Array, after: Array) -> None:
     # beside each other, so that neither hides the other
     aside = _ASIDE * float(np.ptp(where))
-    panel.plot(1e3 * (where - aside), 1e6 * before, MARKERS[1], color=COLORS[1], ms=4.5, mfc="none", label="before")
-    panel.plot(1e3 * (where + aside), 1e6 * after, MARKERS[0], color=FOUND, ms=4.0, mew=0.0, label="what is left")
+    panel.plot(
+        1e3 * (where - aside),
+        1e6 * before,
+        MARKERS[1],
+        color=COLORS[1],
+        ms=4.5,
+        mfc="none",
+        label=say("compensation.before"),
+    )
+    panel.plot(
+        1e3 * (where + aside),
+        1e6 * after,
+        MARKERS[0],
+        color=FOUND,
+        ms=4.0,
+        mew=0.0,
+        label=say("compensation.left_over"),
+    )
     panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
 
 

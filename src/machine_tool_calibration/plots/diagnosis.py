@@ -21,6 +21,7 @@ from machine_tool_calibration.reports.quantities import probability, quantity
 from machine_tool_calibration.reports.verdict import verdict_line
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.words import named, say, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,10 +52,13 @@ def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> 
 
 
 def _title(diagnosis: Diagnosis) -> str:
-    method = " + ".join(dict.fromkeys(session.method.replace("_", " ") for session in diagnosis.chosen.sessions))
+    method = together(
+        dict.fromkeys(named("method", one.method.replace("_", " ")) for one in diagnosis.chosen.sessions), " + "
+    )
     pool = Pool(diagnosis.fits[0])
-    residual = f"residual {quantity(rms(pool.residuals), 'm')} RMS"
-    return f"{method}, {len(pool.residuals)} readings used, {residual}: {verdict_line(diagnosis)}"
+    residual = quantity(rms(pool.residuals), "m")
+    numbers = {"n": len(pool.residuals), "residual": residual}
+    return say("picture.residual_with", method=method, **numbers, verdict=verdict_line(diagnosis))
 
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
@@ -63,14 +67,14 @@ def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequenc
     place = np.arange(len(table))[::-1]
     before, after = 1e6 * table["rms_before"].to_numpy(), 1e6 * table["rms_after"].to_numpy()
     colors = ["tab:green" if name in diagnosis.accepted else "tab:blue" for name in table["effect"]]
-    panel.barh(place, before, color="0.88", label="without it")
-    panel.barh(place, after, height=0.55, color=colors, label="with it")
+    panel.barh(place, before, color="0.88", label=say("picture.without_it"))
+    panel.barh(place, after, height=0.55, color=colors, label=say("picture.with_it"))
     for y, value, p in zip(place, before, table["probability"], strict=True):
         panel.text(value, y, f" {probability(p)}", va="center", fontsize=8, color="0.3")
-    panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label="declared standard uncertainty")
+    panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label=say("picture.declared_u"))
     panel.set_yticks(place, table["effect"], fontsize=8)
-    panel.set_xlabel("residual, µm RMS")
-    panel.set_title("Candidates; at the end of each bar its probability", fontsize=10)
+    panel.set_xlabel(say("picture.residual_um_rms"))
+    panel.set_title(say("picture.candidates"), fontsize=10)
     panel.set_xlim(0.0, 1.12 * max(float(before.max(initial=0.0)), 1e6 * diagnosis.noise.declared))
     panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
 
@@ -91,9 +95,9 @@ def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]
         panel.plot(explained[mine], residuals[mine], ".", ms=4, alpha=0.7, color=color(int(k)), label=label)
     ends = [float(explained.min()), float(explained.max())]
     panel.plot(ends, ends, color="0.3", lw=0.8)
-    panel.set_xlabel(f"what {name} takes out, µm")
-    panel.set_ylabel("residual without it, µm")
-    panel.set_title("The first candidate: do the readings follow the line?", fontsize=10)
+    panel.set_xlabel(say("picture.takes_out", name=name))
+    panel.set_ylabel(say("picture.residual_without"))
+    panel.set_title(say("picture.first_candidate"), fontsize=10)
     if len(used) <= _LISTED:
         panel.legend(fontsize=7)
 
@@ -103,9 +107,9 @@ def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     first, last = Pool(diagnosis.fits[0]), Pool(diagnosis.fits[-1])
     name, values = _covariate(diagnosis)
     label, factor = axis_label(name)
-    shown = [("before", first, "tab:red")]
+    shown: list[tuple[str, Pool, str]] = [(say("picture.before_it"), first, "tab:red")]
     if diagnosis.accepted:
-        shown.append((f"with {', '.join(diagnosis.accepted)}", last, "tab:green"))
+        shown.append((say("picture.with", names=", ".join(diagnosis.accepted)), last, "tab:green"))
     number = bins(values, _MEANS)
     used = np.unique(number)
     at = [factor * float(values[number == k].mean()) for k in used]
@@ -114,12 +118,11 @@ def _over(panel: Axes, diagnosis: Diagnosis) -> None:
         mean = [1e6 * float(fit.residuals[number == k].mean()) for k in used]
         panel.plot(at, mean, "o-", ms=3, lw=1.2, color=shade, mec="black", mew=0.5, zorder=5)
     band = 2e6 * diagnosis.noise.declared
-    panel.axhspan(-band, band, color="0.92", zorder=0, label="declared uncertainty U (k = 2)")
+    panel.axhspan(-band, band, color="0.92", zorder=0, label=say("picture.declared_U"))
     panel.set_xlabel(label)
     panel.locator_params(axis="x", nbins=6)
-    panel.set_ylabel("residual, µm")
-    what = "what the effect acts through" if diagnosis.accepted else "what they follow most"
-    panel.set_title(f"Residuals over {what} (lines: means)", fontsize=10)
+    panel.set_ylabel(say("picture.residual"))
+    panel.set_title(say("picture.over_acts" if diagnosis.accepted else "picture.over_follow"), fontsize=10)
     panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
 
 

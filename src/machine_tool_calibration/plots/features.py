@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.probing.features import Features
 from machine_tool_calibration.methods.probing.shapes import Circle, Line
 from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, NOMINAL, new_figure, round_down, scale_bar, spaced
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,8 +24,6 @@ __all__ = ["draw_features"]
 _LENGTH = 0.16
 # Semi-axes of an ellipse that holds a pair of normal quantities with 95 %, in standard uncertainties.
 _ELLIPSE = float(np.sqrt(-2.0 * np.log(0.05)))
-# Characters of a line of the title.
-_LINE = 100
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
@@ -52,7 +50,7 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) > 1 else 0.0
     extent = extent or 2 * max((one.radius for one in centres), default=0.5)
     scale = round_down(_LENGTH * extent / largest) if largest > 0 else 1.0
-    figure = new_figure(8.5, 8.5, fill(title or f"Features of the workpiece: {found.datum}", _LINE))
+    figure = new_figure(8.5, 8.5, title or say("picture.features", datum=found.datum))
     panel = figure.subplots()
     for one, index in zip(centres, indices, strict=False):
         _draw_centre(panel, one, found, index, scale)
@@ -64,9 +62,9 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
             panel.plot(*(1e3 * ends_at.T), ls="-", lw=1.0, color=color)
             panel.plot(*(1e3 * ends_at[1]), marker="o", ms=3, mfc="none", color=color)
         panel.plot([], [], ls="-", marker="o", ms=3, mfc="none", lw=1.0, color=color, label=what)
-    panel.plot([], [], "+", color=NOMINAL, label="nominal")
-    panel.plot([], [], "o-", ms=2, lw=1, color=FOUND, label=f"identified, deviations × {spaced(scale)}")
-    panel.plot([], [], color=BAND, label="95 % ellipse; walls: ± U (k = 2)")
+    panel.plot([], [], "+", color=NOMINAL, label=say("picture.nominal"))
+    panel.plot([], [], "o-", ms=2, lw=1, color=FOUND, label=say("picture.identified_scale", scale=spaced(scale)))
+    panel.plot([], [], color=BAND, label=say("picture.ellipse"))
     panel.set_aspect("equal")
     panel.set_xlabel("x, mm")
     panel.set_ylabel("y, mm")
@@ -93,7 +91,7 @@ def _draw_centre(panel: Axes, one: Circle, found: Features, index: list[int], sc
     panel.plot(*outline, color=NOMINAL, lw=0.7)
     if not np.all(np.isfinite(deviation)):
         panel.plot(*nominal, "x", color="black")
-        _label(panel, f"{one.name}\nnot determined", nominal)
+        _label(panel, say("picture.name_lost", name=one.name), nominal)
         return
     moved = nominal + 1e3 * scale * deviation
     values, vectors = np.linalg.eigh(found.covariance[np.ix_(index, index)])

@@ -27,6 +27,7 @@ from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
 from machine_tool_calibration.simulation.environment import COLUMNS
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +42,6 @@ _PANELS = 2
 _BINS, _SENSED = 24, 0.5
 # Size of a picture: dots per inch, and colours.
 _DPI, _HUES = 85, 96
-# Instead of a panel of residuals.
-_ABSORBED = "fully correlated with\nthe model's unknowns"
 
 
 def draw_gallery(
@@ -77,8 +76,8 @@ def _draw_injected(injected: Injected) -> Figure:
     comparison = injected.comparison
     observations = comparison.fit.model.observations
     effect = injected.effect
-    what = "the model takes it up" if injected.taken_up else f"the model leaves {injected.left:.0%} of it"
-    title = f"{effect.id}: {effect.formula}\n{injected.plan}, no noise, no other error; gray: the effect itself; {what}"
+    what = say("picture.takes_it_up" if injected.taken_up else "picture.leaves", share=f"{injected.left:.0%}")
+    title = say("picture.injected", id=effect.id, formula=effect.formula, plan=injected.plan, what=what)
     figure = new_figure(11.0, 3.7, title)
     panels = figure.subplots(1, _PANELS + 1, width_ratios=(1,) * _PANELS + (1.05,))
     setup = observations.readings.setup
@@ -86,10 +85,10 @@ def _draw_injected(injected: Injected) -> Figure:
         values, factor = comparison.covariates[view.name][view.shown], axis_label(view.name)[1]
         panel.plot(factor * values, 1e6 * view.change, ls="", marker=".", ms=3, color="0.8", zorder=1)
         draw_residuals(panel, view.name, values, view.residual, setup[view.shown], _BINS)
-        panel.set_ylabel(f"{view.what}, µm")
+        panel.set_ylabel(view.what)
     if injected.taken_up:
         where = {"ha": "center", "va": "center", "fontsize": 11, "color": "0.3"}
-        panels[-1].text(0.5, 0.5, _ABSORBED, transform=panels[-1].transAxes, **where)
+        panels[-1].text(0.5, 0.5, say("picture.taken_up"), transform=panels[-1].transAxes, **where)
         panels[-1].set_axis_off()
     else:
         a, b = planes(observations.position, observations.direction)[0]
@@ -133,7 +132,7 @@ def _views(injected: Injected) -> list[_View]:
     values = {name: v for name, v in comparison.covariates.items() if name not in left_out and np.isfinite(v).all()}
     everything = np.ones(len(observations), dtype=bool)
     ranked: list[tuple[float, _View]] = []
-    for what, axis in (("reading", ""), *((f"displacement of {a}", a) for a in "xyz")):
+    for what, axis in ((say("picture.reading"), ""), *((say("picture.displacement_of", axis=a), a) for a in "xyz")):
         along = sensed(observations, axis) if axis else np.ones(len(observations))
         shown = np.abs(along) > _SENSED if axis else everything
         # A displacement only where the effect is one of this axis, and enough readings sense it.

@@ -19,6 +19,7 @@ from machine_tool_calibration.plots.style import (
     spaced,
 )
 from machine_tool_calibration.reports.quantities import p_value
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,11 +43,12 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
 
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
-    verdict = "agree" if comparison.agree else "differ by more than their joint uncertainty"
-    together = "" if comparison.p_value is None else f" ({p_value(comparison.p_value)})"
-    figure = new_figure(
-        12.4, 6.4, f"Maps {verdict}{together}; {comparison.beyond} of {comparison.count} |E_n| exceed 1"
-    )
+    key = "picture.maps_agree" if comparison.agree else "picture.maps_differ"
+    numbers = {"n": comparison.beyond, "count": comparison.count}
+    if comparison.p_value is None:
+        figure = new_figure(12.4, 6.4, say(key, **numbers))
+    else:
+        figure = new_figure(12.4, 6.4, say(f"{key}_p", p=p_value(comparison.p_value), **numbers))
     left, right = figure.subplots(1, 2)
     if len(axes) > 1:
         _places(left, comparison, (int(axes[0]), int(axes[1])))
@@ -57,12 +59,17 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     right.axhline(0.0, color="0.6", lw=0.8)
     for k, j in enumerate(axes):
         right.plot(
-            number, comparison.normalised[:, j], MARKERS[k + 2], color=COLORS[k + 2], ms=5, label=f"along {'xyz'[j]}"
+            number,
+            comparison.normalised[:, j],
+            MARKERS[k + 2],
+            color=COLORS[k + 2],
+            ms=5,
+            label=say("picture.along", axis="xyz"[j]),
         )
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
-    right.set_xlabel("number of the point")
-    right.set_ylabel("normalised difference E_n (first less second, over its U)")
-    right.set_title("band: |E_n| ≤ 1", fontsize="medium")
+    right.set_xlabel(say("picture.point_number"))
+    right.set_ylabel(say("picture.normalised"))
+    right.set_title(say("picture.band_E"), fontsize="medium")
     right.legend(frameon=False, fontsize="small")
     return figure
 
@@ -76,7 +83,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
     largest = 1e-3 * float(np.nanmax(np.abs(both), initial=0.0))
     extent = 1e-3 * float(np.ptp(nominal, axis=0).max())
     scale = round_down(_SHARE * extent / largest) if largest > 0 and extent > 0 else 1.0
-    panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label="commanded")
+    panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label=say("picture.commanded"))
     drawn = [nominal]
     for k, (values, label) in enumerate(zip(both, comparison.labels, strict=True)):
         found = nominal + scale * values
@@ -90,7 +97,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
     panel.margins(0.08)
     panel.set_xlabel(f"{'xyz'[axes[0]]}, mm")
     panel.set_ylabel(f"{'xyz'[axes[1]]}, mm")
-    panel.set_title(f"errors magnified {spaced(scale)} times", fontsize="medium")
+    panel.set_title(say("picture.errors_magnified", scale=spaced(scale)), fontsize="medium")
     panel.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
 
 
@@ -106,5 +113,5 @@ def _profiles(panel: Axes, comparison: MapComparison, axis: int) -> None:
             fmt=f"{MARKERS[k]}-", color=COLORS[k], ms=5, lw=1.2, capsize=3, label=label,
         )  # fmt: skip
     panel.set_xlabel(f"{'xyz'[along]}, mm")
-    panel.set_ylabel(f"error along {'xyz'[axis]}, µm; bars: U (k = 2)")
+    panel.set_ylabel(say("picture.error_bars", axis="xyz"[axis]))
     panel.legend(frameon=False, fontsize="small")

@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
 from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.reports.quantities import micrometres
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,13 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_comparison"]
 
-_LABELS = {
-    "conventional": "conventional, Eq. (2)",
-    "new": "new, Eqs. (6)-(19)",
-    "alternative": "alternative, Eq. (20)",
-    "least_squares": "least squares",
-    "small_angles": "least squares, small angles",
-}
 _STYLE = {
     "conventional": ("tab:red", "o"),
     "new": ("tab:blue", "s"),
@@ -57,7 +51,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
             handles, labels = panel.get_legend_handles_labels()
     if comparison.by_repeat:
         handles = [*handles, Line2D([], [], ls="", marker="_", ms=6, color="0.4")]
-        labels = [*labels, "each repeat alone (bars: U, k = 2)"]
+        labels = [*labels, say("picture.each_repeat")]
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     return figure
 
@@ -76,19 +70,22 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
         # Side by side, so that equal values do not hide each other.
         at = at + _ASIDE * (number - 2) * (at[-1] - at[0])
         bar = 2e6 * np.nan_to_num(profiles.uncertainty[motion][:, component])
-        panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=_LABELS[name])
+        panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=say(f"picture.{name}"))
         for single in comparison.by_repeat.get(name, ()):
             each = 1e6 * single.error[motion][:, component]
             if len(each) == len(at):
                 panel.plot(at, each, ls="", marker="_", ms=6, color=color, alpha=0.6)
         if name != "conventional":  # which may be a hundred times larger
             low, high = min(low, float(np.nanmin(value - bar))), max(high, float(np.nanmax(value + bar)))
-    panel.set_title(f"$e_{along}({letter.lower()})$: error in {along.upper()}, motion of {letter}", fontsize=10)
+    own = {"low": along, "small": letter.lower(), "axis": along.upper(), "motion": letter}
+    panel.set_title(say("picture.error_motion", **own), fontsize=10)
     panel.set_xlabel(f"{letter}, mm")
-    panel.set_ylabel("error, µm")
+    panel.set_ylabel(say("picture.error"))
     panel.grid(alpha=0.3)
     if not drawn:
-        panel.text(0.5, 0.5, "not determined", ha="center", va="center", transform=panel.transAxes, color="0.5")
+        panel.text(
+            0.5, 0.5, say("picture.not_determined"), ha="center", va="center", transform=panel.transAxes, color="0.5"
+        )
         return
     conventional = comparison.profiles.get("conventional")
     if high > low and conventional is not None:
@@ -98,5 +95,5 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
             worst = float(value[int(np.nanargmax(np.abs(value)))])
             panel.set_ylim(low - margin, high + margin)
             where = (0.97, 0.92 if worst > 0 else 0.04)
-            text = f"conventional: {micrometres(1e-6 * worst, signed=True)} µm"
+            text = say("picture.worst_conventional", error=micrometres(1e-6 * worst, signed=True))
             panel.annotate(text, where, xycoords="axes fraction", color="tab:red", fontsize=9, ha="right")

@@ -94,10 +94,8 @@ def draw_residuals(fit: Fit) -> Figure:
     height = max(float(np.abs(residual).max(initial=0.0)), float(band.max(initial=0.0))) * 1.15
     columns = min(len(names), 2)
     rows = -(-len(names) // columns)
-    title = (
-        f"Measured − predicted: {len(residual)} of {len(session.readings)} readings used, "
-        f"{quantity(rms(fit.residuals), 'm')} RMS, reduced chi-square {rounded(fit.joint.reduced_chi_square)}"
-    )
+    numbers = {"n": len(residual), "count": len(session.readings), "chi": rounded(fit.joint.reduced_chi_square)}
+    title = say("picture.fitted", rms=quantity(rms(fit.residuals), "m"), **numbers)
     figure = new_figure(6.2 * columns, 2.3 * rows + 0.8, title)
     panels = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).reshape(-1)
     for k, panel in enumerate(panels):
@@ -106,13 +104,14 @@ def draw_residuals(fit: Fit) -> Figure:
             continue
         mine = readings.setup == k
         _station(panel, residual[mine], band[mine], readings.select(mine))
-        size = f"{quantity(rms(fit.residuals[mine]), 'm')} RMS" if mine.any() else "not read"
-        panel.set_title(f"{names[k]}: {size}", fontsize="medium")
+        size = quantity(rms(fit.residuals[mine]), "m") if mine.any() else ""
+        headed = say("picture.setup_rms" if size else "picture.not_read", name=names[k], rms=size)
+        panel.set_title(headed, fontsize="medium")
         panel.set_ylim(-height, height)
         if k % columns == 0:
-            panel.set_ylabel("residual, µm")
+            panel.set_ylabel(say("picture.residual"))
         if k + columns >= len(names):
-            panel.set_xlabel("row")
+            panel.set_xlabel(say("picture.row"))
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize="small")
     return figure
@@ -120,11 +119,11 @@ def draw_residuals(fit: Fit) -> Figure:
 
 def _station(panel: Axes, residual: Array, band: Array, readings: Readings) -> None:
     row, repeat = readings.row, readings.repeat
-    panel.fill_between(row, -band, band, color=BAND, alpha=0.18, lw=0, label="± 2 declared u")
+    panel.fill_between(row, -band, band, color=BAND, alpha=0.18, lw=0, label=say("picture.two_u"))
     panel.axhline(0.0, color="0.6", lw=0.8)
     repeats = np.unique(repeat)
     for k, number in enumerate(repeats[:4]):
         chosen = repeat == number if k < 3 or len(repeats) == 4 else repeat >= number
-        name = f"repeat {number}" + ("" if k < 3 or len(repeats) == 4 else " and later")
+        name = say("picture.repeat" if k < 3 or len(repeats) == 4 else "picture.repeat_later", n=number)
         panel.plot(row[chosen], residual[chosen], ".", color=COLORS[k], ms=5, label=name)
     panel.margins(x=0.02)

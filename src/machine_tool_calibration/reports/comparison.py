@@ -11,6 +11,7 @@ from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.goodness import fit_words, fits
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.residuals.noise import Noise
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,48 +34,40 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     bad = fits(overall.p_value) == "bad"
     said: list[str] = [fit_words(overall.reduced_chi_square, overall.p_value)]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
-    said += [f"{stand_out(count)}."] if count else []
+    said += [say("compared.sentence", text=stand_out(count))] if count else []
     said += [_repeats(overall, one.noise, bool(count))] if one else []
-    cause = "What the cause is, a diagnosis says."
-    contradict = "Whether the sessions contradict each other, the result of all together says."
-    return " ".join([*said, *([cause if one else contradict] if bad else [])])
+    said += [say("compared.ask_diagnosis" if one else "compared.ask_result")] if bad else []
+    return together(said)
 
 
 def _where(parts: pd.DataFrame, part: str, overall: Overall) -> str:
     """Which of the setups or sessions it fits worst."""
     judged = parts[parts["reduced_chi_square"].notna()]
     if len(judged) < 2:
-        return f"There is one {part}."
+        return say(f"compared.one_{part}")
     worst = judged.iloc[0]
     if worst["reduced_chi_square"] < _WORSE**2 * overall.reduced_chi_square:
-        return f"It is the same in all {part}s."
+        return say(f"compared.same_{part}")
     ratio = times_declared(worst["reduced_chi_square"])
-    return f"Worst is {part} {worst['name']} ({ratio} times, {worst['share']:.0%} of all misfit)."
+    return say(f"compared.worst_{part}", name=worst["name"], ratio=ratio, share=f"{worst['share']:.0%}")
 
 
 def _repeats(overall: Overall, noise: Noise, apart: bool) -> str:
     if noise.from_repeats is None:
-        return "Too few repeats to distinguish noise from a lack of fit."
+        return say("compared.few_repeats")
+    if noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK:
+        key = "lack"
+    elif fits(overall.p_value) != "bad" or apart:
+        key = "scatter"
+    else:
+        key = "less" if noise.from_repeats < _NOISE * overall.ratio * noise.declared else "as_much"
     repeats, declared = (quantity(size, "m") for size in (noise.from_repeats, noise.declared))
-    scatter = f"Readings repeated at one place scatter {repeats} (declared {declared})"
-    lack = noise.lack_of_fit_p
-    if lack is not None and lack < _LACK:
-        return f"{scatter}, and places differ by more than that: the model lacks something, or setups do not reproduce."
-    if fits(overall.p_value) != "bad" or apart:
-        return f"{scatter}."
-    if noise.from_repeats < _NOISE * overall.ratio * noise.declared:
-        return (
-            f"{scatter}: repeats scatter less than the residuals; the model lacks something, or runs do not reproduce."
-        )
-    return (
-        f"{scatter}: repeats differ as much, so either the declared uncertainty is too small, or something changes "
-        "from one repeat to the next (time, temperature)."
-    )
+    return say(f"compared.{key}", repeats=repeats, declared=declared)
 
 
 def stand_out(count: int) -> str:
     """That so many readings do not belong to the rest."""
-    return f"{count} reading{'s do' if count > 1 else ' does'} not belong to the rest"
+    return say("compared.stand_out", n=count)
 
 
 def times_declared(reduced_chi_square: float | None) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.quantities import micrometres, quantity
-from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.words import say, together
 
 __all__ = ["absent_words", "harm_words", "left_table"]
 
@@ -17,32 +18,25 @@ def left_table(found: Exported) -> TextTable:
         lengths = (row.rms_before, row.rms_left, row.largest_before, row.largest_left, 2 * row.uncertainty)
         rows.append((row.name, *map(micrometres, lengths)))
     return TextTable(
-        "Position error over the measured points, µm, without shift and turn of the whole",
-        ("direction", "RMS now", "RMS left", "largest now", "largest left", "U (k = 2), RMS"),
+        say("compensation.table"),
+        heads("direction", "rms_now", "rms_left", "largest_now", "largest_left", "U_rms"),
         tuple(rows),
-        "left: what the tables leave of the errors that were identified, and what these are uncertain by (largest: at "
-        "most, with 95 %); U is without instrument and temperature. What the machine does not repeat comes on top",
+        say("compensation.left"),
     )
 
 
 def harm_words(found: Exported) -> str:
     """That files do harm, and where; empty if they do none."""
     if found.worse:
-        return "the errors would grow; do not load these files"
-    grown = ", ".join(
-        f"{one.name.upper()} ({quantity(one.rms_before, 'm')} → {quantity(one.rms_after, 'm')} RMS)"
+        return say("compensation.grow")
+    grown = [
+        say("compensation.grown", name=one.name.upper(), before=quantity(one.rms_before, "m"),
+            after=quantity(one.rms_after, "m"))
         for one in found.worse_along
-    )
-    return (
-        f"the tables make {grown} worse; leave {'it' if len(found.worse_along) == 1 else 'them'} out" if grown else ""
-    )
+    ]  # fmt: skip
+    return say("compensation.worse", n=len(grown), names=together(grown, ", ")) if grown else ""
 
 
 def absent_words(found: Exported) -> str:
     """What the files do not hold; empty if they hold all."""
-    if not found.absent:
-        return ""
-    return (
-        f"In the model and not in these files: {', '.join(found.absent)}. What they do to the position is in the "
-        "errors above, before and after."
-    )
+    return say("compensation.absent", names=", ".join(found.absent)) if found.absent else ""

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.reports.quantities import range_of
-from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from machine_tool_calibration.planning.injected import Injected, Shown
@@ -33,18 +34,19 @@ This page and its pictures are made by `mtcal effects ID … --gallery FOLDER`.
 
 def coefficients_in_words(effect: Effect) -> list[str]:
     """Each coefficient: what it is, and its plausible range."""
-    linear = [f"{_what(c)}: {range_of(c.low, c.high, c.unit)}" for c in effect.coefficients]
-    if not linear:
-        linear = ["a set for each setup" if effect.setup_level else "as many as are needed"]
+    ranges: list[tuple[Coefficient | Shape, str]] = [(c, range_of(c.low, c.high, c.unit)) for c in effect.coefficients]
     for s in effect.shapes:
-        span = f"{s.low:g} to {s.high:g}, chosen" if s.discrete else f"{range_of(s.low, s.high, s.unit)}, fitted"
-        linear.append(f"{_what(s)}: {span}")
-    return linear
+        chosen = say("catalogue.chosen", low=f"{s.low:g}", high=f"{s.high:g}")
+        ranges.append((s, chosen if s.discrete else say("catalogue.fitted", span=range_of(s.low, s.high, s.unit))))
+    out: list[str] = [say("catalogue.coefficient", what=_what(one), span=span) for one, span in ranges]
+    if effect.coefficients:
+        return out
+    return [say("catalogue.a_set" if effect.setup_level else "catalogue.as_needed"), *out]
 
 
 def _what(coefficient: Coefficient | Shape) -> str:
     meaning = coefficient.meaning
-    return f"{coefficient.name} ({meaning})" if meaning else coefficient.name
+    return say("catalogue.named", name=coefficient.name, meaning=meaning) if meaning else coefficient.name
 
 
 def effect_document(effect: Effect) -> dict[str, Any]:
@@ -76,12 +78,12 @@ def effects_table(effects: Sequence[Effect]) -> TextTable:
             " ".join(effect.id for effect in alike),
             alike[0].title,
             alike[0].formula,
-            ", ".join(m.split("_")[0] for m in alike[0].methods) or "all",
+            ", ".join(m.split("_")[0] for m in alike[0].methods) or say("catalogue.all"),
         )
         for alike in lines.values()
     )
-    note = "what is written is that of the first, and likewise of the others" if len(lines) < len(effects) else ""
-    return TextTable("Effects that can be looked for", ("id", "effect", "formula", "methods"), rows, note)
+    note = say("catalogue.alike") if len(lines) < len(effects) else ""
+    return TextTable(say("catalogue.title"), ("id", *heads("effect", "formula", "methods")), rows, note)
 
 
 def _without_axis(effect: Effect) -> tuple[str, ...]:
@@ -112,10 +114,9 @@ def shown_table(shown: Sequence[Shown]) -> TextTable:
     for s in shown:
         if s.left is None:
             without.setdefault(s.why_not, []).append(s.plan)
-    notes = ["from simulated readings without noise"] if rows else []
-    notes += [f"not in {', '.join(plans)}: {why}" for why, plans in without.items()]
-    title = "What the default model leaves of it in the residuals of a plan, and what it takes the rest for"
-    return TextTable(title, ("plan", "left", "the rest is taken for"), rows, "; ".join(notes))
+    notes = [say("catalogue.noiseless")] if rows else []
+    notes += [say("catalogue.not_in", plans=", ".join(plans), why=why) for why, plans in without.items()]
+    return TextTable(say("catalogue.left"), heads("plan", "left", "rest"), rows, together(notes, "; "))
 
 
 def gallery_page(effects: Sequence[Effect], found: Mapping[str, Injected | None]) -> str:

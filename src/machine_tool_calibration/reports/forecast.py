@@ -13,7 +13,8 @@ from machine_tool_calibration.reports.diagnosis import dominant_words
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import group_by_reason
 from machine_tool_calibration.reports.quantities import duration, micrometres, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.words import named, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,30 +26,28 @@ def show_forecast(screen: Console, found: Forecast) -> None:
     """Uncertainties to come first, then what will be missing, the smallest effects found, and what dominates."""
     document = plain(found.document())
     sigma = found.result.fit.model.observations.session.sigma
-    screen.print(
-        f"{document['method'].replace('_', ' ')}, model {document['model']}: {document['readings']} readings "
-        f"of u = {quantity(sigma, 'm')} (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes "
-        "on top"
-    )
+    method = named("method", document["method"].replace("_", " "))
+    measured = {"n": document["readings"], "u": quantity(sigma, "m"), "time": duration(found.seconds)}
+    screen.print(say("forecast.headline", method=method, model=document["model"], **measured))
     # each coordinate by itself
     rows = (_row(name.removesuffix("_u"), values) for name, values in document["uncertainties"].items())
-    title, heads = "Uncertainty to come, U (k = 2), of each coordinate", ("", "typical", "at most", "not determined")
-    show_table(screen, TextTable(title, heads, tuple(row for row in rows if row is not None)))
+    columns = heads("", "typical", "at_most", "not_determined")
+    shown = tuple(row for row in rows if row is not None)
+    show_table(screen, TextTable(say("forecast.uncertainty"), columns, shown))
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
-        screen.print(f"will not be determined: {names}: {why}")
+        screen.print(say("forecast.undetermined", names=names, why=why))
     sizes = tuple(
         (entry.effect, f"{entry.coefficient} = {quantity(entry.size or 0.0, entry.unit)}", micrometres(entry.reading))
         for entry in found.visible
     )
     if sizes:
-        title = "Smallest detectable sizes of effects (power 80 %, significance level 5 %)"
-        show_table(screen, TextTable(title, ("effect", "size", "largest change of a reading, µm"), sizes))
+        show_table(screen, TextTable(say("forecast.sizes"), heads("effect", "size", "reading_change_um"), sizes))
     if found.absorbed:
-        screen.print(f"would not be found, as the model has them already or takes them up: {', '.join(found.absorbed)}")
+        screen.print(say("forecast.absorbed", names=", ".join(found.absorbed)))
     if found.dominant is not None:
         for line in dominant_words(found.dominant):
             screen.print(line)
-    screen.print(f"datum: {document['datum']}")
+    screen.print(say("result.datum", datum=document["datum"]))
 
 
 def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
@@ -59,7 +58,7 @@ def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
     good = np.isfinite(found)
     if not len(found):
         return None
-    lost = f"{int((~good).sum())} of {len(found)}" if not good.all() else ""
+    lost = say("text.of", n=int((~good).sum()), count=len(found)) if not good.all() else ""
     if not good.any():
         return name, "–", "–", lost
     unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"

@@ -7,24 +7,23 @@ from collections.abc import Callable
 
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.reports.quantities import micrometres, quantity, rounded
-from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.words import say
 
 __all__ = ["compared_models", "tried_models"]
 
 _FIGURES: dict[str, Callable[[Entry], str]] = {
-    "variant": lambda one: one.model,
-    "effects": lambda one: ", ".join(one.effects) or "–",
-    "readings used": lambda one: str(one.used),
-    "set aside": lambda one: str(one.readings_aside),
-    "RMS residual, µm": lambda one: micrometres(one.rms_residual),
-    "reduced chi-square": lambda one: rounded(one.reduced_chi_square),
-    "degrees of freedom": lambda one: str(one.degrees_of_freedom),
-    "position error of the map, µm RMS": lambda one: micrometres(one.map_rms),
-    "its uncertainty U, µm RMS (k = 2)": lambda one: micrometres(
-        None if one.map_uncertainty_rms is None else 2 * one.map_uncertainty_rms
-    ),
+    "history.variant": lambda one: one.model,
+    "history.effects": lambda one: ", ".join(one.effects) or "–",
+    "improved.readings": lambda one: str(one.used),
+    "history.set_aside": lambda one: str(one.readings_aside),
+    "improved.rms": lambda one: micrometres(one.rms_residual),
+    "improved.chi": lambda one: rounded(one.reduced_chi_square),
+    "history.freedom": lambda one: str(one.degrees_of_freedom),
+    "improved.map": lambda one: micrometres(one.map_rms),
+    "history.U_map": lambda one: micrometres(None if one.map_uncertainty_rms is None else 2 * one.map_uncertainty_rms),
 }
-"""What is told of a model beside its coefficients."""
+"""What is told of a model beside its coefficients, by the key of what it is."""
 
 
 def tried_models(history: History) -> TextTable:
@@ -36,7 +35,7 @@ def tried_models(history: History) -> TextTable:
             entry.made.replace("T", " ")[:16],
             entry.model,
             ", ".join(entry.effects) or "–",
-            entry.change or "first model",
+            entry.change or say("step.first"),
             str(entry.used),
             micrometres(entry.rms_residual),
             rounded(entry.reduced_chi_square),
@@ -44,17 +43,15 @@ def tried_models(history: History) -> TextTable:
         )
         for entry in history.models
     )
-    heads = (
-        *("model", "from", "made (UTC)", "variant", "effects", "change", "readings"),
-        *("residual", "chi²/ν", "map moves"),
-    )
-    return TextTable("Models tried; → is the current one", heads, rows, "residual and map in µm RMS")
+    begin = ("model", "from", "made", "variant", "effects", "change", "readings", "residual")
+    columns = (*heads(*begin), "chi²/ν", *heads("map_moves"))
+    return TextTable(say("history.tried"), columns, rows, say("history.note"))
 
 
 def compared_models(one: Entry, other: Entry) -> TextTable:
     """Two models side by side: figures first, then each coefficient with its expanded uncertainty."""
     both = (one, other)
-    rows = [(name, *map(shown, both)) for name, shown in _FIGURES.items()]
+    rows: list[tuple[str, ...]] = [(say(key), *map(shown, both)) for key, shown in _FIGURES.items()]
     known = [{p.name: p for p in entry.parameters} for entry in both]
     for name in dict.fromkeys([*known[0], *known[1]]):
         texts = [
@@ -62,8 +59,8 @@ def compared_models(one: Entry, other: Entry) -> TextTable:
         ]
         rows.append((name, *texts))
     return TextTable(
-        "Side by side",
-        ("", f"model {one.number}", f"model {other.number}"),
+        say("history.side"),
+        ("", *(say("history.model", n=entry.number) for entry in both)),
         tuple(rows),
-        "coefficients ± U (k = 2)" if len(rows) > len(_FIGURES) else "",
+        say("history.coefficients") if len(rows) > len(_FIGURES) else "",
     )

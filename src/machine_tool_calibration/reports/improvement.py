@@ -17,7 +17,8 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.reports.signs import negative_words
-from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import TextTable, heads, show_suspicions, show_table
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,29 +78,24 @@ def _words(done: Improvement) -> str:
     found = done.diagnosis
     fell = _what_falls(done)
     if found.accepted:
-        return f"Added {', '.join(found.accepted)}: {fell}{_what_grows(done)}"
+        grows = _what_grows(done)
+        key = "improved.added_grows" if grows else "improved.added"
+        return say(key, names=", ".join(found.accepted), fell=fell, grows=grows)
     if found.verdict == "outliers":
-        return f"Set aside {len(found.outliers)} readings that do not belong to the rest: {fell} No effect is missing."
-    if found.verdict == "unexplained":
-        return (
-            "Nothing was added: the residuals have structure that no effect of the catalogue explains; "
-            "`mtcal diagnose` says on what they depend."
-        )
-    return "Nothing was added: this measurement shows no missing effect."
+        return say("improved.set_aside", n=len(found.outliers), fell=fell)
+    return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing")
 
 
 def _what_falls(done: Improvement) -> str:
     """The residual; where unknown angles had taken up what is now in the model, the residual volumetric error."""
     first, last = done.steps[0], done.steps[-1]
-    declared = f"declared uncertainty {quantity(done.diagnosis.noise.declared, 'm')}"
+    declared = quantity(done.diagnosis.noise.declared, "m")
     residual = residual_change(first.result.rms_residual, last.result.rms_residual)
     before, after = (step.residual_volumetric_error(last) for step in (first, last))
     if last.result.rms_residual < first.result.rms_residual or before is None or after is None or after >= before:
-        return f"{residual} ({declared})."
-    return (
-        f"the residual volumetric error falls from {quantity(before, 'm')} to {quantity(after, 'm')} "
-        f"RMS (k = 2); {residual} ({declared})."
-    )
+        return say("improved.residual", residual=residual, declared=declared)
+    sizes = {"before": quantity(before, "m"), "after": quantity(after, "m")}
+    return say("improved.volumetric", **sizes, residual=residual, declared=declared)
 
 
 def _what_grows(done: Improvement) -> str:
@@ -107,10 +103,7 @@ def _what_grows(done: Improvement) -> str:
     before, after = done.steps[0].map_uncertainty, done.steps[-1].map_uncertainty
     if before is None or after is None or after < _GROWN * before:
         return ""
-    return (
-        f" U of the map grows from {quantity(2 * before, 'm')} to {quantity(2 * after, 'm')} RMS (k = 2), as the same "
-        "readings determine the effect as well; the smaller one did not contain what was missing."
-    )
+    return say("improved.grows", before=quantity(2 * before, "m"), after=quantity(2 * after, "m"))
 
 
 def _steps(done: Improvement) -> TextTable:
@@ -131,35 +124,21 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(step.residual_volumetric_error(done.steps[-1])),
             )
         )
-    heads = (
-        "model",
-        "size ± U",
-        "probability",
-        "residual",
-        "chi²/ν",
-        "map moves",
-        "map",
-        "U of map",
-        "residual volumetric error",
-    )
-    note = (
-        "probability: that it is missing; µm RMS; chi²/ν: reduced chi-square; map: position "
-        "error; U (k = 2) as `mtcal identify` publishes it; residual volumetric error: of U with "
-        "the scatter of the readings, of what the model does not explain, and of the distance to the last map"
-    )
-    return TextTable("Step by step", heads, tuple(rows), note)
+    before, after = ("model", "size_pm", "probability", "residual"), ("map_moves", "map", "U_map", "volumetric")
+    columns = (*heads(*before), "chi²/ν", *heads(*after))
+    return TextTable(say("improved.steps"), columns, tuple(rows), say("improved.note"))
 
 
 def _side_by_side(done: Improvement) -> TextTable:
     both = (done.steps[0], done.steps[-1])
     figures: dict[str, Callable[[Step], str]] = {
-        "effects added": lambda step: ", ".join(step.result.effects) or "none",
-        "readings used": lambda step: str(step.result.joint.assembly.problem.n_readings),
-        "RMS residual, µm": lambda step: micrometres(step.result.rms_residual),
-        "reduced chi-square": lambda step: rounded(step.reduced_chi_square),
-        "p-value": lambda step: probability(step.result.joint.p_value),
-        "position error of the map, µm RMS": lambda step: micrometres(step.map_rms),
-        "residual volumetric error, µm RMS (k = 2)": lambda step: micrometres(step.residual_volumetric_error(both[1])),
+        "effects": lambda step: ", ".join(step.result.effects) or say("improved.none"),
+        "readings": lambda step: str(step.result.joint.assembly.problem.n_readings),
+        "rms": lambda step: micrometres(step.result.rms_residual),
+        "chi": lambda step: rounded(step.reduced_chi_square),
+        "map": lambda step: micrometres(step.map_rms),
+        "volumetric_um": lambda step: micrometres(step.residual_volumetric_error(both[1])),
     }
-    rows = tuple((name, *map(shown, both)) for name, shown in figures.items())
-    return TextTable("Before and after", ("", "before", "after"), rows)
+    rows = [(say(f"improved.{name}"), *map(shown, both)) for name, shown in figures.items()]
+    rows.insert(4, (say("head.p_value"), *(probability(step.result.joint.p_value) for step in both)))
+    return TextTable(say("improved.both"), heads("", "before", "after_it"), tuple(rows))

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration
-from machine_tool_calibration.reports.tables import TextTable, show_head, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import TextTable, heads, show_head, show_suspicions, show_table
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import named, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -87,37 +87,41 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
         start = datetime.fromtimestamp(bag.first / 1e9, UTC).isoformat(sep=" ", timespec="seconds")
     except (ValueError, OverflowError, OSError):
         start = f"{bag.first} ns"
-    files = f"{len(bag.files)} file" + ("s" if len(bag.files) != 1 else "")
-    show_head(out, str(bag.path), f": recording, {files}, {size / 1e6:.2f} MB")
-    out.print(f"{bag.messages_in_all} messages in {bag.duration:.1f} s, from {start}")
+    show_head(out, str(bag.path), say("recorded.recording", n=len(bag.files), size=f"{size / 1e6:.2f}"))
+    out.print(say("recorded.messages", n=bag.messages_in_all, time=f"{bag.duration:.1f}", start=start))
     rows = []
     for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
         rate = f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else ""
-        latched = "yes" if any(profile.latched for profile in topic.qos) else ""
+        latched = say("text.yes") if any(profile.latched for profile in topic.qos) else ""
         rows.append((topic.name, topic.type, str(topic.messages), rate, latched))
-    show_table(out, TextTable("Topics", ("topic", "type", "messages", "per second", "latched"), tuple(rows)))
+    show_table(
+        out, TextTable(say("recorded.topics"), heads("topic", "type", "messages", "per_second", "latched"), tuple(rows))
+    )
     if absent:
-        out.print(f"No measurement in it: {absent.split(': ', 1)[-1]}")
+        out.print(say("recorded.nothing", why=absent.split(": ", 1)[-1]))
 
 
 def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
     """Setups and columns of a session."""
-    method = summary.method.replace("_", " ")
-    show_head(out, session.source, f": {method}, machine {session.description.machine.chain}")
+    method = named("method", summary.method.replace("_", " "))
+    show_head(out, session.source, say("recorded.session", method=method, chain=session.description.machine.chain))
     out.print(counts_in_words(session, summary))
     for table in session_tables(session, summary):
         show_table(out, table)
     show_suspicions(out, summary.suspicious)
     if summary.labels:
-        out.print(f"Text columns: {', '.join(summary.labels)}")
+        out.print(say("recorded.labels", names=", ".join(summary.labels)))
 
 
 def counts_in_words(session: Session, summary: SessionSummary) -> str:
     """How many readings there are, in what time, and their declared uncertainty."""
-    lasted = "" if summary.duration is None else f" in {duration(summary.duration)}"
-    return (
-        f"{summary.readings} readings{lasted}, {summary.missing} missing, {summary.targets} targets; "
-        f"declared standard uncertainty {declared_words(session.description.standard_uncertainty)}"
+    return say(
+        "recorded.counts" if summary.duration is None else "recorded.counts_in",
+        n=summary.readings,
+        time=duration(summary.duration),
+        missing=summary.missing,
+        targets=summary.targets,
+        declared=declared_words(session.description.standard_uncertainty),
     )
 
 
@@ -135,13 +139,13 @@ def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTa
         )
         for setup, entry in zip(summary.setups, session.description.setups, strict=True)
     )
-    heads = ("setup", "where", "readings", "missing", "repeats", "from / min", "to / min")
-    yield TextTable("Setups", heads, rows)
-    columns = tuple(_column(column) for column in summary.columns)
-    note = "as recorded, shown in the units that people use; an empty field counts as missing"
-    yield TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note)
+    columns = heads("setup", "where", "readings", "missing", "repeats", "from_min", "to_min")
+    yield TextTable(say("recorded.setups"), columns, rows)
+    values = tuple(_column(column) for column in summary.columns)
+    columns = heads("column", "from", "to", "unit", "missing")
+    yield TextTable(say("recorded.columns"), columns, values, say("recorded.note"))
     if len(spec_of(session).models) > 1:
-        yield TextTable("Models (--model)", ("name", "when"), tuple(spec_of(session).models.items()))
+        yield TextTable(say("recorded.models"), heads("name", "when"), tuple(spec_of(session).models.items()))
 
 
 def setup_place(setup: Any) -> str:

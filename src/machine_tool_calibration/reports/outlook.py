@@ -9,7 +9,8 @@ import numpy as np
 
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, duration, quantity
-from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.words import say
 
 __all__ = ["outlook_table"]
 
@@ -18,7 +19,7 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
     """One row for what is known now and one for each further measurement."""
     rows = tuple(
         (
-            one.words or "what is known now",
+            one.words or say("outlook.known"),
             "" if not one.words else str(len(one.session.readings)),
             "" if not one.words else duration(one.seconds),
             one.aside,
@@ -27,12 +28,8 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
         )
         for one in every
     )
-    heads = ("measure", "readings", "time", "besides", "U of the map, RMS", "of one coordinate at most")
-    note = (
-        "U (k = 2), if further readings scatter as those did; of a procedure by itself, if its readings scatter as "
-        "declared"
-    )
-    return TextTable("What the next measurement would tell", heads, rows, note)
+    columns = heads("measure", "readings", "time", "besides", "U_map_rms", "at_most_coordinate")
+    return TextTable(say("outlook.title"), columns, rows, say("outlook.note"))
 
 
 def _largest(one: Outlook) -> float:

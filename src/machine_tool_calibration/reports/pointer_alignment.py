@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.methods.tracking.pointer_alignment import Centre, ZeroAngle
 from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.words import named, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,29 +25,28 @@ def show_alignment(screen: Console, centre: Centre | None, zero: ZeroAngle | Non
         show_table(screen, _centre_table(centre))
         offset = ", ".join(f"{name} {quantity(float(v), 'm')}" for name, v in zip("xy", centre.offset, strict=True))
         screen.print()
-        screen.print(
-            f"The retroreflector stands beside the axis by {offset}. Radial error motion of two to six waves a turn: "
-            f"{quantity(centre.radial, 'm')} RMS; scatter of a reading: {quantity(centre.scatter, 'm')}."
-        )
+        radial, scatter = quantity(centre.radial, "m"), quantity(centre.scatter, "m")
+        screen.print(say("pointer.beside", offset=offset, radial=radial, scatter=scatter))
         if "positioning error of the machine" not in centre.contributions:
-            screen.print("The machine's positioning error at this place is not in it: say how large with --machine.")
+            screen.print(say("pointer.no_machine"))
     if zero is not None:
         screen.print()
-        screen.print(
-            f"Zero angle: the beam points {quantity(zero.offset, 'rad', zero.u)} (k = 2) farther from the normal of Y "
-            f"towards +Y than commanded; scatter of a reading: {quantity(zero.scatter, 'm')}."
-        )
+        offset, scatter = quantity(zero.offset, "rad", zero.u), quantity(zero.scatter, "m")
+        screen.print(say("pointer.zero", offset=offset, scatter=scatter))
     screen.print()
     for line in _alignment_lines(centre, zero, setup):
         screen.print(line, soft_wrap=True)
 
 
 def _centre_table(centre: Centre) -> TextTable:
-    rows = [("rotation centre", *(f"{1e3 * v:.6f} mm" for v in centre.centre), "")]
-    rows += [(name, *(micrometres(float(v)) for v in u), "µm") for name, u in centre.contributions.items()]
-    rows.append(("combined standard uncertainty", *(micrometres(float(v)) for v in centre.u), "µm"))
-    rows.append(("expanded uncertainty (k = 2)", *(micrometres(2.0 * float(v)) for v in centre.u), "µm"))
-    return TextTable("Rotation centre of the pointer", ("", "x", "y", ""), tuple(rows))
+    rows: list[tuple[str, ...]] = [(say("pointer.centre"), *(f"{1e3 * v:.6f} mm" for v in centre.centre), "")]
+    rows += [
+        (named("contributor", name), *(micrometres(float(v)) for v in u), "µm")
+        for name, u in centre.contributions.items()
+    ]
+    rows.append((say("pointer.combined"), *(micrometres(float(v)) for v in centre.u), "µm"))
+    rows.append((say("pointer.expanded"), *(micrometres(2.0 * float(v)) for v in centre.u), "µm"))
+    return TextTable(say("pointer.title"), ("", "x", "y", ""), tuple(rows))
 
 
 def _alignment_lines(centre: Centre | None, zero: ZeroAngle | None, setup: str) -> Iterator[str]:

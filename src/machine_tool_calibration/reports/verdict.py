@@ -87,13 +87,14 @@ def verdict_words(
 def verdict_line(diagnosis: Diagnosis) -> str:
     """The verdict in one line."""
     if diagnosis.verdict == "missing_effect":
-        found = ((name, probability(diagnosis.search.of(name).probability)) for name in diagnosis.accepted)
-        return f"missing: {', '.join(f'{name} (probability {p})' for name, p in found)}"
+        found = (
+            say("verdict.with_probability", name=name, p=probability(diagnosis.search.of(name).probability))
+            for name in diagnosis.accepted
+        )
+        return say("verdict.missing", names=together(found, ", "))
     if diagnosis.verdict == "outliers":
-        return f"no effect is missing; {stand_out(len(diagnosis.outliers))}"
-    if diagnosis.verdict == "adequate":
-        return "nothing is missing that these readings show"
-    return "something is missing that no effect of the catalogue explains"
+        return say("verdict.stand_out", what=stand_out(len(diagnosis.outliers)))
+    return say("verdict.nothing" if diagnosis.verdict == "adequate" else "verdict.unexplained")
 
 
 def good_enough(diagnosis: Diagnosis) -> bool:
@@ -144,28 +145,26 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
     """What to do next: one sentence or two."""
     told = next((s for s in advice.separations if s.kind is not None), None)
     if diagnosis.accepted or diagnosis.verdict == "outliers":
-        what = " and ".join(diagnosis.accepted) if diagnosis.accepted else "what does not belong to the rest"
-        text = f"Next: `mtcal improve` {'adds' if diagnosis.accepted else 'sets aside'} {what} and looks again."
+        names = together(diagnosis.accepted, say("text.and"))
+        text = say("next.adds", names=names) if diagnosis.accepted else say("next.sets_aside")
         mine = next((s for s in advice.separations if s.effects[0] in diagnosis.accepted), None)
         rival = mine is not None and (
             mine.apart_before < _APART
             or max(diagnosis.search.of(name).probability for name in mine.effects[1:]) > AS_GOOD
         )
         if mine is not None and rival:
-            sure = mine.measure if mine.kind is not None else "no further measurement that was considered does"
-            text += f" To distinguish it from {' or '.join(mine.effects[1:])}: {sure}."
+            measure = mine.measure if mine.kind is not None else say("next.no_measure")
+            rivals = together(mine.effects[1:], say("diagnosis.or"))
+            return together((text, say("next.from_rivals", names=rivals, measure=measure)))
         return text
     if diagnosis.likely and told is not None:
-        return f"Next, to distinguish {' and '.join(told.effects)}: {told.measure}."
+        return say("next.between", names=together(told.effects, say("text.and")), measure=told.measure)
     if diagnosis.verdict == "unexplained":
-        return (
-            "Next: `mtcal compare -o FOLDER` draws where the residuals are; a law of your own can be tried as a "
-            "formula (--effects-file)."
-        )
+        return say("next.look")
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
-        return "Next: nothing is needed; more repeats make the uncertainty smaller."
-    return f"Next, for a smaller uncertainty of the map: {best.measure}."
+        return say("next.nothing")
+    return say("next.smaller", measure=best.measure)
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:
