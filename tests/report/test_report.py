@@ -41,6 +41,8 @@ PLANS = {
     "probing": {"method": "probing"},
     "iso230_2": {"method": "direct", "kind": "iso230_2"},
 }
+# Besides these, in a further language: a plate, and two sessions together.
+MORE = {"grid_plate": {"method": "direct", "kind": "grid_plate"}, "joint": PLANS["iso230_2"]}
 # Of these the whole report, which takes longer.
 WHOLE = ("tracking_2d", "iso230_2")
 ABOUT = {
@@ -78,7 +80,7 @@ def rough_pictures() -> Iterator[None]:
 def evaluated(name: str) -> Evaluation:
     """What a report of that plan tells."""
     effects = [{"id": "backlash_y", "size": 2e-6}] if name == "tracking_2d" else []
-    plan = PLANS[name]
+    plan = (PLANS | MORE)[name]
     session = simulate(SimulationSpec.model_validate({"seed": 1, "plan": plan, "effects": effects})).session
     if name == "tracking_2d":
         values = session.readings.displacement.copy()
@@ -86,8 +88,12 @@ def evaluated(name: str) -> Evaluation:
         described = session.description.model_copy(update={"about": ABOUT})
         session = replace(session, description=described, readings=replace(session.readings, displacement=values))
     whole = name in WHOLE
+    sessions, labels = (session,), None
+    if name == "joint":
+        other = simulate(SimulationSpec.model_validate({"seed": 2, "plan": PLANS["tracking_2d"]})).session
+        sessions, labels = (session, other), ("run", "map")
     return evaluate(
-        Measured((session,), FitRequest((session,))),
+        Measured(sessions, FitRequest(sessions, labels)),
         diagnosis=whole,
         contributors=default_budget([session]) if whole else (),
         tolerances={"EXX": 10e-6} if name == "iso230_2" else None,
@@ -283,13 +289,14 @@ def shown_in(name: str, language: str) -> tuple[list[str], list[str]]:
     return shown, drawn
 
 
-@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("name", PLANS | MORE)
 def test_a_further_language_is_one_file(name):
     """Nothing but names is left in Latin letters where the catalogue has none: sentences, tables, pictures."""
     shown, drawn = shown_in(name, INVENTED)
     assert len(shown) + len(drawn) > 100
     found = evaluated(name)
     own = [*(one for session in found.measured.recorded for one in session.setup_ids), found.result.provenance.software]
+    own += found.measured.chosen.labels or ()
     own += [value for session in found.measured.recorded for _, value in flattened(session.description.about)]
     names = {word for text in own for word in WORD.findall(text)}
     left = {word: text for text in (*shown, *drawn) for word in WORD.findall(text) if word not in names}

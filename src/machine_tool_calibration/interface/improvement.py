@@ -19,7 +19,7 @@ from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Answer, notebook
-from machine_tool_calibration.plots.improve import draw_improvement, draw_steps, residual_table, step_table
+from machine_tool_calibration.plots.improve import draw_improvement, draw_steps, residuals_before_and_after, step_table
 from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.residuals.noise import noise_of
@@ -74,7 +74,7 @@ class Improvement(Answer[Done]):
     @property
     def residuals(self) -> pd.DataFrame:
         """Every reading with `residual_before` and `residual_after` (m; NaN where it was set aside)."""
-        return residual_table(self.found)
+        return residuals_before_and_after(self.found)
 
     @property
     def headline(self) -> str:

@@ -22,7 +22,7 @@ from machine_tool_calibration.plots.residuals import (
     repeat_groups,
     sense_along,
 )
-from machine_tool_calibration.plots.style import COLORS, new_figure, save
+from machine_tool_calibration.plots.style import COLORS, name_axes, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.words import say
 
@@ -183,7 +183,7 @@ def draw_map(comparison: Comparison) -> Figure:
         scaled = arrow_scale(position, arrow, same)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
             draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
-            panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
+            name_axes(panel, a, b)
     figure.suptitle(say("picture.arrows"), fontsize=11, wrap=True)
     grids(figure)
     return figure

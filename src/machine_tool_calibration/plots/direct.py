@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.plots.style import COLORS, new_figure, numbers, round_down
+from machine_tool_calibration.plots.style import COLORS, draw_band, name_axes, new_figure, numbers, round_down
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
@@ -130,8 +130,7 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
 def _curve(panel: Axes, name: str, table: Mapping[str, Any]) -> None:
     node, value, u = 1e3 * numbers(table["nodes"]), 1e6 * numbers(table["value"]), 1e6 * numbers(table["value_u"])
     panel.axhline(0.0, color="0.8", linewidth=0.8)
-    panel.fill_between(node, value - 2 * u, value + 2 * u, color="tab:blue", alpha=0.2, linewidth=0)
-    panel.plot(node, value, "o-", color="tab:blue", markersize=3, linewidth=1)
+    draw_band(panel, node, value, u)
     panel.set_title(name)
     panel.set_xlabel(f"{name[2]}, mm")
     panel.set_ylabel("µrad" if name[1] in "ABC" else "µm")
@@ -171,8 +170,7 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
         panel.update_datalim(start + arrow)  # matplotlib counts only where arrows begin
         panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")
-    panel.set_xlabel(f"{'XYZ'[i]}, mm")
-    panel.set_ylabel(f"{'XYZ'[j]}, mm")
+    name_axes(panel, i, j, "XYZ")
     known = np.linalg.norm(np.nan_to_num(error[np.isfinite(error).any(axis=1)]), axis=1)
     longest = quantity(float(known.max(initial=0.0)), "m")
     nowhere = ", ".join("xyz"[k] for k in (i, j) if lost[k])

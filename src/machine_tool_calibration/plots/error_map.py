@@ -18,6 +18,8 @@ from machine_tool_calibration.plots.style import (
     FOUND,
     MARKERS,
     NOMINAL,
+    draw_band,
+    mark_lost,
     new_figure,
     numbers,
     round_down,
@@ -80,17 +82,14 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
     rotary = axis in "ABC"
     factor, unit = (180 / np.pi, "°") if rotary else (1e3, "mm")
     for k, (name, table) in enumerate(sorted(tables.items())):
-        where, value, band = table[:, 0] * factor, table[:, 1] * 1e6, 2e6 * table[:, 2]
-        color = COLORS[k % len(COLORS)]
-        panel.fill_between(where, value - band, value + band, color=color, alpha=0.2, lw=0)
-        panel.plot(where, value, MARKERS[k % len(MARKERS)] + "-", color=color, ms=3.5, lw=1.2, label=name)
+        where, value, u = table[:, 0] * factor, table[:, 1] * 1e6, 1e6 * table[:, 2]
+        mark = {"marker": MARKERS[k % len(MARKERS)], "ms": 3.5, "lw": 1.2, "label": name}
+        draw_band(panel, where, value, u, COLORS[k % len(COLORS)], **mark)
     panel.axhline(0.0, color="0.75", lw=0.8, zorder=0)
     if not any(table[:, 2].any() for table in tables.values()):
         # Nothing but the datum has a value.
         panel.set(xticks=[], yticks=[])
-        panel.text(
-            0.5, 0.6, say("picture.not_determined"), transform=panel.transAxes, ha="center", va="center", color="0.4"
-        )
+        mark_lost(panel, 0.6)
     panel.set_xlabel(f"{axis}, {unit}")
     panel.set_ylabel("µrad" if next(iter(tables))[1] in "ABC" else "µm")
     panel.legend(fontsize="small", frameon=False, ncols=len(tables), loc="lower left", bbox_to_anchor=(0.0, 0.99))

@@ -11,7 +11,17 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.probing.features import Features
 from machine_tool_calibration.methods.probing.shapes import Circle, Line
-from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, NOMINAL, new_figure, round_down, scale_bar, spaced
+from machine_tool_calibration.plots.style import (
+    BAND,
+    COLORS,
+    FOUND,
+    NOMINAL,
+    magnification,
+    name_axes,
+    new_figure,
+    scale_bar,
+    spaced,
+)
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
@@ -49,7 +59,7 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
     corners = np.array([one.place for one in centres] + [end for places, _, _ in ends for end in places])
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) > 1 else 0.0
     extent = extent or 2 * max((one.radius for one in centres), default=0.5)
-    scale = round_down(_LENGTH * extent / largest) if largest > 0 else 1.0
+    scale = magnification(largest, extent, _LENGTH)
     figure = new_figure(8.5, 8.5, title or say("picture.features", datum=found.datum))
     panel = figure.subplots()
     for one, index in zip(centres, indices, strict=False):
@@ -66,8 +76,7 @@ def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] 
     panel.plot([], [], "o-", ms=2, lw=1, color=FOUND, label=say("picture.identified_scale", scale=spaced(scale)))
     panel.plot([], [], color=BAND, label=say("picture.ellipse"))
     panel.set_aspect("equal")
-    panel.set_xlabel("x, mm")
-    panel.set_ylabel("y, mm")
+    name_axes(panel, 0, 1)
     box = panel.dataLim
     scale_bar(panel, scale, largest, np.array([box.x0, box.y0]), np.array([box.x1, box.y1]))
     panel.margins(0.08)

@@ -23,7 +23,7 @@ from machine_tool_calibration.plots.residuals import (
     planes,
     repeat_groups,
 )
-from machine_tool_calibration.plots.style import new_figure
+from machine_tool_calibration.plots.style import name_axes, new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
 from machine_tool_calibration.simulation.environment import COLUMNS
@@ -97,7 +97,7 @@ def _draw_injected(injected: Injected) -> Figure:
         same = repeat_groups(observations)
         scaled = arrow_scale(observations.position, arrow, same)
         draw_arrows(panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], residual, same, scaled=scaled)
-        panels[-1].set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
+        name_axes(panels[-1], a, b)
     grids(figure)
     return figure
 

@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.compare import residual_table
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
-from machine_tool_calibration.plots.style import new_figure, save
+from machine_tool_calibration.plots.style import name_axes, new_figure, save
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.improvement import step_document
 from machine_tool_calibration.reports.quantities import quantity
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["draw_improvement", "draw_steps", "residual_table", "save_improvement", "step_table"]
+__all__ = ["draw_improvement", "draw_steps", "residuals_before_and_after", "save_improvement", "step_table"]
 
 _LENGTH = 0.12
 _LISTED = 8
@@ -121,8 +122,7 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
     panel.plot(*corners.T, ls="")
     panel.set_aspect("equal", adjustable="datalim")
     panel.margins(0.0)
-    panel.set_xlabel(f"{'xyz'[a]}, mm")
-    panel.set_ylabel(f"{'xyz'[b]}, mm")
+    name_axes(panel, a, b)
 
 
 def _sensed(observations: Observations) -> Array:
@@ -161,27 +161,15 @@ def step_table(improvement: Improvement) -> pd.DataFrame:
     return table.drop(columns=["p_value", "parameters"])
 
 
-def residual_table(improvement: Improvement) -> pd.DataFrame:
+def residuals_before_and_after(improvement: Improvement) -> pd.DataFrame:
     """One row for each reading of the first model, with its residual there and in the last one; SI units."""
     first, last = (improvement.steps[k].result.joint for k in (0, -1))
     tables = []
     for name, before, after in zip(first.assembly.labels or ("",), first.fits, last.fits, strict=True):
-        readings = before.model.observations.readings
-        left = dict(zip(after.model.observations.readings.row.tolist(), after.residuals.tolist(), strict=True))
-        ids = before.model.observations.session.setup_ids
-        tables.append(
-            pd.DataFrame(
-                {
-                    **({"session": name} if name else {}),
-                    "row": readings.row,
-                    "setup": [ids[int(s)] for s in readings.setup],
-                    "repeat": readings.repeat,
-                    **{a: readings.columns[a] for a in ("time", *"xyzc") if a in readings.columns},
-                    "residual_before": before.residuals,
-                    "residual_after": [left.get(int(row), np.nan) for row in readings.row],
-                }
-            )
-        )
+        whole, left = residual_table(before), residual_table(after).set_index("row")["residual"]
+        kept = whole[[column for column in ("row", "setup", "repeat", "time", *"xyzc") if column in whole]]
+        table = kept.assign(residual_before=whole["residual"], residual_after=whole["row"].map(left))
+        tables.append(table.assign(session=name)[["session", *table]] if name else table)
     return pd.concat(tables, ignore_index=True)
 
 
@@ -189,5 +177,5 @@ def save_improvement(improvement: Improvement, folder: Path) -> list[Path]:
     """Write `improve.png`, `improve.csv` and `residuals.csv` into a folder, which is made where it is missing."""
     origin = improvement.provenance
     (picture,) = save({"improve": draw_improvement(improvement)}, folder, origin)
-    tables = {"improve": step_table(improvement), "residuals": residual_table(improvement)}
+    tables = {"improve": step_table(improvement), "residuals": residuals_before_and_after(improvement)}
     return [picture, *(write_table(table, folder / f"{name}.csv", origin) for name, table in tables.items())]

@@ -13,8 +13,9 @@ from machine_tool_calibration.plots.style import (
     COLORS,
     MARKERS,
     NOMINAL,
+    magnification,
+    name_axes,
     new_figure,
-    round_down,
     scale_bar,
     spaced,
 )
@@ -82,7 +83,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
     both = [1e3 * values[:, pick] for values in (comparison.first, comparison.second)]
     largest = 1e-3 * float(np.nanmax(np.abs(both), initial=0.0))
     extent = 1e-3 * float(np.ptp(nominal, axis=0).max())
-    scale = round_down(_SHARE * extent / largest) if largest > 0 and extent > 0 else 1.0
+    scale = magnification(largest, extent, _SHARE)
     panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label=say("picture.commanded"))
     drawn = [nominal]
     for k, (values, label) in enumerate(zip(both, comparison.labels, strict=True)):
@@ -95,8 +96,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
         scale_bar(panel, scale, largest, shown.min(axis=0), shown.max(axis=0))
     panel.set_aspect("equal")
     panel.margins(0.08)
-    panel.set_xlabel(f"{'xyz'[axes[0]]}, mm")
-    panel.set_ylabel(f"{'xyz'[axes[1]]}, mm")
+    name_axes(panel, *axes)
     panel.set_title(say("picture.errors_magnified", scale=spaced(scale)), fontsize="medium")
     panel.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.plots.style import numbers, round_down, spaced
+from machine_tool_calibration.plots.style import magnification, name_axes, numbers, spaced
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
@@ -139,13 +139,12 @@ def _magnification(place: Array, size: Array) -> float:
     """How often errors are magnified, so that the largest stays small beside the drawing."""
     largest = float(np.nanmax(size, initial=0.0)) if np.isfinite(size).any() else 0.0
     extent = float(np.ptp(place, axis=0).max()) or 1.0
-    return round_down(_LENGTH * extent / largest) if largest > 0 else 1.0
+    return magnification(largest, extent, _LENGTH)
 
 
 def _frame(panel: Axes, *, legend: bool = True) -> None:
     panel.set_aspect("equal")
-    panel.set_xlabel("x, mm")
-    panel.set_ylabel("y, mm")
+    name_axes(panel, 0, 1)
     panel.margins(0.08)
     if legend:
         panel.legend(loc="upper right", fontsize="small")

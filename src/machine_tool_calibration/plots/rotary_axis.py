@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.plots.style import new_figure, numbers
+from machine_tool_calibration.plots.style import draw_band, mark_lost, name_axes, new_figure, numbers
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
@@ -62,15 +62,11 @@ def _headed(name: str, component: str, axis: str) -> str:
 
 def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
     panel.axhline(0.0, color="0.8", linewidth=0.8)
-    low, high = value - 2 * uncertainty, value + 2 * uncertainty
-    panel.fill_between(angle, low, high, color="tab:blue", alpha=0.2, linewidth=0)
-    panel.plot(angle, value, "o-", color="tab:blue", markersize=3, linewidth=1)
+    draw_band(panel, angle, value, uncertainty)
     for lost in angle[~np.isfinite(value)]:
         panel.axvline(lost, color="0.6", linestyle=":", linewidth=1)
     if not np.isfinite(value).any():
-        panel.text(
-            0.5, 0.5, say("picture.not_determined"), transform=panel.transAxes, ha="center", va="center", color="0.4"
-        )
+        mark_lost(panel)
 
 
 def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:
@@ -92,8 +88,7 @@ def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:
         panel.plot(0.0, 0.0, "+", color="black")
         panel.set_aspect("equal", adjustable="datalim")
         panel.margins(0.12)  # room for the names
-        panel.set_xlabel(f"{'XYZ'[i]}, mm")
-        panel.set_ylabel(f"{'XYZ'[j]}, mm")
+        name_axes(panel, i, j, "XYZ")
     return figure
 
 

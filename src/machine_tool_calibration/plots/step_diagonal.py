@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
-from machine_tool_calibration.plots.style import new_figure
+from machine_tool_calibration.plots.style import mark_lost, new_figure
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.words import say
 
@@ -83,9 +83,7 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
     panel.set_ylabel(say("picture.error"))
     panel.grid(alpha=0.3)
     if not drawn:
-        panel.text(
-            0.5, 0.5, say("picture.not_determined"), ha="center", va="center", transform=panel.transAxes, color="0.5"
-        )
+        mark_lost(panel)
         return
     conventional = comparison.profiles.get("conventional")
     if high > low and conventional is not None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,10 @@ __all__ = [
     "MARKERS",
     "NOMINAL",
     "add_footer",
+    "draw_band",
+    "magnification",
+    "mark_lost",
+    "name_axes",
     "new_figure",
     "numbers",
     "round_down",
@@ -117,6 +122,28 @@ def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> Non
         told = {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
+
+
+def draw_band(panel: Axes, at: Array, value: Array, u: Array, color: str = FOUND, **line: Any) -> None:
+    """A found curve with the band of its expanded uncertainty (k = 2), all in the units of the panel."""
+    panel.fill_between(at, value - 2 * u, value + 2 * u, color=color, alpha=0.2, lw=0)
+    panel.plot(at, value, **{"marker": "o", "ms": 3.0, "lw": 1.0, "color": color} | line)
+
+
+def mark_lost(panel: Axes, height: float = 0.5) -> None:
+    """Say in the middle of a panel that there is nothing to draw."""
+    where = {"transform": panel.transAxes, "ha": "center", "va": "center", "color": "0.4"}
+    panel.text(0.5, height, say("picture.not_determined"), **where)
+
+
+def name_axes(panel: Axes, i: int, j: int, letters: str = "xyz") -> None:
+    """Label a panel that shows a plane of the machine, mm."""
+    panel.set(xlabel=f"{letters[i]}, mm", ylabel=f"{letters[j]}, mm")
+
+
+def magnification(largest: float, extent: float, share: float) -> float:
+    """A round number that makes the largest error at most that share of an extent; 1 where there is no error."""
+    return round_down(share * extent / largest) if largest > 0 and extent > 0 else 1.0
 
 
 def numbers(values: Any) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
-from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, numbers
+from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, name_axes, new_figure, numbers
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say
@@ -44,8 +44,7 @@ def draw_stations(content: Mapping[str, Any]) -> Figure:
     figure = new_figure(6.4 * len(views), 6.4, say("picture.stations"))
     for panel, (a, b) in zip(np.atleast_1d(figure.subplots(1, len(views))), views, strict=True):
         _plan(panel, points[:, [a, b]], stations[:, [a, b]], uncertainty, list(content["station_ids"]))
-        panel.set_xlabel(f"{'xyz'[a]}, mm")
-        panel.set_ylabel(f"{'xyz'[b]}, mm")
+        name_axes(panel, a, b)
     return figure
 
 

@@ -39,14 +39,13 @@ from machine_tool_calibration.reports.identification import (
 from machine_tool_calibration.reports.information import setup_place
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
-    decimals,
-    fixed,
     micrometres,
     plus_minus,
     probability,
     quantity,
     rounded,
     sizes_in_words,
+    with_expanded,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.signs import negative_words
@@ -212,7 +211,7 @@ def _setups(session: Session) -> TextTable:
         (Verbatim(own.id), setup_place(setup), str(own.readings), str(own.repeats))
         for setup, own in zip(session.description.setups, summarize(session).setups, strict=True)
     ]
-    note = say("report.more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
+    note = say("text.more", n=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
     return TextTable(say("report.setups"), heads("setup", "place", "readings", "repeats"), tuple(rows[:_SETUPS]), note)
 
 
@@ -294,7 +293,7 @@ def _residuals(found: Evaluation) -> Iterator[str | TextTable | Picture]:
         for label, comparison in zip(labels, found.comparisons, strict=True) for one in records(comparison.setups)
     ]  # fmt: skip
     columns = heads("session", "setup", "readings", "residual_um_rms", "over_declared")
-    note = say("report.more_rows", count=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
+    note = say("text.more", n=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
     yield TextTable(say("report.by_setup"), columns, tuple(rows[:_SETUPS]), note)
     yield from residual_pictures(found)
 
@@ -333,14 +332,8 @@ def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
 
 def _step(row: tuple[str, int, float, float | None, float | None, float | None]) -> tuple[str, ...]:
     name, readings, residual, chi, size, u = row
-    error, expanded = (micrometres(size), NOT_DETERMINED) if u is None or size is None else _with_digits(size, 2 * u)
-    return (name, str(readings), micrometres(residual), rounded(chi), error, expanded)
-
-
-def _with_digits(size: float, expanded: float) -> tuple[str, str]:
-    """An error and its expanded uncertainty in µm, with as many decimals as leave this two figures."""
-    places = decimals(1e6 * expanded) if expanded > 0.0 else 3
-    return fixed(1e6 * size, places), fixed(1e6 * expanded, places)
+    shown = (micrometres(size), NOT_DETERMINED) if u is None or size is None else with_expanded(size, 2 * u)
+    return (name, str(readings), micrometres(residual), rounded(chi), *shown)
 
 
 def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:

@@ -37,6 +37,7 @@ __all__ = [
     "rounded",
     "sizes_in_words",
     "value_and_uncertainties",
+    "with_expanded",
 ]
 
 
@@ -254,6 +255,12 @@ def value_and_uncertainties(
     else:
         texts = [rounded(number) for number in numbers]
     return texts[0], texts[1], texts[2], name
+
+
+def with_expanded(value: float, expanded: float) -> tuple[str, str]:
+    """A length and its expanded uncertainty in micrometres, of which two figures are shown."""
+    places = decimals(1e6 * expanded) if expanded > 0.0 else 3
+    return fixed(1e6 * value, places), fixed(1e6 * expanded, places)
 
 
 def decimals(uncertainty: float) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, micrometres
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, micrometres, with_expanded
 from machine_tool_calibration.reports.tables import TextTable, heads, shortened
 from machine_tool_calibration.words import say, together
 
@@ -61,8 +61,7 @@ def _said(value: float | None, expanded: float | None) -> str:
         return NOT_DETERMINED
     if expanded is None or not np.isfinite(expanded) or not expanded:
         return micrometres(value)
-    places = decimals(1e6 * expanded)
-    return f"{fixed(1e6 * value, places)} ± {fixed(1e6 * expanded, places)}"
+    return " ± ".join(with_expanded(value, expanded))
 
 
 def _cells(entry: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
