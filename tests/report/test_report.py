@@ -112,8 +112,8 @@ PARTS = re.compile(r"\{\w+\}|[^{]+")
 WORD = re.compile(r"(?<![\w.'])[A-Za-zäöüß]{3,}(?![\w.(])")
 # A decimal point, but for one of a name such as EXX(0.4).
 POINT = re.compile(r"(?<![\w.(])\d+\.\d+(?![\w.])")
-# Names that stay in every language: of error motions, diagonals, statistics, units and unknown quantities.
-NAMES = re.compile(r"E[XYZABC][XYZABC]|[PN]{3}|hPa|min|tau|lead|sin|cos|exp|dir")
+# Names that stay in every language: of error motions, diagonals, units, quantities in formulas, and an effect (scale).
+NAMES = re.compile(r"E[XYZABC][XYZABC]|[PN]{3}|hPa|min|tau|lead|sin|cos|exp|dir|scale")
 INVENTED = "xx"
 
 
