@@ -127,12 +127,13 @@ def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> Non
 def draw_band(panel: Axes, at: Array, value: Array, u: Array, color: str = FOUND, **line: Any) -> None:
     """A found curve with the band of its expanded uncertainty (k = 2), all in the units of the panel."""
     panel.fill_between(at, value - 2 * u, value + 2 * u, color=color, alpha=0.2, lw=0)
-    panel.plot(at, value, **{"marker": "o", "ms": 3.0, "lw": 1.0, "color": color} | line)
+    drawn: dict[str, Any] = {"marker": "o", "ms": 3.0, "lw": 1.0, "color": color}
+    panel.plot(at, value, **drawn | line)
 
 
 def mark_lost(panel: Axes, height: float = 0.5) -> None:
     """Say in the middle of a panel that there is nothing to draw."""
-    where = {"transform": panel.transAxes, "ha": "center", "va": "center", "color": "0.4"}
+    where: dict[str, Any] = {"transform": panel.transAxes, "ha": "center", "va": "center", "color": "0.4"}
     panel.text(0.5, height, say("picture.not_determined"), **where)
 
 

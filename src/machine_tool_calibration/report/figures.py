@@ -153,7 +153,9 @@ def _numbered(plain: Formatter, words: Words) -> Formatter:
 
 def _wrap_titles(figure: Figure) -> None:
     """Break the titles of panels that are wider than these, now that the figure is narrower."""
-    figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
     for panel in figure.axes:
         text = panel.get_title()
         room = panel.get_window_extent().width / max(panel.title.get_window_extent().width, 1.0)
@@ -173,9 +175,8 @@ def map_pictures(found: Evaluation) -> Iterator[Picture]:
 
 def standard_pictures(content: Mapping[str, Any], standard: str) -> Iterator[Picture]:
     """Runs by ISO 230-2, or the diagonals of ISO 230-6: `standard` is the entry of the error map's content."""
-    for name, figure in standard_figures(content).items():
-        if name.startswith(standard):
-            yield Picture(name, say(f"report.figure_{standard}", setup=name.removeprefix(f"{standard}_")), figure)
+    for name, figure in standard_figures({standard: content.get(standard)}).items():
+        yield Picture(name, say(f"report.figure_{standard}", setup=name.removeprefix(f"{standard}_")), figure)
 
 
 def motion_pictures(found: Evaluation) -> Iterator[Picture]:
