@@ -70,7 +70,7 @@ def test_compare_for_people(sessions: list[str], capsys: pytest.CaptureFixture[s
     text = said(capsys, "compare", *sessions)
     assert "The readings scatter" in text and "times their declared uncertainty" in text
     assert "Sessions, worst first" in text and "Setups of all sessions, worst first" in text
-    assert "monday/A" in text and "tuesday/D" in text and "monday: direction of approach" in text
+    assert "monday/A" in text and "tuesday/D" in text and "monday: Direction of approach" in text
     fits = said(capsys, "compare", *sessions, "--effect", "backlash_y")
     assert "The model fits the readings" in fits and "In the model: backlash_y." in fits
 
