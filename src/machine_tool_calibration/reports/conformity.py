@@ -80,16 +80,7 @@ def conformity_document(found: Conformity) -> dict[str, Any]:
         "uncertainty": found.uncertainty,
         "decision": found.decision,
         "figures": [
-            {
-                "name": verdict.name,
-                "unit": verdict.unit,
-                "tolerance": verdict.tolerance,
-                "value": verdict.value,
-                "standard_uncertainty": verdict.u,
-                "probability": verdict.probability,
-                "decision": verdict.decision,
-                "why": verdict.why,
-            }
+            {"standard_uncertainty" if key == "u" else key: value for key, value in vars(verdict).items()}
             for verdict in found.verdicts
         ],
     }
