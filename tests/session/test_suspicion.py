@@ -143,7 +143,7 @@ def test_a_place_found_beside_the_stated_one_is_said() -> None:
     result = identify(wrong)
     (said,) = result.document()["suspicious"]
     assert said.startswith("station 'A' is found ") and "mm off its stated position (position_uncertainty 0.2" in said
-    assert words("de").phrase(said).startswith("Station 'A' wird ")
+    assert words("de").told(said).startswith("Station 'A' wird ")
     # Compared, and with another session, it is found there as well.
     assert said in comparison_document(compare(result))["suspicious"]
     several = identify_sessions(FitRequest((wrong, session), labels=("first", "second")))
