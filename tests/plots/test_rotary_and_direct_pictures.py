@@ -11,6 +11,7 @@ from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
 from machine_tool_calibration.plots.compare import draw_map as draw_residual_map
+from machine_tool_calibration.plots.error_map import draw_motions
 from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
@@ -62,8 +63,7 @@ def test_figures_of_the_standard_are_written_on_the_picture() -> None:
 
 
 def test_a_title_stays_within_its_picture_in_every_language() -> None:
-    table = {"nodes": [0.0, 0.1], "value": [0.0, 1e-6], "value_u": [0.0, 1e-7]}
-    figure = direct.draw_tables({"EXX": table})
+    figure = draw_motions({"EXX": np.array([[0.0, 0.0, 0.0], [0.1, 1e-6, 1e-7]])}, {})
     figure.suptitle(words("de").told(figure.get_suptitle()))
     figure.draw_without_rendering()
     assert figure._suptitle.get_window_extent().width < figure.bbox.width

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.plots.style import COLORS, draw_band, name_axes, new_figure, numbers, round_down
+from machine_tool_calibration.plots.error_map import draw_motions
+from machine_tool_calibration.plots.style import COLORS, name_axes, new_figure, numbers, round_down
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_diagonals", "draw_map", "draw_positioning", "draw_tables", "figures", "standard_figures"]
+__all__ = ["draw_diagonals", "draw_map", "draw_positioning", "figures", "standard_figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
@@ -31,7 +32,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     content = result["error_map"]
     out = standard_figures(content)
     if any("nodes" in table for table in content["tables"].values()):
-        out["error_motions"] = draw_tables(content["tables"])
+        out["error_motions"] = _draw_tables(content["tables"])
     points = numbers(content["points"]).reshape(-1, 3)
     if len(points) and (np.ptp(points, axis=0) > 1e-6).sum() >= 2:
         out["map"] = draw_map(content)
@@ -106,34 +107,15 @@ def _known(value: Any) -> bool:
     return value is not None and bool(np.isfinite(value))
 
 
-def draw_tables(tables: Mapping[str, Any]) -> Figure:
-    """Each error motion against its axis, with expanded uncertainty (k = 2); squareness in the title."""
-    curves = {name: table for name, table in tables.items() if "nodes" in table}
-    columns = min(3, len(curves))
-    rows = -(-len(curves) // columns)
-    # Wide enough for the title in every language.
-    figure = new_figure(max(4 * columns + 1, 7), 2.8 * rows + 1)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel, (name, table) in zip(panels, curves.items(), strict=False):
-        _curve(panel, name, table)
-    for panel in panels[len(curves) :]:
-        panel.remove()
-    squareness = [
-        f"{name} = {quantity(table['value'], 'rad', table['value_u'])}"
+def _draw_tables(tables: Mapping[str, Any]) -> Figure:
+    """The error motions as those of every method, those that hold a single value in the title."""
+    curves = {
+        name: np.column_stack([numbers(table[key]) for key in ("nodes", "value", "value_u")])
         for name, table in tables.items()
-        if "nodes" not in table and _known(table["value"])
-    ]
-    figure.suptitle(together((say("picture.motions_U"), *squareness), "\n"))
-    return figure
-
-
-def _curve(panel: Axes, name: str, table: Mapping[str, Any]) -> None:
-    node, value, u = 1e3 * numbers(table["nodes"]), 1e6 * numbers(table["value"]), 1e6 * numbers(table["value_u"])
-    panel.axhline(0.0, color="0.8", linewidth=0.8)
-    draw_band(panel, node, value, u)
-    panel.set_title(name)
-    panel.set_xlabel(f"{name[2]}, mm")
-    panel.set_ylabel("µrad" if name[1] in "ABC" else "µm")
+        if "nodes" in table
+    }
+    single = {name: table for name, table in tables.items() if "nodes" not in table and _known(table["value"])}
+    return draw_motions(curves, {name: (one["value"], one["value_u"]) for name, one in single.items()})
 
 
 def draw_map(content: Mapping[str, Any]) -> Figure:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_map", "draw_tables", "neighbours", "read_tables"]
+__all__ = ["draw_map", "draw_motions", "draw_tables", "neighbours", "read_tables"]
 
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
@@ -51,18 +51,23 @@ def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
 
 
 def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
-    """One row of panels for each axis: positioning, straightness, angles; bands are U (k = 2).
-
-    Returns:
-        The picture; None where no table is among the parameters.
-    """
+    """The error motions among the parameters of a result's document; None where there are none."""
     entries = list(parameters)
     tables = read_tables(entries)
-    if not tables:
-        return None
+    single = {e["name"]: (e["value"], e["standard_uncertainty"]) for e in entries if e["name"] in SQUARENESS}
+    return draw_motions(tables, dict(sorted(single.items()))) if tables else None
+
+
+def draw_motions(tables: Mapping[str, Array], squareness: Mapping[str, tuple[float, float]]) -> Figure:
+    """One row of panels for each axis: positioning, straightness, angles; bands are U (k = 2).
+
+    Args:
+        tables: by name, as `read_tables` gives them; at least one.
+        squareness: values with their standard uncertainties by name, rad, for the title.
+    """
     axes = [axis for axis in "XYZABC" if any(name[2] == axis for name in tables)]
     kinds = sorted(set(map(_kind, tables)))
-    figure = new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(entries))
+    figure = new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(squareness))
     panels = figure.subplots(len(axes), len(kinds), squeeze=False)
     for row, axis in zip(panels, axes, strict=True):
         for panel, kind in zip(row, kinds, strict=True):
@@ -86,7 +91,7 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
         mark = {"marker": MARKERS[k % len(MARKERS)], "ms": 3.5, "lw": 1.2, "label": name}
         draw_band(panel, where, value, u, COLORS[k % len(COLORS)], **mark)
     panel.axhline(0.0, color="0.75", lw=0.8, zorder=0)
-    if not any(table[:, 2].any() for table in tables.values()):
+    if not any(np.nan_to_num(table[:, 2]).any() for table in tables.values()):
         # Nothing but the datum has a value.
         panel.set(xticks=[], yticks=[])
         mark_lost(panel, 0.6)
@@ -96,12 +101,8 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
     panel.margins(x=0.03)
 
 
-def _headed(parameters: Iterable[Mapping[str, Any]]) -> str:
-    found = {entry["name"]: entry for entry in parameters if entry["name"] in SQUARENESS}
-    parts = [
-        f"{name} = {quantity(entry['value'], entry['unit'], entry['standard_uncertainty'])}"
-        for name, entry in sorted(found.items())
-    ]
+def _headed(squareness: Mapping[str, tuple[float, float]]) -> str:
+    parts = [f"{name} = {quantity(value, 'rad', u)}" for name, (value, u) in squareness.items()]
     text = say("picture.motions_bands")
     return together((text, say("picture.squareness", parts=", ".join(parts))), "\n") if parts else text
 
