@@ -34,7 +34,7 @@ def displacement_field(
         (k, n, 3), found by looking at the same readings along each axis; None for an effect on the reading itself, and
         for methods whose map holds no effects.
     """
-    if effect.kind != "position" or not spec_of(observations.session).map_holds_effects:
+    if effect.kind != "position" or not spec_of(observations.session).reads_machine:
         return None
     looks = [replace(observations, direction=np.tile(np.eye(3)[j], (len(observations), 1))) for j in range(3)]
     return np.stack([evaluate(look) for look in looks], axis=-1)

@@ -255,7 +255,10 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
         "recorder": {**common, "folder": str((setting.output / "bag").resolve())},
     }
-    without = method_spec(method).unneeded
+    spec = method_spec(method)
+    # A probe is instrument and pointer in one, a fixed beam needs no pointer.
+    without = {"rotary_pointer", "instrument"} if spec.probes_surface else {"probe"}
+    without |= set() if spec.beam_from_pointer else {"rotary_pointer"}
     nodes = tuple(name for name in NODES if name not in without)
     for name in setting.external:
         if name not in nodes:

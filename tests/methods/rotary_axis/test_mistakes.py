@@ -12,7 +12,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.rotary_axis.checks import suppositions
+from machine_tool_calibration.methods.rotary_axis.mistakes import suppositions
 from machine_tool_calibration.methods.rotary_axis.model import build
 from machine_tool_calibration.session.session import Session
 

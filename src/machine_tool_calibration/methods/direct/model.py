@@ -19,7 +19,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
-from machine_tool_calibration.methods.direct.checks import refuse_mistakes
 from machine_tool_calibration.methods.direct.datum import (
     SetupDatum,
     needed_rows,
@@ -27,6 +26,7 @@ from machine_tool_calibration.methods.direct.datum import (
     setup_datum,
     silent_directions,
 )
+from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, distinct_nodes, table_datum, thinned

@@ -23,7 +23,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
-from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.datum import (
     HELD_WITHIN,
     ROTARY_DATUM,
@@ -36,6 +35,7 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
+from machine_tool_calibration.methods.rotary_axis.mistakes import refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.model.model import (
     MethodModel,

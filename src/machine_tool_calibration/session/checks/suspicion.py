@@ -24,7 +24,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
     another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not. Fewer or
-    more repeats than stated. And what the method finds (`MethodSpec.suspicious`).
+    more repeats than stated. And what the method finds (`Checks.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
@@ -75,4 +75,4 @@ def _repeated(session: Session) -> Iterator[str]:
 
 
 def _of_method(session: Session) -> Iterator[str]:
-    return spec_of(session).suspicious(session)
+    return spec_of(session).checks.suspicious(session)
