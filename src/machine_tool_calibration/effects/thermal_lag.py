@@ -25,17 +25,13 @@ class ThermalLag(ThermalExpansion):
     special case without lag. A lag longer than the session shows a rate of change only.
     """
 
+    id = "thermal_lag_{axis}"
+    title = "thermal expansion of {AXIS} behind its sensor"
+    formula = "e_{axis} = (temperature_{axis} delayed by tau - 20) (k {axis} - q)"
     source = "ISO 230-3; first-order lag, ISO/TR 16015, thermal inertia"
-
-    def __init__(self, axis: str) -> None:
-        """Delayed expansion of x, y or z."""
-        super().__init__(axis)
-        self.contains = (self.id,)
-        self.id = f"thermal_lag_{axis}"
-        self.title = f"thermal expansion of {axis.upper()} behind its sensor"
-        self.formula = f"e_{axis} = (temperature_{axis} delayed by tau - 20) (k {axis} - q)"
-        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
-        self.needs = (*self.needs, "time")
+    shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
+    needs = (*ThermalExpansion.needs, "time")
+    contains = (ThermalExpansion.id,)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Time constants from a fiftieth of the session to its whole length."""
