@@ -14,7 +14,6 @@ SPEC = MethodSpec(
     any_axis=True,
     checks=DirectChecks(),
     model="machine_tool_calibration.methods.direct.model",
-    map="machine_tool_calibration.methods.direct.map",
     models={
         "rigid_body": "the only one: the axes are rigid bodies, their errors tables over their positions",
     },

@@ -12,7 +12,7 @@ SPEC = MethodSpec(
     columns=lambda description: ("time", "setup", "repeat", "x", "y", "z", "displacement"),
     checks=DiagonalChecks(),
     model="machine_tool_calibration.methods.step_diagonal.build",
-    map="machine_tool_calibration.methods.step_diagonal.map",
+    map="machine_tool_calibration.methods.step_diagonal.model",
     models={
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
         "functions, of a size that the readings determine as far as they can",
