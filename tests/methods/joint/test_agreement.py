@@ -113,7 +113,8 @@ def test_sessions_of_different_places_are_not_compared_there(several: SimpleName
 
 
 @pytest.mark.parametrize(
-    ("unit", "shown"), [("m", "2.5 ± 1 µm"), ("1/K", "2.5 ± 1 µm/(m K)"), ("rad/K", "2.5 ± 1 µrad/K")]
+    ("unit", "shown"),
+    [("m", "2.5 ± 1 µm"), ("1/K", "2.5 ± 1 µm/(m K)"), ("rad/K", "2.5 ± 1 µrad/K"), ("m/s", "2.5e-06 ± 1e-06 m/s")],
 )
 def test_a_contradiction_is_said_in_the_units_of_the_tables(unit: str, shown: str) -> None:
     entry = Contradiction("a", ("b",), "some_effect", (), -2.5e-6, 0.5e-6, unit, 1e-9)
