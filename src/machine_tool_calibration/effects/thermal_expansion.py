@@ -34,7 +34,7 @@ class ThermalExpansion(AxisEffect):
         Coefficient("k", "1/K", -2e-4, 2e-4, "expansion coefficient"),
         Coefficient("q", "m/K", -5e-5, 5e-5, "expansion coefficient times the position of the fixed point"),
     )
-    needs = ("{axis}", "temperature_{axis}")
+    needs: tuple[str, ...] = ("{axis}", "temperature_{axis}")
 
     def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the structure, degrees Celsius: that of the axis's sensor."""

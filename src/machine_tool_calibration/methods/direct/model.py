@@ -168,8 +168,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     Raises:
         ModelError: as for `build`.
     """
-    description = session.description
-    assert isinstance(description, Direct)
+    description = session.description.as_a(Direct)
     readings = _usable(session.readings)
     position = readings.position()
     direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])

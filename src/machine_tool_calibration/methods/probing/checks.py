@@ -60,8 +60,7 @@ class ProbingChecks(Checks):
 
     def magnitudes(self, session: Session, place: Place) -> None:
         """Refuse normals that are none and a stylus that cannot be."""
-        description = session.description
-        assert isinstance(description, Probing)
+        description = session.description.as_a(Probing)
         for index, point in enumerate(description.workpiece):
             length = float(np.hypot(*point.normal))
             if abs(length - 1.0) > 0.01:
@@ -113,14 +112,12 @@ def _off_workpiece(session: Session) -> Array:
 
 
 def _radius(session: Session) -> float:
-    assert isinstance(session.description, Probing)
-    return max(float(np.hypot(*point.position)) for point in session.description.workpiece)
+    return max(float(np.hypot(*point.position)) for point in session.description.as_a(Probing).workpiece)
 
 
 def _turned_part(session: Session, key: str) -> Array:
     """(n, 2) nominal position or normal of each touched point, turned as its setup says."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, Probing)
+    description, readings = session.description.as_a(Probing), session.readings
     index = places_among(readings.labels["point"], [point.id for point in description.workpiece])
     vectors = np.array([getattr(point, key) for point in description.workpiece])[index]
     return turned(vectors, session.rotation_sign * _declared(description)[readings.setup])
@@ -128,8 +125,7 @@ def _turned_part(session: Session, key: str) -> Array:
 
 def _declared(description: Description) -> Array:
     """(setups,) angles of C, rad."""
-    assert isinstance(description, Probing)
-    return np.array([setup.c for setup in description.setups])
+    return np.array([setup.c for setup in description.as_a(Probing).setups])
 
 
 def _check_index_angles(session: Session, place: Place) -> None:

@@ -35,8 +35,7 @@ class RotaryChecks(Checks):
         Raises:
             SessionError: two stations at one place, too few stations or readings, all stations on a line.
         """
-        description = session.description
-        assert isinstance(description, RotaryAxis)
+        description = session.description.as_a(RotaryAxis)
         enough_stations(session, description.setups, measured, place, needed=3, method=session.method)
         refuse_one_line(description.setups, place)
         _enough_angles(session, description, measured, place)
@@ -82,8 +81,7 @@ def on_table(session: Session, readings: Readings) -> Array:
         session: gives the sense of rotation, the targets and the axis under test.
         readings: give the target and the commanded angle.
     """
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     column = rotary_column(description)
     target = places_among(readings.labels["target"], [entry.id for entry in description.targets])
     points = np.array([entry.position for entry in description.targets])[target]
@@ -96,8 +94,7 @@ def on_table(session: Session, readings: Readings) -> Array:
 
 def turning_mistakes(session: Session) -> Iterator[Supposition]:
     """Angles, senses and units of a rotary axis's session."""
-    assert isinstance(session.description, RotaryAxis)
-    column = rotary_column(session.description)
+    column = rotary_column(session.description.as_a(RotaryAxis))
     yield in_degrees(session, f"the column {column} looks", column)
     yield turned_round(session, "the axis looks as if it turned the other way: check rotation_sign")
     yield from scaled(session, *UNITS, *SENSES)

@@ -47,8 +47,7 @@ def refuse_mistakes(session: Session, start: Start) -> None:
     Raises:
         ModelError: the mistake.
     """
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     stations, stations_u = _stated(description.setups)
     targets, targets_u = _stated(description.targets)
 

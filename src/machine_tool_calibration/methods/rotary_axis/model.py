@@ -86,9 +86,7 @@ class RotaryAxisModel(MethodModel):
     @property
     def description(self) -> RotaryAxis:
         """The session's description."""
-        description = self.observations.session.description
-        assert isinstance(description, RotaryAxis)
-        return description
+        return self.observations.session.description.as_a(RotaryAxis)
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -224,8 +222,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
             geometry in a way that a common mistake explains.
     """
     table = table_readings(session)
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     start = find_start(
         table,
         np.array([setup.position for setup in description.setups]),
@@ -292,8 +289,7 @@ def _moved(start: Start, model: RotaryAxisModel) -> Start:
 
 def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisModel:
     """The model, linearised at first estimates."""
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     arm = table.turned(start.targets)
     away = arm - start.stations[table.readings.setup]
     path = np.linalg.norm(away, axis=1)

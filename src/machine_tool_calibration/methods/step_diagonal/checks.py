@@ -48,8 +48,7 @@ class DiagonalChecks(Checks):
     @suspected()
     def magnitudes(self, session: Session, place: Place) -> None:
         """Refuse starts and steps of runs that no machine has."""
-        description = session.description
-        assert isinstance(description, StepDiagonal)
+        description = session.description.as_a(StepDiagonal)
         if description.trust_units:
             return
         for index, run in enumerate(description.setups):
@@ -71,8 +70,7 @@ class DiagonalChecks(Checks):
 
     def held(self, session: Session) -> Iterator[Held]:
         """Places against the runs as they are stated, and displacements against the places."""
-        description, readings = session.description, session.readings
-        assert isinstance(description, StepDiagonal)
+        description, readings = session.description.as_a(StepDiagonal), session.readings
         path, across, outside = _along_run(session)
         step = np.array(description.step)
         off = (outside / step).max(axis=1)
@@ -103,8 +101,7 @@ class DiagonalChecks(Checks):
 
     def suspicious(self, session: Session) -> Iterator[str]:
         """Runs that step and blocks make longer, or of other steps, than their places."""
-        description, places = session.description, session.readings.position()
-        assert isinstance(description, StepDiagonal)
+        description, places = session.description.as_a(StepDiagonal), session.readings.position()
         moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
         for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
             halts = np.unique(np.round(place[moved], 9))
@@ -127,10 +124,8 @@ class DiagonalChecks(Checks):
 
 def _off_diagonal(session: Session) -> Array:
     """Displacements and positions against the runs' nominal lines."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
     path, _, outside = _along_run(session)
-    group = groups(readings.setup, readings.repeat)
+    group = groups(session.readings.setup, session.readings.repeat)
     return np.asarray(
         relative_misfit(session, path, group) + np.linalg.norm(outside, axis=1) / typical_extent(path, group)
     )
@@ -138,8 +133,7 @@ def _off_diagonal(session: Session) -> Array:
 
 def _along_run(session: Session) -> tuple[Array, Array, Array]:
     """Of each place: (n,) its path along the beam, (n,) its distance across, (n, 3) how far off the run, m."""
-    description, setup = session.description, session.readings.setup
-    assert isinstance(description, StepDiagonal)
+    description, setup = session.description.as_a(StepDiagonal), session.readings.setup
     start = np.array([run.start for run in description.setups])
     motion = np.array([run.direction for run in description.setups]) * description.step * description.blocks
     beam = motion / np.maximum(np.linalg.norm(motion, axis=1), 1e-300)[:, None]
@@ -152,8 +146,7 @@ def _along_run(session: Session) -> tuple[Array, Array, Array]:
 
 def _run_of_places(session: Session, setup: int) -> str:
     """Where the places of a setup run, if it is elsewhere than stated."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
+    description, readings = session.description.as_a(StepDiagonal), session.readings
     run, mine = description.setups[setup], readings.setup == setup
     places = readings.position()[mine & (readings.repeat == readings.repeat[mine][0])]
     moved = places[-1] - places[0]
@@ -177,8 +170,7 @@ def _off_halts(session: Session) -> Array:
     In shares of the step; each reading has the mean of its setup: the two thirds of the halts at which one order
     differs from another decide, not the middle one.
     """
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
+    description, readings = session.description.as_a(StepDiagonal), session.readings
     off, points = np.zeros(len(readings)), readings.position()
     for index in np.unique(readings.setup):
         mine = readings.setup == index

@@ -55,8 +55,7 @@ class TrackingChecks(Checks):
         Raises:
             SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
         """
-        description = session.description
-        assert isinstance(description, TrackingInterferometer)
+        description = session.description.as_a(TrackingInterferometer)
         method = f"tracking_interferometer in {description.dimension} dimensions"
         enough_stations(session, description.setups, measured, place, needed=2, method=method)
         if description.dimension == 3:
@@ -65,16 +64,14 @@ class TrackingChecks(Checks):
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements of a tracking interferometer."""
-        description = session.description
-        assert isinstance(description, TrackingInterferometer)
+        description = session.description.as_a(TrackingInterferometer)
         if description.pointing == "open_loop":
             yield judged_by_worst(_off_beam, _beam_mistakes(session, description.dimension))
         yield judged_by_worst(_off_path, _path_mistakes(session, description))
 
     def held(self, session: Session) -> Iterator[Held]:
         """Commanded beams and displacements against the stations as they are stated."""
-        description, readings = session.description, session.readings
-        assert isinstance(description, TrackingInterferometer)
+        description, readings = session.description.as_a(TrackingInterferometer), session.readings
         reach = np.linalg.norm(lines_of_sight(session, readings.position())[:, : description.dimension], axis=1)
         place = np.array([allowed(session, setup.position_uncertainty) for setup in description.setups])[readings.setup]
         if description.pointing == "open_loop":
@@ -96,8 +93,7 @@ class TrackingChecks(Checks):
 
     def suspicious(self, session: Session) -> Iterator[str]:
         """An azimuth that all stations count from another zero: the map's turn would take up only its first order."""
-        description = session.description
-        assert isinstance(description, TrackingInterferometer)
+        description = session.description.as_a(TrackingInterferometer)
         used = np.unique(session.readings.setup)
         if description.pointing != "open_loop" or len(used) < 2:
             return
@@ -136,8 +132,7 @@ def _unknown_of_axes(points: Array) -> int:
 
 def _off_beam(session: Session) -> Array:
     """Commanded beam against the direction from the station to the target, rad."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, TrackingInterferometer)
+    description, readings = session.description.as_a(TrackingInterferometer), session.readings
     upright = 0.0 if description.dimension == 2 else 1.0
     elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
     beam = unit_vectors(readings.columns["azimuth"], elevation)
@@ -161,8 +156,8 @@ def _beam_mistakes(session: Session, dimension: int) -> Iterator[Supposition]:
 
 def _off_path(session: Session) -> Array:
     """Displacements against the change of distance between station and target."""
-    assert isinstance(session.description, TrackingInterferometer)
-    line = lines_of_sight(session, session.readings.position())[:, : session.description.dimension]
+    dimension = session.description.as_a(TrackingInterferometer).dimension
+    line = lines_of_sight(session, session.readings.position())[:, :dimension]
     return relative_misfit(session, np.linalg.norm(line, axis=1), session.readings.setup)
 
 
