@@ -100,7 +100,7 @@ class MethodSpec:
     @cached_property
     def beam_from_pointer(self) -> bool:
         """Whether readings look along a beam from a pointer: azimuth and elevation distinguish them."""
-        from machine_tool_calibration.session.description import StationSetup
+        from machine_tool_calibration.session.description import StationSetup  # here, as the catalogue needs it not
 
         return issubclass(get_args(self.description.model_fields["setups"].annotation)[0], StationSetup)
 
