@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.session.folder import readings_frame
 from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.version import __version__
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.version import __version__
 
 __all__ = ["Origin", "Provenance", "data_hash", "flattened", "provenance"]
 

@@ -29,9 +29,10 @@ _TARGETS_BESIDE = 0.03
 _WIDE = 0.2
 # Readings off by so many times the median of all say that there are gross errors. Then Huber's weights (1964), until
 # none changes by more than this, and so often at most. Least squares may spread gross errors over all readings, so that
-# none stands out: they were the cause where these weights leave a misfit of less than this share.
+# none stands out: some millimetres leave no more than this misfit, m, and were the cause where these weights leave less
+# than this share of it.
 _WILD = 20.0
-_SPREAD = 0.2
+_SMEARED, _SPREAD = 1e-3, 0.2
 _TUNING = 1.345
 _AT_REST = 0.02
 _REWEIGHTED = 15
@@ -66,7 +67,7 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
             the fit sets out from places beside them.
     """
     start = _fitted(table, stations, targets)
-    if start.misfit > _DOUBTFUL:
+    if _DOUBTFUL < start.misfit < _SMEARED:
         resisting = _fitted(table, stations, targets, resisting=True)
         start = resisting if resisting.misfit < _SPREAD * start.misfit else start
     if not tilted or start.misfit < _DOUBTFUL:
