@@ -24,6 +24,7 @@ from machine_tool_calibration.session.checks.units import MILLIMETRES
 from machine_tool_calibration.session.description import Description, Place, Probing
 from machine_tool_calibration.session.judgements import Checks, Held, Judgement
 from machine_tool_calibration.session.session import Session, places_among
+from machine_tool_calibration.words import say
 
 __all__ = ["ProbingChecks"]
 
@@ -103,6 +104,12 @@ class ProbingChecks(Checks):
             share=_AGAINST,
             hint=lambda setup: "are the normals of workpiece reversed?",
         )
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """An uncertainty that grows with a path, which there is not."""
+        said = session.description.standard_uncertainty
+        if any(entry.per_length for entry in (said, *said.setups.values())):
+            yield say("suspicion.no_path")
 
 
 def _off_workpiece(session: Session) -> Array:

@@ -20,6 +20,7 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
     AngularPosterior,
     SmallAngles,
     angular_priors,
+    mean_shape,
     normal_posterior,
 )
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
@@ -137,6 +138,14 @@ class StepDiagonalModel(MethodModel):
         posterior = normal_posterior(self.spread.nodes, columns @ columns.T, right, np.array(rows))
         spread = Spread(self.spread.angles, posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
+
+    def expecting(self, size: float) -> Self:
+        """The model with angular errors of that root mean square, rad, whatever the readings say of them."""
+        if self.spread is None:
+            return self
+        expected = [size**2 * mean_shape(*where) for where in self.spread.nodes]
+        spread = replace(self.spread, posterior=None)
+        return replace(self, spread=spread, priors=angular_priors(spread.names, expected))
 
     @property
     def random(self) -> SmallAngles | None:

@@ -23,12 +23,12 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """What is suspicious in sessions, in words.
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
-    another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not. Fewer or
-    more repeats than stated. And what the method finds (`Checks.suspicious`).
+    another unit. Places off the machine's travel. Fewer or more repeats than stated. And what the method finds
+    (`Checks.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _beside, _pathless, _repeated, _of_method)
+    checks = (_still, _beside, _repeated, _of_method)
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -58,12 +58,6 @@ def _beside(session: Session) -> Iterator[str]:
             ends = {"low": f"{low:g}", "high": f"{high:g}", "worst": f"{worst:g}", "unit": unit}
             names = {"axis": name.upper(), "column": name.lower()}
             yield say("suspicion.off_travel", n=len(off), count=len(values), **names, **ends)
-
-
-def _pathless(session: Session) -> Iterator[str]:
-    said = session.description.standard_uncertainty
-    if spec_of(session).probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
-        yield say("suspicion.no_path")
 
 
 def _repeated(session: Session) -> Iterator[str]:
