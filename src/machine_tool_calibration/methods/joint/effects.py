@@ -20,6 +20,7 @@ from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.observations import together
+from machine_tool_calibration.words import say
 
 __all__ = ["with_effects"]
 
@@ -95,7 +96,7 @@ def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...
     entries = tuple(
         NotDetermined(
             f"{effect.id}.{c.name}",
-            f"the readings do not bound it: the effect is too small in them; held at {shape[k]:.3g} {c.unit}",
+            say("undetermined.held_at", value=f"{shape[k]:.3g} {c.unit}"),
             effect.id,
         )
         for k, c in enumerate(effect.shapes_for(models[0].observations))

@@ -29,6 +29,7 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.words import say
 
 __all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
 
@@ -129,13 +130,7 @@ def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None
     untold = []
     for table, prior in zip(angles, told.priors, strict=True):
         if variance[[place[label] for label in table.labels]].sum() > _TOLD * np.trace(prior):
-            untold.append(
-                NotDetermined(
-                    table.name,
-                    "the readings say little more than its size (angular_size); it is taken for a small smooth random "
-                    "function",
-                )
-            )
+            untold.append(NotDetermined(table.name, say("undetermined.hardly_more")))
     return StatedAngles(told.size, told.probability, tuple(untold))
 
 
