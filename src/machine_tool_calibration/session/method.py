@@ -102,7 +102,8 @@ class MethodSpec:
         """Whether readings look along a beam from a pointer: azimuth and elevation distinguish them."""
         from machine_tool_calibration.session.description import StationSetup  # here, as the catalogue needs it not
 
-        return issubclass(get_args(self.description.model_fields["setups"].annotation)[0], StationSetup)
+        kinds = get_args(self.description.model_fields["setups"].annotation)
+        return any(isinstance(kind, type) and issubclass(kind, StationSetup) for kind in kinds)
 
 
 @cache
