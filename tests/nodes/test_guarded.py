@@ -25,7 +25,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.axis_simulator import AxisSimulator
 from machine_tool_calibration.nodes.estimator import Estimator
-from machine_tool_calibration.nodes.heard import NodeState
+from machine_tool_calibration.nodes.heard import Heard, NodeState
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros import process
@@ -385,10 +385,16 @@ def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
 
 
 class Gone:
-    """An operator that hears no procedure any more."""
+    """A client that hears no procedure any more."""
 
-    procedure = NodeState("procedure", "procedure", message="measuring", entries={"state": "running", "captured": "40"})
-    readings = ()
+    def __init__(self, message="measuring", **entries):
+        self.state, self.heard = NodeState("", "", message=message, entries=entries), Heard()
+
+    @property
+    def procedure(self):
+        return self.state
+
+    estimator = procedure
 
     def call(self, service, timeout):
         return ""
@@ -405,7 +411,7 @@ class Gone:
 def test_a_run_whose_procedure_has_gone_ends(monkeypatch):
     monkeypatch.setattr(measurement, "_GONE", 0.01)
     with pytest.raises(CalibrationError, match="the procedure has ended in the middle"):
-        measurement._run(Gone(), 128, lambda text, done, total: None)
+        measurement._run(Gone(state="running", captured="40"), 128, lambda text, done, total: None)
 
 
 def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
@@ -414,7 +420,7 @@ def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
 
     def wait(until, timeout):
         for state in states:
-            operator.procedure = NodeState("procedure", "procedure", entries={"state": state})
+            operator.state = NodeState("", "", entries={"state": state})
             assert not until()
 
     operator.wait = wait
@@ -423,10 +429,7 @@ def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
 
 
 def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():
-    operator = Gone()
-    operator.estimator = NodeState(
-        "estimator", "estimator", entries={"readings": "28", "missing": "100", "resets": "1", "session": "described"}
-    )
+    operator = Gone(readings="28", missing="100", resets="1", session="described")
     with pytest.raises(CalibrationError, match="100 of 128 readings are lost to the estimator"):
         measurement._identify(operator, None, 128, lambda text, done, total: None)
 

@@ -9,7 +9,6 @@ readings; each reading publishes the samples that it averaged.
 
 from __future__ import annotations
 
-import json
 import time
 import uuid
 from array import array
@@ -41,10 +40,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
+from machine_tool_calibration.nodes.ros.services import Answer, Outcomes, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
-from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
+from machine_tool_calibration.nodes.setups import INPUT, Pairs, Target, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
 __all__ = ["Instrument"]
@@ -112,6 +111,7 @@ class Instrument(ManagedNode):
             self.source = DriverSource(load_driver(Path(self._driver)), now(self) - time.monotonic_ns())
         hardware_id = self.source.hardware_id or Path(self._driver).stem
         self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
+        self._outcomes = Outcomes(self)
         offer(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
         offer(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
@@ -249,7 +249,7 @@ class Instrument(ManagedNode):
     def _requested(self, answer: Answer, *, is_datum: bool) -> None:
         self._note_loss()
         if not is_datum and not self._datum:
-            _refuse(answer, "datum", f"no datum: {self._reason}; call instrument/datum")
+            self._refuse_without_datum(answer)
             return
         self._requests.append(_Request(answer, is_datum, time.monotonic()))
         if self._simulated_time:
@@ -287,37 +287,40 @@ class Instrument(ManagedNode):
             return
         if reason.kind == "beam":
             self._lose_datum(str(reason))
-        _refuse(request.answer, reason.kind, str(reason))
+        verb = "datum" if request.is_datum else "capture"
+        self._outcomes.answer([request.answer], verb, now(self), str(reason), {}, reason.kind)
+
+    def _refuse_without_datum(self, answer: Answer) -> None:
+        text = f"no datum: {self._reason}; call instrument/datum"
+        self._outcomes.answer([answer], "capture", now(self), text, {}, "datum")
 
     def _set_datum(self, answer: Answer, window: Window) -> None:
         self._datums += 1
         self._datum, self._zero, self._reason = f"{self._epoch}-{self._datums}", window.path, ""
         self._show()
-        answer.send(True, json.dumps(self._described_window(window)))
+        text = f"the path is zero from here: datum {self._datum}"
+        self._outcomes.answer([answer], "datum", window.stamp, text, self._taken(window))
 
     def _reading(self, answer: Answer, window: Window) -> None:
         if not self._datum:
-            _refuse(answer, "datum", f"no datum: {self._reason}; call instrument/datum")
+            self._refuse_without_datum(answer)
             return
-        document = self._described_window(window)
-        document |= {
-            "displacement": window.path - self._zero,
+        displacement = window.path - self._zero
+        found = {
+            **self._taken(window),
+            "displacement": displacement,
             "standard_deviation": window.spread,
             "samples": window.samples,
-            "environment": self._sensed(window.stamp),
+            **self._sensed(window.stamp),
         }
-        answer.send(True, json.dumps(document))
+        text = f"{1e3 * displacement:.6f} mm from the datum"
+        self._outcomes.answer([answer], "capture", window.stamp, text, found)
         if self._simulated_time and self._simulated is not None:
             self._publish_stream(self._simulated.stream())
 
-    def _described_window(self, window: Window) -> dict[str, object]:
-        return {
-            "datum": self._datum,
-            "stamp": window.stamp,
-            "start": window.start,
-            "end": window.end,
-            "inputs": window.inputs,
-        }
+    def _taken(self, window: Window) -> dict[str, object]:
+        inputs = {f"{INPUT}{name}": stamp for name, stamp in window.inputs.items()}
+        return {"datum": self._datum, "start": window.start, "end": window.end, **inputs}
 
     # --- the stream, the state, the environment
 
@@ -376,7 +379,3 @@ class Instrument(ManagedNode):
     def deactivate(self) -> None:
         """Stop what runs beside the node's own thread."""
         self.source.close()
-
-
-def _refuse(answer: Answer, kind: str, reason: str) -> None:
-    answer.send(False, json.dumps({"kind": kind, "reason": reason}))

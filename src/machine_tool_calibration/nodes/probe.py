@@ -11,7 +11,7 @@ The readings are absolute: there is no datum to be set.
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
+from machine_tool_calibration.nodes.ros.services import Answer, Outcomes, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
@@ -178,6 +178,7 @@ class Probe(ManagedNode):
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
+        self._outcomes = Outcomes(self, "instrument/outcome")
         offer(self, "instrument/datum", self._no_datum)
         offer(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
@@ -273,11 +274,12 @@ class Probe(ManagedNode):
 
     def _no_datum(self, answer: Answer) -> None:
         stamp = now(self)
-        answer.send(True, json.dumps({"datum": "", "stamp": stamp, "start": stamp, "end": stamp, "inputs": {}}))
+        text = "readings of a probe are absolute: there is no datum to be set"
+        self._outcomes.answer([answer], "datum", stamp, text, {"datum": "", "start": stamp, "end": stamp})
 
     def _requested(self, answer: Answer) -> None:
         if not self._moves:
-            answer.send(False, _refusal("services_move_axes is false"))
+            self._outcomes.answer([answer], "capture", now(self), "services_move_axes is false", {}, "other")
             return
         # Asked again while a touch is under way: its answer is for all who ask.
         self._answers.append(answer)
@@ -345,32 +347,28 @@ class Probe(ManagedNode):
             latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
             self._triggers.publish(joint_state(cycle.moment, latched))
         self._show()
-        document = {
+        found = {
             "datum": "",
-            "stamp": cycle.moment,
             "start": cycle.begin,
             "end": held,
-            "inputs": {},
-            "displacement": "nan" if cycle.problem else cycle.displacement,
+            "displacement": float("nan") if cycle.problem else cycle.displacement,
             "problem": cycle.problem,
             "attempt": cycle.attempt,
+            **self._sensed(cycle.moment),
             # X and Y are those of the sphere's centre at the nominal surface.
-            "environment": {
-                **self._sensed(cycle.moment),
-                **cycle.touch.at(0.0),
-                "c": cycle.position.get("c", 0.0),
-                "point_index": float(cycle.touch.point),
-            },
+            **cycle.touch.at(0.0),
+            "c": cycle.position.get("c", 0.0),
+            "point_index": float(cycle.touch.point),
         }
-        self._send(True, json.dumps(document))
+        text = self._last or f"point {point}: {1e3 * cycle.displacement:.6f} mm outside the nominal surface"
+        self._send(cycle.moment, text, found)
 
     def _refuse(self, reason: str) -> None:
-        self._send(False, _refusal(reason))
+        self._send(now(self), reason, {}, "other")
 
-    def _send(self, success: bool, message: str) -> None:
+    def _send(self, stamp: int, text: str, found: Mapping[str, object], kind: str = "") -> None:
         answers, self._answers = self._answers, []
-        for answer in answers:
-            answer.send(success, message)
+        self._outcomes.answer(answers, "capture", stamp, text, found, kind)
 
     # --- state and environment
 
@@ -394,7 +392,3 @@ class Probe(ManagedNode):
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
         self._status.show(level, text, {"state": state, "datum": "", **counters})
-
-
-def _refusal(reason: str) -> str:
-    return json.dumps({"kind": "other", "reason": reason})

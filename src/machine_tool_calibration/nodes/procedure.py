@@ -10,13 +10,11 @@ clear state in simulated time too.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
@@ -33,6 +31,7 @@ from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
+    OUTCOMES,
     READINGS,
     STATE,
     Level,
@@ -47,10 +46,9 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import answer_by, offer
-from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
+from machine_tool_calibration.nodes.ros.services import answer_by, goal_of, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.setups import setup_named, target_message
+from machine_tool_calibration.nodes.setups import INPUT, Pairs, setup_named, target_message
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.procedure.events import (
     Action,
@@ -76,51 +74,41 @@ from machine_tool_calibration.session.parse import description_yaml
 __all__ = ["ProcedureNode", "event_of"]
 
 
+_OWN = ("kind", "datum", "start", "end", "displacement", "standard_deviation", "samples", "problem", "attempt")
+"""Values of an outcome that are no columns of the session."""
+
+
 def event_of(
-    token: int, success: bool, message: str, *, is_datum: bool, sensed: Callable[[int], Mapping[str, float]]
+    token: int, outcome: DiagnosticArray, sensed: Callable[[int], Mapping[str, float]]
 ) -> Captured | CaptureFailed | DatumSet:
-    """The event of an answer; one that makes no sense is a failure that says so.
+    """The event of an instrument's outcome; one that makes no sense is a failure that says so.
 
     Args:
         token: of the request.
-        success: whether the instrument did what was asked.
-        message: its JSON document.
-        is_datum: whether a datum was asked for, not a reading.
+        outcome: message of `instrument/outcome`.
         sensed: the environment by column at a time, ns.
     """
+    status, found = outcome.status[0], values(outcome)
     try:
-        document = json.loads(message)
-        if not success:
-            return CaptureFailed(token, document["kind"], document["reason"])
-        datum, inputs = str(document["datum"]), {name: _time(value) for name, value in document["inputs"].items()}
-        if is_datum:
-            return DatumSet(token, datum, _time(document["start"]), inputs)
-        stamp, displacement = _time(document["stamp"]), float(document["displacement"])
-        if math.isinf(displacement):
-            raise ValueError("a displacement without end")
-        own = {name: float(value) for name, value in document["environment"].items()}
-        return Captured(
-            token=token,
-            stamp=stamp,
-            start=_time(document["start"]),
-            end=_time(document["end"]),
-            displacement=displacement,
-            datum=datum,
-            columns={**sensed(stamp), **own},
-            inputs=inputs,
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        reason = f"not an answer of an instrument: {message[:80]!r} ({type(error).__name__})"
+        if status.level[0]:
+            return CaptureFailed(token, found.get("kind", "other"), status.message)
+        datum, start = found["datum"], stamp_among(found, "start")
+        inputs = {key.removeprefix(INPUT): stamp_among(found, key) for key in found if key.startswith(INPUT)}
+        if status.name == "datum":
+            return DatumSet(token, datum, start, inputs)
+        columns = {key: float(text) for key, text in found.items() if key not in (*_OWN, *map(INPUT.__add__, inputs))}
+        displacement = float(found["displacement"])
+        if any(map(math.isinf, (displacement, *columns.values()))):
+            raise ValueError("a number without end")
+        stamp, end = from_message(outcome.header.stamp), stamp_among(found, "end")
+        return Captured(token, stamp, start, end, displacement, datum, {**sensed(stamp), **columns}, inputs)
+    except (ValueError, KeyError, CalibrationError) as error:
+        reason = f"not an outcome of an instrument: {status.message[:80]!r} ({type(error).__name__}: {error})"
         return CaptureFailed(token, "other", reason)
 
 
-def _time(value: Any) -> int:
-    if not isinstance(value, int) or not 0 <= value < LAST_SECOND * 1_000_000_000:
-        raise ValueError("not a time in ns")
-    return value
-
-
 _TICK = 0.1  # s of the wall clock
+_LONGEST = 200  # characters of a reason
 _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
 
 
@@ -177,6 +165,7 @@ class ProcedureNode(ManagedNode):
         self._motion: Motion | None = None
         self._executions = Executions()
         self._seen: set[str] = set()
+        self._answers = Pairs()
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
@@ -193,6 +182,7 @@ class ProcedureNode(ManagedNode):
         self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
+        self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, OUTCOMES)
         self.create_subscription(DiagnosticArray, "estimator/status", self._estimator_status, LATCHED)
         for name, handler in (
             ("start", self._start),
@@ -362,11 +352,24 @@ class ProcedureNode(ManagedNode):
             self.get_logger().warning(self._remark)
             self._show()
 
-    def _answer(self, token: int, response: Trigger.Response | None, *, is_datum: bool) -> None:
+    def _answered(self, token: int, response: Trigger.Response | None) -> None:
+        """A request was answered; what it gave is told by `instrument/outcome`, before or after."""
         if response is None:
             return
-        sensed = self._environment.at
-        self._hear(event_of(token, response.success, response.message, is_datum=is_datum, sensed=sensed))
+        goal = goal_of(response.message)
+        if goal:
+            self._match(0, goal, token)
+        else:
+            self._hear(CaptureFailed(token, "other", response.message[:_LONGEST] or "it gives no reason"))
+
+    def _outcome(self, message: DiagnosticArray) -> None:
+        for status in message.status[:1]:
+            self._match(1, status.hardware_id, message)
+
+    def _match(self, way: int, goal: str, content: object) -> None:
+        pair = self._answers.put(way, goal, content)
+        if pair is not None:
+            self._hear(event_of(*pair, self._environment.at))
 
     def _hear(self, event: Event) -> None:
         self._carry_out(self.sequencer.handle(event, now(self), time.monotonic()))
@@ -395,18 +398,18 @@ class ProcedureNode(ManagedNode):
                     self._pointer.publish(target_message(action, self._setups))
                     self._point.publish(dated(PointStamped(point=point(action.point)), action.stamp))
                 case SetDatum():
-                    self._call(self._datum, action.token, is_datum=True)
+                    self._call(self._datum, action.token)
                 case Capture():
-                    self._call(self._capture, action.token, is_datum=False)
+                    self._call(self._capture, action.token)
                 case Emit():
                     self._readings.publish(joint_state(action.stamp, action.columns))
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 
-    def _call(self, client: Client, token: int, *, is_datum: bool) -> None:
+    def _call(self, client: Client, token: int) -> None:
         # an instrument that is not there never answers: the deadline notices
         future = client.call_async(Trigger.Request())
-        future.add_done_callback(lambda done: self._answer(token, done.result(), is_datum=is_datum))
+        future.add_done_callback(lambda done: self._answered(token, done.result()))
 
     def _publish_session(self) -> None:
         self._session.publish(String(data=self._text))

@@ -6,7 +6,7 @@ Their frame is the machine's, and the setup stands beside the values by its plac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,9 +19,12 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, positions
 from machine_tool_calibration.procedure.events import Aim
 
-__all__ = ["SETUP", "Pairs", "Target", "hear_targets", "setup_named", "target_message"]
+__all__ = ["INPUT", "SETUP", "Pairs", "Target", "hear_targets", "setup_named", "target_message"]
 
 SETUP = "setup_index"
+
+INPUT = "input_"
+"""Before the name of a simulated input among the values of `instrument/outcome`: its newest stamp, ns."""
 
 
 def setup_named(message: JointState, ids: Sequence[str]) -> str:
@@ -75,17 +78,17 @@ _KEPT = 100
 
 
 class Pairs:
-    """Brings together the messages of two topics that have the same stamp, in whichever order they come."""
+    """Brings together what has the same key (a stamp, an id) on two ways, in whichever order it comes."""
 
     def __init__(self) -> None:
-        self._sides: tuple[dict[int, Any], dict[int, Any]] = ({}, {})
+        self._sides: tuple[dict[Hashable, Any], dict[Hashable, Any]] = ({}, {})
 
-    def put(self, side: int, stamp: int, content: Any) -> tuple[Any, Any] | None:
-        """Keep a message of topic 0 or 1; gives the pair once both are there."""
+    def put(self, side: int, key: Hashable, content: Any) -> tuple[Any, Any] | None:
+        """Keep what came on way 0 or 1; gives the pair once both are there."""
         own = self._sides[side]
-        own.pop(stamp, None)
-        own[stamp] = content
+        own.pop(key, None)
+        own[key] = content
         if len(own) > _KEPT:
             del own[next(iter(own))]
-        first, second = (held.get(stamp) for held in self._sides)
+        first, second = (held.get(key) for held in self._sides)
         return None if first is None or second is None else (first, second)

@@ -22,13 +22,12 @@ from typing import Any, TypeVar
 
 from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from action_msgs.srv import CancelGoal
-from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, from_message, stamp_now, status, to_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, from_message, stamp_now, to_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
-from machine_tool_calibration.nodes.ros.services import Answer, offer
+from machine_tool_calibration.nodes.ros.services import Answer, Outcomes, goal_sentence, offer
 
 __all__ = ["Goals", "Progress"]
 
@@ -84,7 +83,7 @@ class Goals:
         self.step, self.share = "", 0.0
         self.last, self.level = "", Level.OK
         self._statuses = node.create_publisher(GoalStatusArray, "~/goals", LATCHED)
-        self._outcomes = node.create_publisher(DiagnosticArray, "~/outcome", LATCHED)
+        self._outcomes = Outcomes(node, qos=LATCHED)
         node.create_service(CancelGoal, "~/cancel", self._cancel)
 
     @property
@@ -128,7 +127,7 @@ class Goals:
             goal = self._present = _Goal(verb, uuid.uuid4(), stamp_now(self._node), doing, time.monotonic())
             self._goals.append(goal)
             self.step, self.share = "", 0.0
-            answer.send(True, f"goal {goal.number.hex}: {doing}")
+            answer.send(True, goal_sentence(goal.number.hex, doing))
             self._show()
             threading.Thread(target=self._run, args=(goal, work, done), name="calculation", daemon=True).start()
 
@@ -168,10 +167,7 @@ class Goals:
         else:
             self.last, found = done(outcome)
             goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, Level.OK
-        entry = status(goal.verb, self.level, self.last, found, goal.number.hex)
-        message = DiagnosticArray(status=[entry])
-        message.header.stamp = to_message(stamp_now(self._node))
-        self._outcomes.publish(message)
+        self._outcomes.tell(goal.verb, goal.number.hex, stamp_now(self._node), self.last, found, self.level)
         self._show()
 
     def _cancel(self, request: CancelGoal.Request, response: CancelGoal.Response) -> CancelGoal.Response:
