@@ -97,23 +97,21 @@ class AxisSimulator(ManagedNode):
             self, "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
         )
         simulated = self.lives_in_simulated_time
-        self._jumping: bool = self.declare(
+        self._jumping = self.declare(
             "publish_clock",
             simulated,
             "own the simulated clock (/clock) and jump it to the end of each trajectory; needs use_sim_time",
         )
         if self._jumping and not simulated:
             raise CalibrationError("parameter publish_clock needs use_sim_time: true")
-        self._rate: float = self.declare(
-            "state_rate", 100.0, "rate of joint_states in real time", unit="Hz", low=1.0, high=1000.0
-        )
+        self._rate = self.declare("state_rate", 100.0, "rate of joint_states in real time", "Hz", (1.0, 1000.0))
         self._linear_limits = AxisLimits(
-            self.declare("speed", 0.5, "greatest speed of a linear axis", unit="m/s", low=1e-6, high=10.0),
-            self.declare("acceleration", 2.0, "its greatest acceleration", unit="m/s^2", low=1e-6, high=100.0),
+            self.declare("speed", 0.5, "greatest speed of a linear axis", "m/s", (1e-6, 10.0)),
+            self.declare("acceleration", 2.0, "its greatest acceleration", "m/s^2", (1e-6, 100.0)),
         )
         self._rotary_limits = AxisLimits(
-            self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", unit="rad/s", low=1e-6, high=1e3),
-            self.declare("rotary_acceleration", 10.0, "its greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5),
+            self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", "rad/s", (1e-6, 1e3)),
+            self.declare("rotary_acceleration", 10.0, "its greatest acceleration", "rad/s^2", (1e-6, 1e5)),
         )
 
     def _now(self) -> int:

@@ -22,16 +22,7 @@ from machine_tool_calibration.reports.diagnosis_document import diagnosis_docume
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session
 
-__all__ = [
-    "Diagnosed",
-    "Identified",
-    "Improved",
-    "Request",
-    "compared",
-    "diagnosed",
-    "identified",
-    "improved",
-]
+__all__ = ["Diagnosed", "Identified", "Improved", "Request", "compared", "diagnosed", "identified", "improved"]
 
 
 Found = TypeVar("Found")

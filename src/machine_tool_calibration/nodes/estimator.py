@@ -100,7 +100,7 @@ class Estimator(ManagedNode):
             "ids of physical effects in the model; estimator/improve adds those that it finds",
             read_only=False,
         )
-        self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False)
+        self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", "1", (0.0, None), read_only=False)
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`: the effects must exist, and a method must have the model."""

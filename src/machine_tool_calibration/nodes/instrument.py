@@ -122,58 +122,40 @@ class Instrument(ManagedNode):
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        self._driver: str = self.declare(
+        self._driver = self.declare(
             "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
         )
         self._file, self._origin = declare_site(self)
         self._period = declare_period(self)
-        self._rate: float = self.declare(
-            "rate",
-            1000.0 if self._simulated_time else 10000.0,
-            "samples of the simulated stream",
-            unit="Hz",
-            low=1.0,
-            high=1e6,
+        self._rate = self.declare(
+            "rate", 1000.0 if self._simulated_time else 10000.0, "samples of the simulated stream", "Hz", (1.0, 1e6)
         )
-        self._batch_rate: float = self.declare(
-            "batch_rate", 50.0, "batches of the stream in real time", unit="Hz", low=1.0, high=1000.0
-        )
-        self._averaging: float = self.declare(
-            "averaging", 0.1, "time over which a reading is averaged", unit="s", low=1e-3, high=1000.0
-        )
-        self._tolerance: float = self.declare(
+        self._batch_rate = self.declare("batch_rate", 50.0, "batches of the stream in real time", "Hz", (1.0, 1000.0))
+        self._averaging = self.declare("averaging", 0.1, "time over which a reading is averaged", "s", (1e-3, 1000.0))
+        self._tolerance = self.declare(
             "stable_tolerance",
             1e-6,
             "a reading is stable when the means of its quarters agree within this",
-            unit="m",
-            low=1e-12,
-            high=1.0,
+            "m",
+            (1e-12, 1.0),
         )
-        self._timeout: float = self.declare(
+        self._timeout = self.declare(
             "capture_timeout",
             3.0,
             "a reading that is not stable within this is refused (wall clock)",
-            unit="s",
-            low=0.01,
-            high=1000.0,
+            "s",
+            (0.01, 1000.0),
         )
-        self._sample_noise: float = self.declare(
-            "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", unit="m", low=0.0, high=1.0
+        self._sample_noise = self.declare(
+            "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", "m", (0.0, 1.0)
         )
-        self._beam_radius: float = self.declare(
-            "beam_radius",
-            2e-3,
-            "farther beside the beam the retroreflector does not return it",
-            unit="m",
-            low=1e-6,
-            high=1.0,
+        self._beam_radius = self.declare(
+            "beam_radius", 2e-3, "farther beside the beam the retroreflector does not return it", "m", (1e-6, 1.0)
         )
-        self._noise_seed: int = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
+        self._noise_seed = self.declare(
+            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
-        self._blocked: bool = self.declare(
-            "beam_blocked", False, "something stands in the simulated beam", read_only=False
-        )
+        self._blocked = self.declare("beam_blocked", False, "something stands in the simulated beam", read_only=False)
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`; the simulated beam is blocked at once."""

@@ -189,49 +189,43 @@ class Probe(ManagedNode):
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._origin = declare_site(self)
         self._period = declare_period(self)
-        self._speed: float = self.declare("speed", 0.005, "speed of the approach", unit="m/s", low=1e-5, high=1.0)
-        self._reaction: float = self.declare(
-            "reaction", 0.004, "from the trigger until the axes turn back", unit="s", low=0.0, high=1.0
-        )
+        self._speed = self.declare("speed", 0.005, "speed of the approach", "m/s", (1e-5, 1.0))
+        self._reaction = self.declare("reaction", 0.004, "from the trigger until the axes turn back", "s", (0.0, 1.0))
         self._limits = Limits(
-            search=self.declare(
-                "search", 0.001, "greatest way beyond the nominal surface", unit="m", low=1e-6, high=0.1
-            ),
+            search=self.declare("search", 0.001, "greatest way beyond the nominal surface", "m", (1e-6, 0.1)),
             early=self.declare(
-                "early", 0.001, "a trigger farther outside the nominal surface is refused", unit="m", low=1e-6, high=0.1
+                "early", 0.001, "a trigger farther outside the nominal surface is refused", "m", (1e-6, 0.1)
             ),
         )
-        self._farthest: float = self.declare(
-            "farthest", 0.02, "greatest distance from the surface where a touch begins", unit="m", low=1e-4, high=1.0
+        self._farthest = self.declare(
+            "farthest", 0.02, "greatest distance from the surface where a touch begins", "m", (1e-4, 1.0)
         )
-        self._attempts: int = self.declare("attempts", 2, "touches tried before a point is given up", low=1, high=100)
-        self._repeatability: float = self.declare(
+        self._attempts = self.declare("attempts", 2, "touches tried before a point is given up", within=(1, 100))
+        self._repeatability = self.declare(
             "repeatability",
             -1.0,
             "standard deviation of the trigger in one direction; negative: as the session declares for a touch",
-            unit="m",
-            low=-1.0,
-            high=1e-3,
+            "m",
+            (-1.0, 1e-3),
         )
         self._pretravel = Pretravel(
             amplitude=self.declare(
                 "pretravel_variation",
                 0.0,
                 "amplitude of the pre-travel's variation with the contact's direction",
-                unit="m",
-                low=0.0,
-                high=1e-3,
+                "m",
+                (0.0, 1e-3),
             ),
-            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", low=1, high=12),
+            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", within=(1, 12)),
         )
-        self._form: float = self.declare(
-            "form", 3e-6, "standard deviation of the simulated part's form errors", unit="m", low=0.0, high=0.01
+        self._form = self.declare(
+            "form", 3e-6, "standard deviation of the simulated part's form errors", "m", (0.0, 0.01)
         )
-        self._moves: bool = self.declare(
+        self._moves = self.declare(
             "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
         )
-        self._noise_seed: int = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
+        self._noise_seed = self.declare(
+            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
 
     # --- what the others say

@@ -36,11 +36,9 @@ class Recorder(ManagedNode):
         self._wanted = {self.resolve_topic_name(name) for name in topics if name}
         self._everything = self.declare("all_topics", False, "record every topic that is discovered")
         self._folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
-        self._split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
-        self._split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
-        self._flush = self.declare(
-            "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8
-        )
+        self._split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", "B", (0, None))
+        self._split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", "s", (0.0, None))
+        self._flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", "s", (0.02, 0.8))
 
     def activate(self) -> None:
         """See `ManagedNode`: a recording begins, in a bag of its own."""

@@ -55,15 +55,9 @@ class RotaryPointer(ManagedNode):
         self._file, self._origin = declare_site(
             self, "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
         )
-        self._rate: float = self.declare(
-            "state_rate", 50.0, "rate of pointer/state in real time", unit="Hz", low=1.0, high=1000.0
-        )
-        speed: float = self.declare(
-            "speed", 2.0, "greatest speed of azimuth and elevation", unit="rad/s", low=1e-6, high=1e3
-        )
-        acceleration: float = self.declare(
-            "acceleration", 20.0, "their greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5
-        )
+        self._rate = self.declare("state_rate", 50.0, "rate of pointer/state in real time", "Hz", (1.0, 1000.0))
+        speed = self.declare("speed", 2.0, "greatest speed of azimuth and elevation", "rad/s", (1e-6, 1e3))
+        acceleration = self.declare("acceleration", 20.0, "their greatest acceleration", "rad/s^2", (1e-6, 1e5))
         self._simulated = self.lives_in_simulated_time
         self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
 

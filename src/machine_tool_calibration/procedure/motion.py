@@ -207,9 +207,7 @@ class Trajectory:
 
 
 def check_command(
-    names: Sequence[str],
-    points: Sequence[tuple[Sequence[float], float]],
-    travel: Mapping[str, tuple[float, float]],
+    names: Sequence[str], points: Sequence[tuple[Sequence[float], float]], travel: Mapping[str, tuple[float, float]]
 ) -> list[tuple[dict[str, float], float]]:
     """A command's points by axis.
 

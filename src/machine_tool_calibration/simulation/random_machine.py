@@ -13,13 +13,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.record import NotNegative, Record
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.motions import (
-    AxisMotion,
-    Table,
-    motion_names,
-    random_periodic,
-    random_smooth,
-)
+from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, random_periodic, random_smooth
 
 __all__ = ["Amplitudes", "random_machine"]
 

@@ -7,7 +7,7 @@ import inspect
 import math
 import traceback
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
@@ -25,6 +25,8 @@ from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.sound import require_sound
 
 __all__ = ["GuardedNode", "ManagedNode"]
+
+Value = TypeVar("Value")
 
 _BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
 _TOLD = 200  # characters of a reason
@@ -79,15 +81,14 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     def declare(
         self,
         name: str,
-        default: Any,
+        default: Value,
         description: str,
-        *,
         unit: str = "",
-        low: float | None = None,
-        high: float | None = None,
+        within: tuple[float | None, float | None] = (None, None),
+        *,
         choices: tuple[str, ...] = (),
         read_only: bool = True,
-    ) -> Any:
+    ) -> Value:
         """Declare a parameter and return its value; of one that is declared already the present value.
 
         Args:
@@ -95,13 +96,12 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
             default: its value where nobody sets it; gives the type.
             description: what it does.
             unit: of a number.
-            low: least value.
-            high: greatest value.
+            within: least and greatest value.
             choices: of a text.
             read_only: whether it can be set only as long as the node is not configured.
         """
         if self.has_parameter(name) and name not in self._given:
-            return self.get_parameter(name).value
+            return cast("Value", self.get_parameter(name).value)
         if name in self._given:
             self._given.discard(name)
             self.undeclare_parameter(name)
@@ -114,8 +114,8 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
             description=f"{description} [{unit}]" if unit else description,
             additional_constraints="; ".join(constraints),
         )
-        if low is not None or high is not None:
-            low, high = (-1e308 if low is None else low), (1e308 if high is None else high)
+        if within != (None, None):
+            low, high = (-1e308 if within[0] is None else within[0]), (1e308 if within[1] is None else within[1])
             if isinstance(default, float):
                 descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
             elif isinstance(default, int):
@@ -123,7 +123,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
                 descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         if choices:
             self.choices[name] = choices
-        return self.declare_parameter(name, default, descriptor).value
+        return cast("Value", self.declare_parameter(name, default, descriptor).value)
 
     def say_unknown_parameters(self) -> None:
         """A parameter that was given and that the node does not have would be passed over without a word."""
@@ -256,7 +256,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         LifecycleNodeMixin.__init__(self)
         self.fault, self.done = "", False
         self._kept: set[Any] = set()  # what the node has before it is activated
-        self.autostart: bool = self.declare(
+        self.autostart = self.declare(
             "autostart", True, "whether the node configures and activates itself; false: a lifecycle manager does"
         )
         self.settings()
