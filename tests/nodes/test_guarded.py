@@ -31,7 +31,7 @@ from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post
-from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.services import Reply
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
@@ -277,7 +277,7 @@ def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
     entry = comes_and_goes(reading(0, reading_index=0.0))
     assert entry.level == b"\0" and not entry.message.endswith(words)
     assert comes_and_goes().message.endswith(words), "another one"
-    node._reset(Answer())
+    node._reset(Reply())
     assert shown(node).level == b"\0"
     executor.shutdown()
 
@@ -286,7 +286,7 @@ def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
     node = made(Estimator)
     for index in range(4):
         hear(node, "reading", reading(index, reading_index=float(index)))
-    answer = Answer()
+    answer = Reply()
     node._reset(answer)
     assert asyncio.run(answer.into(Trigger.Response())).message == "4 readings forgotten"
     hear(node, "reading", reading(4, reading_index=4.0))
@@ -355,7 +355,7 @@ def test_services_that_move_axes_can_be_refused(made):
 
 def test_a_touch_can_be_refused(made):
     node = made(Probe, services_move_axes="false")
-    answer = Answer()
+    answer = Reply()
     node._requested(answer)
     response = asyncio.run(answer.into(Trigger.Response()))
     assert not response.success and "services_move_axes is false" in response.message

@@ -40,10 +40,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, Outcomes, offer
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
-from machine_tool_calibration.nodes.setups import INPUT, Pairs, Target, hear_targets, setup_named
+from machine_tool_calibration.nodes.setups import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
 __all__ = ["Instrument"]
@@ -53,7 +53,7 @@ _GRACE = 0.5  # s of the wall clock: messages about the axes and the beam may ar
 
 @dataclass
 class _Request:
-    answer: Answer
+    answer: Reply
     is_datum: bool
     since: float
 
@@ -84,7 +84,7 @@ class Instrument(ManagedNode):
         self._requests: list[_Request] = []
         self._recent = Recent(2.0 * self._averaging)
         self._setups: list[str] = []
-        self._waiting: Target | None = None
+        self._waiting: PointerCommand | None = None
         self._pairs = Pairs()
 
         self._stream = self.create_publisher(Float64MultiArray, "~/displacement", STATE)
@@ -207,7 +207,7 @@ class Instrument(ManagedNode):
         beam = Beam(place_of(truth.pose.position), rotation_of(truth.pose.orientation)[:, 0])
         self._stand(stamp, setup, beam)
 
-    def _commanded(self, target: Target) -> None:
+    def _commanded(self, target: PointerCommand) -> None:
         """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
         self._world.expect(target.stamp)
         setup = target.setup(self._setups)
@@ -228,7 +228,7 @@ class Instrument(ManagedNode):
 
     # --- requests
 
-    def _requested(self, answer: Answer, *, is_datum: bool) -> None:
+    def _requested(self, answer: Reply, *, is_datum: bool) -> None:
         self._note_loss()
         if not is_datum and not self._datum:
             self._refuse_without_datum(answer)
@@ -272,18 +272,18 @@ class Instrument(ManagedNode):
         verb = "datum" if request.is_datum else "capture"
         self._outcomes.answer([request.answer], verb, now(self), str(reason), {}, reason.kind)
 
-    def _refuse_without_datum(self, answer: Answer) -> None:
+    def _refuse_without_datum(self, answer: Reply) -> None:
         text = f"no datum: {self._reason}; call instrument/datum"
         self._outcomes.answer([answer], "capture", now(self), text, {}, "datum")
 
-    def _set_datum(self, answer: Answer, window: Window) -> None:
+    def _set_datum(self, answer: Reply, window: Window) -> None:
         self._datums += 1
         self._datum, self._zero, self._reason = f"{self._epoch}-{self._datums}", window.path, ""
         self._show()
         text = f"the path is zero from here: datum {self._datum}"
         self._outcomes.answer([answer], "datum", window.stamp, text, self._taken(window))
 
-    def _reading(self, answer: Answer, window: Window) -> None:
+    def _reading(self, answer: Reply, window: Window) -> None:
         if not self._datum:
             self._refuse_without_datum(answer)
             return

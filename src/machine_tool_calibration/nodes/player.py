@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, to_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
+from machine_tool_calibration.nodes.ros.services import Reply, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class
 from machine_tool_calibration.recording.graph import with_depth
@@ -280,18 +280,18 @@ class Player(ManagedNode):
         self._last_clock = at
         self._time_topic.publish(ClockMessage(clock=to_message(at)))
 
-    def _pause(self, answer: Answer) -> None:
+    def _pause(self, answer: Reply) -> None:
         self._pace.pause(time.monotonic_ns())
         self._answer(answer, "paused")
 
-    def _resume(self, answer: Answer) -> None:
+    def _resume(self, answer: Reply) -> None:
         if self._ended:
             answer.send(False, "the bag has been played to its end")
             return
         self._pace.resume(time.monotonic_ns())
         self._answer(answer, "playing")
 
-    def _step(self, answer: Answer) -> None:
+    def _step(self, answer: Reply) -> None:
         message, self._begin = self._next, None
         if not self._pace.paused or message is None:
             answer.send(False, "only a paused replay can be stepped" if message else "no message is left")
@@ -303,7 +303,7 @@ class Player(ManagedNode):
             self._stop(error)
         self._answer(answer, message.topic)
 
-    def _answer(self, answer: Answer, text: str) -> None:
+    def _answer(self, answer: Reply, text: str) -> None:
         answer.send(True, text)
         self._show()
 

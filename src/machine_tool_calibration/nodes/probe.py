@@ -42,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, Outcomes, offer
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
@@ -161,7 +161,7 @@ class Probe(ManagedNode):
         self._axes: dict[str, float] | None = None
         self._axes_stamp = self._held = 0
         self._executions = Executions()
-        self._answers: list[Answer] = []
+        self._answers: list[Reply] = []
         self._cycle: _Cycle | None = None
         self._touches = self._missed = self._early = 0
         self._last = ""
@@ -266,12 +266,12 @@ class Probe(ManagedNode):
 
     # --- a touch
 
-    def _no_datum(self, answer: Answer) -> None:
+    def _no_datum(self, answer: Reply) -> None:
         stamp = now(self)
         text = "readings of a probe are absolute: there is no datum to be set"
         self._outcomes.answer([answer], "datum", stamp, text, {"datum": "", "start": stamp, "end": stamp})
 
-    def _requested(self, answer: Answer) -> None:
+    def _requested(self, answer: Reply) -> None:
         if not self._moves:
             self._outcomes.answer([answer], "capture", now(self), "services_move_axes is false", {}, "other")
             return

@@ -33,7 +33,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.setups import SETUP, Target, hear_targets
+from machine_tool_calibration.nodes.setups import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
@@ -68,7 +68,7 @@ class RotaryPointer(ManagedNode):
     def activate(self) -> None:
         """See `ManagedNode`."""
         self._session: Description | None = None
-        self._waiting: Target | None = None
+        self._waiting: PointerCommand | None = None
         self._setup = ""
         self._setup_starts: dict[str, int] = {}
         self._start = self._arrival = 0
@@ -96,7 +96,7 @@ class RotaryPointer(ManagedNode):
         setups = self._session.setups if self._session is not None else ()
         return {setup.id: np.array(setup.position) for setup in setups if isinstance(setup, StationSetup)}
 
-    def _commanded(self, target: Target) -> None:
+    def _commanded(self, target: PointerCommand) -> None:
         stations = self._stations()
         if self._session is not None and not stations:
             return

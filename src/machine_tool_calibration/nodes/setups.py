@@ -19,7 +19,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, positions
 from machine_tool_calibration.procedure.events import Aim
 
-__all__ = ["INPUT", "SETUP", "Pairs", "Target", "hear_targets", "setup_named", "target_message"]
+__all__ = ["INPUT", "SETUP", "Pairs", "PointerCommand", "hear_targets", "setup_named", "target_message"]
 
 SETUP = "setup_index"
 
@@ -37,7 +37,7 @@ def _id(index: float | None, ids: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Target:
+class PointerCommand:
     """A command to the pointer.
 
     Attributes:
@@ -61,7 +61,7 @@ def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
     return joint_state(aim.stamp, values)
 
 
-def hear_targets(node: Node, heard: Callable[[Target], None]) -> None:
+def hear_targets(node: Node, heard: Callable[[PointerCommand], None]) -> None:
     """Subscribe to commands, the topic `pointer/target`."""
 
     def target(message: JointState) -> None:
@@ -69,7 +69,7 @@ def hear_targets(node: Node, heard: Callable[[Target], None]) -> None:
         if not {"x", "y", "z", SETUP} <= set(values):
             raise CalibrationError(f"it lacks x, y, z or {SETUP}")
         point = np.array([values[axis] for axis in "xyz"])
-        heard(Target(from_message(message.header.stamp), point, values[SETUP]))
+        heard(PointerCommand(from_message(message.header.stamp), point, values[SETUP]))
 
     node.create_subscription(JointState, "pointer/target", target, COMMAND)
 

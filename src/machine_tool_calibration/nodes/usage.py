@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 from machine_tool_calibration.nodes.shared import shared_file
 
-__all__ = ["Topic", "topics", "usage"]
+__all__ = ["TopicRow", "topics", "usage"]
 
 _WIDTH = 100
 _SECTION = "## Parameters of `{}`"
 
 
 @dataclass(frozen=True)
-class Topic:
+class TopicRow:
     """A line of the table of topics.
 
     Attributes:
@@ -35,13 +35,13 @@ class Topic:
     content: str
 
 
-def topics() -> list[Topic]:
+def topics() -> list[TopicRow]:
     """The table of topics of msg_docs."""
     found = []
     for name, kind, way, *_ in _rows(_page("README"), "## Topics"):
         ends, _, content = way.partition(": ")
         publishers, _, subscribers = ends.partition(" → ")
-        found.append(Topic(name, kind, tuple(publishers.split(", ")), tuple(subscribers.split(", ")), content))
+        found.append(TopicRow(name, kind, tuple(publishers.split(", ")), tuple(subscribers.split(", ")), content))
     return found
 
 

@@ -18,7 +18,7 @@ from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.procedure import events
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.progress import Counters, Group, Pending, Phase, State, Timing, Visit
+from machine_tool_calibration.procedure.progress import Counters, DatumGroup, Pending, Phase, State, Timing, Visit
 from machine_tool_calibration.procedure.steps import Step, sensing_direction
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
@@ -50,7 +50,7 @@ class Sequencer:
         self.origin = 0
         self._visits: deque[Visit] = deque()
         self._pending = Pending()
-        self._group = Group()
+        self._group = DatumGroup()
         self._datums = 0
         self._recoveries = 0
         self._unstable = 0
@@ -84,7 +84,7 @@ class Sequencer:
     def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[events.Action]:
         """Begin with the first step; `here` is where the axes stand, if that is known."""
         self.done, self.origin, self._floor = 0, now, now
-        self._group, self._datums, self._here = Group(), 0, here
+        self._group, self._datums, self._here = DatumGroup(), 0, here
         self.counters = Counters()
         self.state, self.message = State.RUNNING, "measuring"
         return self._next(now, wall)
@@ -171,7 +171,7 @@ class Sequencer:
             self.state, self.message = State.FINISHED, f"{self.done} readings"
             return self._forget()
         if step.datum:
-            self._group = Group()
+            self._group = DatumGroup()
             new_setup = self.done > 0 and self.plan.steps[self.done - 1].setup != step.setup
             if new_setup and self.timing.wait_between_setups and not resumed:
                 self.state, self.message = State.PAUSED, f"bring the instrument to setup {step.setup}, then resume"

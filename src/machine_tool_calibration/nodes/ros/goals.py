@@ -27,7 +27,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, from_message, stamp_now, to_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
-from machine_tool_calibration.nodes.ros.services import Answer, Outcomes, goal_sentence, offer
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, goal_sentence, offer
 
 __all__ = ["Goals", "Progress"]
 
@@ -114,7 +114,7 @@ class Goals:
             done: called in the node's own thread; publishes the outcome, gives a sentence and values about it.
         """
 
-        def called(answer: Answer) -> None:
+        def called(answer: Reply) -> None:
             if self._present is not None:
                 seconds = f"{time.monotonic() - self._present.began:.0f} s so far"
                 answer.send(False, f"busy: {self.doing} ({seconds}); ask again when that is done")

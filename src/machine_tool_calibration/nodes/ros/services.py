@@ -21,12 +21,12 @@ from std_srvs.srv import Trigger
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import OUTCOMES, Level, dated, status
 
-__all__ = ["Answer", "Outcomes", "answer_by", "goal_of", "goal_sentence", "offer"]
+__all__ = ["Outcomes", "Reply", "answer_by", "goal_of", "goal_sentence", "offer"]
 
 _GOAL = re.compile("goal ([0-9a-f]{32}): ")
 
 
-class Answer:
+class Reply:
     """The answer that a handler owes; `send` it once, from the node's own thread."""
 
     def __init__(self) -> None:
@@ -48,17 +48,17 @@ class Answer:
         return response
 
 
-def offer(node: Node, name: str, handler: Callable[[Answer], None]) -> None:
+def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
     """Offer a `std_srvs/Trigger` whose answer may come later.
 
     Args:
         node: that offers the service.
         name: the service's name.
-        handler: called with an `Answer`; may send it at once or later.
+        handler: called with a `Reply`; may send it at once or later.
     """
 
     def called(_: Trigger.Request, response: Trigger.Response) -> Awaitable[Trigger.Response]:
-        answer = Answer()
+        answer = Reply()
         handler(answer)
         return answer.into(response)
 
@@ -66,7 +66,7 @@ def offer(node: Node, name: str, handler: Callable[[Answer], None]) -> None:
     node.create_service(Trigger, name, called, callback_group=ReentrantCallbackGroup())
 
 
-def answer_by(handler: Callable[[], str], answer: Answer) -> None:
+def answer_by(handler: Callable[[], str], answer: Reply) -> None:
     """Answer a request by a function that says what it did or raises what it cannot do."""
     try:
         answer.send(True, handler())
@@ -98,7 +98,7 @@ class Outcomes:
         self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
 
     def answer(
-        self, answers: Iterable[Answer], verb: str, stamp: int, text: str, values: Mapping[str, object], kind: str = ""
+        self, answers: Iterable[Reply], verb: str, stamp: int, text: str, values: Mapping[str, object], kind: str = ""
     ) -> None:
         """Publish what a request gave, then answer all who asked.
 
