@@ -6,7 +6,7 @@ from importlib import import_module
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from machine_tool_calibration.nodes.usage import topics
+from machine_tool_calibration.nodes.shared import topics
 
 from .conftest import PATIENCE
 from .pages import PAGES, rows, sections

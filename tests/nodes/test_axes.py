@@ -7,7 +7,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from machine_tool_calibration.nodes.executed import Executions
+from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,

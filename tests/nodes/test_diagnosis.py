@@ -79,7 +79,7 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
 
     compared = operator.outcome("estimator/compare", PATIENCE)
     assert float(compared["reduced_chi_square"]) > 2.0
-    assert operator.heard.outcomes["estimator"].message.startswith("compared: The readings scatter")
+    assert operator.heard.outcome("estimator").message.startswith("compared: The readings scatter")
     diagnosed = operator.outcome("estimator/diagnose", PATIENCE)
     assert diagnosed["verdict"] == "missing_effect" and diagnosed["accepted"] == "backlash_y"
     assert float(diagnosed["rms_after"]) < 0.5 * float(diagnosed["rms_before"])
@@ -205,11 +205,9 @@ def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_req
     assert cancel("f" * 32).return_code == CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
     (cancelled,) = cancel(goal).goals_canceling
     assert bytes(cancelled.goal_id.uuid).hex() == goal
-    assert operator.wait(lambda: operator.heard.outcomes["estimator"].device == goal, PATIENCE)
-    assert (operator.heard.outcomes["estimator"].level, operator.heard.outcomes["estimator"].message) == (
-        1,
-        "cancelled: diagnosing from 200 readings",
-    )
+    assert operator.wait(lambda: operator.heard.outcome("estimator").device == goal, PATIENCE)
+    ended = operator.heard.outcome("estimator")
+    assert (ended.level, ended.message) == (1, "cancelled: diagnosing from 200 readings")
     (last,) = Heard(operator, estimator__goals=GoalStatusArray)["estimator__goals"].status_list
     assert last.status == GoalStatus.STATUS_CANCELED
     assert cancel(goal).return_code == CancelGoal.Response.ERROR_GOAL_TERMINATED

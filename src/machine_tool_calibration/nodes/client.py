@@ -214,15 +214,11 @@ class Client:
             CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout.
         """
         node, goal = service.rpartition("/")[0], goal_of(self.call(service, timeout))
-
-        def told() -> bool:
-            return node in self.heard.outcomes and self.heard.outcomes[node].device == goal
-
-        if not self.wait(lambda: told() or in_vain(), timeout):
+        if not self.wait(lambda: self.heard.outcome(node).device == goal or in_vain(), timeout):
             raise CalibrationError(f"{service} is not done after {timeout:g} s")
-        if not told():
+        outcome = self.heard.outcome(node)
+        if outcome.device != goal:
             return {}
-        outcome = self.heard.outcomes[node]
         if outcome.level:
             raise CalibrationError(f"{service}: {outcome.message}")
         return outcome.entries

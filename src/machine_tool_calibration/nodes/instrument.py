@@ -26,6 +26,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
+from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
 from machine_tool_calibration.nodes.optics import make_optics
@@ -39,11 +40,9 @@ from machine_tool_calibration.nodes.ros.messages import (
     rotation_of,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
-from machine_tool_calibration.nodes.setups import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
 __all__ = ["Instrument"]

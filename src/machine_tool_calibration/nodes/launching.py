@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files share: arguments that are checked before anything is started, and managed nodes."""
+"""What starts a graph: parameters of its nodes, and for launch files arguments that are checked before, and nodes."""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 
-__all__ = ["managed_nodes", "refuse_unknown", "switches"]
+__all__ = ["graph_parameters", "managed_nodes", "refuse_unknown", "switches"]
 
 _WORDS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
 
@@ -47,6 +49,32 @@ def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) ->
     if unknown and any(word.endswith(file) for word in sys.argv):
         name = unknown[0]
         raise CalibrationError(f"there is no argument {name!r}{did_you_mean(name, known)}; {file} --show-args has them")
+
+
+def graph_parameters(
+    procedure: Path | str, site: Path | str, *, simulated_time: bool, driver: str, bag: Path | str
+) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes of a graph, by their names.
+
+    Args:
+        procedure: file.
+        site: file of what is true in the simulated workshop.
+        simulated_time: whether they live by `/clock`.
+        driver: of the instrument.
+        bag: folder of the recording; empty: one named by the date.
+    """
+    common = {"use_sim_time": simulated_time}
+    # one origin for all simulating nodes, whole seconds so that it is exact
+    world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
+    return {
+        "axis_simulator": world,
+        "rotary_pointer": world,
+        "instrument": {**world, "driver": driver},
+        "probe": world,
+        "estimator": {**common},
+        "procedure": {**common, "procedure": str(procedure)},
+        "recorder": {**common, "folder": str(bag)},
+    }
 
 
 def managed_nodes(

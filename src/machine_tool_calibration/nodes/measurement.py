@@ -16,6 +16,7 @@ import yaml
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.launching import graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
@@ -243,18 +244,14 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
 
 
 def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> list[Program]:
-    common: dict[str, Any] = {"use_sim_time": setting.simulated_time}
-    # one origin for all simulating nodes, whole seconds so that it is exact
-    world = {**common, "site": str(site.resolve()), "time_origin": float(int(time.time()))}
-    parameters: dict[str, dict[str, Any]] = {
-        "axis_simulator": world,
-        "rotary_pointer": world,
-        "instrument": {**world, "driver": setting.driver},
-        "probe": world,
-        "procedure": {**common, "procedure": str(procedure.resolve())},
-        "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
-        "recorder": {**common, "folder": str((setting.output / "bag").resolve())},
-    }
+    parameters = graph_parameters(
+        procedure.resolve(),
+        site.resolve(),
+        simulated_time=setting.simulated_time,
+        driver=setting.driver,
+        bag=(setting.output / "bag").resolve(),
+    )
+    parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
     without = method_spec(method).unneeded
     nodes = tuple(name for name in NODES if name not in without)
     for name in setting.external:

@@ -16,15 +16,13 @@ from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, to_message
-from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.ros.services import Reply, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.ros.taps import message_class
+from machine_tool_calibration.nodes.ros.taps import message_class, qos_profile
 from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
@@ -184,7 +182,7 @@ class Player(ManagedNode):
                 continue
             offered = _offered(topic)
             outlets[name] = _Outlet(
-                self.create_publisher(kind, name, _profile(offered)),
+                self.create_publisher(kind, name, qos_profile(offered)),
                 offered.depth,
                 offered.reliability == "reliable",
                 offered.latched,
@@ -337,14 +335,3 @@ def _offered(topic: Topic) -> Qos:
     first = with_depth(topic.name, topic.type, topic.qos[0])
     depth = max(first.depth, 1 if first.latched else _LEAST_DEPTH)
     return Qos(depth=depth, reliability=first.reliability, durability=first.durability)
-
-
-def _profile(offered: Qos) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=offered.depth,
-        reliability=ReliabilityPolicy.BEST_EFFORT
-        if offered.reliability == "best_effort"
-        else ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if offered.latched else DurabilityPolicy.VOLATILE,
-    )

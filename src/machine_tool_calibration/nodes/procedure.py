@@ -25,9 +25,9 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.commanded import INPUT, Executions, Pairs, setup_named, target_message
 from machine_tool_calibration.nodes.descriptions import require_readable
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
-from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
@@ -45,10 +45,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.ros.services import answer_by, goal_of, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.setups import INPUT, Pairs, setup_named, target_message
 from machine_tool_calibration.procedure import events, plan, read_procedure
 from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer

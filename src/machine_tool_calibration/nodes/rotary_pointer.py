@@ -19,6 +19,7 @@ from std_msgs.msg import String
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.instruments.tracking import pointing
+from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
@@ -31,9 +32,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     quaternion_along,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.setups import SETUP, PointerCommand, hear_targets
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
