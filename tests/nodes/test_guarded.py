@@ -29,9 +29,10 @@ from machine_tool_calibration.nodes.heard import Heard, NodeState
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros import process
-from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
+from machine_tool_calibration.nodes.ros.messages import READINGS, Level, dated, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post
-from machine_tool_calibration.nodes.ros.services import Reply
+from machine_tool_calibration.nodes.ros.services import Reply, goal_sentence
+from machine_tool_calibration.procedure.events import CaptureFailed
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
@@ -379,6 +380,31 @@ def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
     node._start()
     assert "reset" not in shown(node).message
     node._abort()
+
+
+@pytest.mark.parametrize("first", ["answer", "outcome"])
+def test_a_reading_counts_whichever_of_answer_and_outcome_comes_first(made, first):
+    node, events = made(ProcedureNode), []
+    node._hear = events.append
+
+    def outcome(goal, displacement):
+        found = {"datum": "d-1", "start": START, "end": START + 9, "displacement": displacement}
+        said = status("capture", Level.OK, "", found, goal)
+        hear(node, "instrument/outcome", dated(DiagnosticArray(status=[said]), START + 5))
+
+    def answer(token, message, success=True):
+        node._answered(token, Trigger.Response(success=success, message=message))
+
+    own, of_another = "a" * 32, "b" * 32
+    ways = [lambda: answer(7, goal_sentence(own, "done")), lambda: outcome(own, 0.25)]
+    outcome(of_another, 0.5)  # whom nobody here has asked
+    for way in ways if first == "answer" else reversed(ways):
+        assert not events
+        way()
+    (event,) = events
+    assert (event.token, event.displacement, event.stamp) == (7, 0.25, START + 5)
+    answer(8, "the node has failed", success=False)
+    assert events[1:] == [CaptureFailed(8, "other", "the node has failed")]
 
 
 # --- mtcal run
