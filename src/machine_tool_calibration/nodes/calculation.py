@@ -24,7 +24,6 @@ from machine_tool_calibration.session.collect import Reading, live_session
 
 __all__ = ["Diagnosed", "Identified", "Improved", "Request", "compared", "diagnosed", "identified", "improved"]
 
-
 Found = TypeVar("Found")
 
 

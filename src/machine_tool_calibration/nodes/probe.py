@@ -52,7 +52,6 @@ from machine_tool_calibration.simulation.sensors import probed
 
 __all__ = ["Pretravel", "Probe", "SimulatedPart"]
 
-
 _FORM_STREAM = 41
 
 

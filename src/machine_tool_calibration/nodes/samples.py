@@ -18,7 +18,6 @@ from machine_tool_calibration.nodes.site import NO_BEAM, Beam, Moment, Site
 
 __all__ = ["DriverSource", "SimulatedSource"]
 
-
 _MOST = 1_000_000  # samples that wait to be taken; more are dropped and said so
 _AGAIN = 1.0  # s between attempts to connect
 

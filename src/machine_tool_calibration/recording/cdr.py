@@ -40,7 +40,6 @@ __all__ = [
     "typestore",
 ]
 
-
 _SEPARATOR = "=" * 80 + "\n"
 _FIELD = re.compile(r"^([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_/]*)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-z]")
 _INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]

@@ -28,7 +28,6 @@ __all__ = [
     "with_depth",
 ]
 
-
 MACHINE = "machine"
 """The frame of commands, readings and maps: its axes are the machine's, its origin is their zero."""
 

@@ -24,7 +24,6 @@ from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["POSITION_FLAWS", "REVERSAL_FLAWS", "THERMAL_FLAWS"]
 
-
 LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct")
 """Methods that move linear axes."""
 
@@ -218,7 +217,6 @@ REVERSAL_FLAWS: tuple[Flaw, ...] = (
     *(_lost_motion(axis) for axis in "XYZ"),
     *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
 )
-
 
 _AXES = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
 

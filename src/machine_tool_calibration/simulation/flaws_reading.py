@@ -16,7 +16,6 @@ from machine_tool_calibration.simulation.sensors import beam_direction
 
 __all__ = ["READING_FLAWS", "STANDARD", "deviation", "refractivity", "vapour_pressure"]
 
-
 HELIUM_NEON = 0.6329908
 """Vacuum wavelength of the helium-neon laser, micrometres."""
 

@@ -130,7 +130,6 @@ def disc(count: int = 36, radius: float = 0.08) -> tuple[PartPoint, ...]:
 WORKPIECES: Mapping[str, Callable[[], tuple[PartPoint, ...]]] = {"cross": cross, "pins": pins, "cam": cam, "disc": disc}
 """Parts by name."""
 
-
 _ANGLES: dict[str, tuple[float, ...]] = {
     "cross": (0, 75, 130, 210),
     "pins": (0, 31, 83, 137, 191, 227, 257, 313),

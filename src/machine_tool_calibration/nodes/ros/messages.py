@@ -57,7 +57,6 @@ __all__ = [
     "values",
 ]
 
-
 Message = TypeVar("Message", bound=Any)
 
 
@@ -74,7 +73,6 @@ LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 OUTCOMES = _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL)
 # kept for those who come late: an estimator or recorder that (re)starts in the middle gets every reading
 READINGS = _reliable(20000, DurabilityPolicy.TRANSIENT_LOCAL)
-
 
 _GIGA = 1_000_000_000
 _DIGITS = 19  # of a time in ns
