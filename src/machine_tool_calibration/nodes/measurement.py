@@ -15,8 +15,7 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import Graph, Program
-from machine_tool_calibration.nodes.launching import graph_parameters
+from machine_tool_calibration.nodes.graph import Graph, Program, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
