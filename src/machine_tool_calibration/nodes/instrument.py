@@ -25,7 +25,6 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
-from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
 from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
@@ -42,7 +41,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
-from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
+from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, SimulatedSource, Window
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
 __all__ = ["Instrument"]
@@ -88,7 +87,7 @@ class Instrument(ManagedNode):
 
         self._stream = self.create_publisher(Float64MultiArray, "~/displacement", STATE)
         self._environment = EnvironmentTopics(self, self._period, self._sensed)
-        self.source: Source
+        self.source: DriverSource | SimulatedSource
         if self._is_simulated:
             self._simulated = self.source = SimulatedSource(
                 self._site,
