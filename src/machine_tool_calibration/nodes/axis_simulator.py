@@ -45,9 +45,6 @@ _FARTHEST = 10 * _DAY  # a motion that ends later is a mistake, and simulated ti
 class AxisSimulator(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("axis_simulator")
-
     def configure(self) -> None:
         """See `ManagedNode`."""
         self.site = Site(read_site(self._file))

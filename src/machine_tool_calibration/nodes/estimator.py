@@ -48,9 +48,7 @@ _PERIOD = 0.2  # s between publications of the count of readings
 class Estimator(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        self._text = ""
-        super().__init__("estimator")
+    _text = ""
 
     def activate(self) -> None:
         """See `ManagedNode`."""

@@ -59,9 +59,7 @@ class _Request:
 class Instrument(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        self._simulated: SimulatedSource | None = None
-        super().__init__("instrument")
+    _simulated: SimulatedSource | None = None
 
     def configure(self) -> None:
         """See `ManagedNode`."""

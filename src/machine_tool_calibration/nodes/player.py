@@ -104,10 +104,6 @@ class _Outlet:
 class Player(ManagedNode):
     """See the module; says on `player/status` where it stands."""
 
-    def __init__(self) -> None:
-        self.sent, self.trouble = 0, ""
-        super().__init__("player")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._path = self.declare("bag", "", "the recording: a rosbag2 folder or an .mcap file")

@@ -151,9 +151,6 @@ class _Cycle:
 class Probe(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("probe")
-
     def configure(self) -> None:
         """See `ManagedNode`."""
         self._site = Site(read_site(self._file))

@@ -95,9 +95,6 @@ _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Le
 class ProcedureNode(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("procedure")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time

@@ -26,9 +26,6 @@ _NEVER = ("/rosout", "/parameter_events", "/clock")
 class Recorder(ManagedNode):
     """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
 
-    def __init__(self) -> None:
-        super().__init__("recorder")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         topics = self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")

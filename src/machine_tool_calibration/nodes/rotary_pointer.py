@@ -46,9 +46,6 @@ _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears wher
 class RotaryPointer(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("rotary_pointer")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._file, self._origin = declare_site(

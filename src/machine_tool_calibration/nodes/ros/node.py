@@ -251,17 +251,16 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
     nothing that was latched is heard, and lost, before anything is done with it. Whoever deactivates a node and
     activates it again has one that begins anew.
 
-    Args:
-        name: of the node.
+    Its name is its module's, where it is given no other.
 
     Attributes:
         fault: why the last transition failed; empty if it did not.
         done: whether the node has nothing more to do, which ends its process.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self) -> None:
         self._is_configured = self._is_active = False
-        GuardedNode.__init__(self, name)
+        GuardedNode.__init__(self, type(self).__module__.rpartition(".")[2])
         LifecycleNodeMixin.__init__(self)
         self.fault, self.done = "", False
         self._kept: set[Any] = set()  # what the node has before it is activated
