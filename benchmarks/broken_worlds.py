@@ -114,7 +114,7 @@ def rejected(document: Mapping[str, Any]) -> list[int]:
 
 def true_map(world: World, gone: Sequence[int]) -> Values:
     """The map from readings without noise and without these rows; with the effects where the map is to hold them."""
-    held = world.listed if spec_of(world.session).map_holds_effects else ()
+    held = world.listed if spec_of(world.session).reads_machine else ()
     if held and world.exact is not None:
         return world.exact
     session = world.showing(held)

@@ -11,7 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.budget.propagate import Budget
 from machine_tool_calibration.methods.map_comparison import MapComparison
-from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.methods.step_diagonal.compare import FormulationComparison
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
@@ -75,7 +75,7 @@ def draw(record: Any) -> Figure:
     raise TypeError(f"nothing draws {type(record).__name__}")
 
 
-draw.register(Comparison, draw_comparison)
+draw.register(FormulationComparison, draw_comparison)
 draw.register(Budget, draw_budget)
 draw.register(MapComparison, draw_map_comparison)
 draw.register(Profiles, _draw_profiles)

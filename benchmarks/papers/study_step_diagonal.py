@@ -15,7 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.step_diagonal.compare import (
-    Comparison,
+    FormulationComparison,
     compare_formulations,
     identify_by_formulation,
 )
@@ -153,7 +153,7 @@ def _found(profiles: Profiles) -> dict[str, tuple[float, float]]:
     return out
 
 
-def _positions(comparison: Comparison) -> list[Printed]:
+def _positions(comparison: FormulationComparison) -> list[Printed]:
     found = _found(comparison.profiles["conventional"])
     return [
         _row(name, "conventional", _TABLE[name][2], found[name], "the mirrors' tilts are chosen so")
@@ -161,7 +161,7 @@ def _positions(comparison: Comparison) -> list[Printed]:
     ]
 
 
-def _squarenesses(comparison: Comparison) -> list[Printed]:
+def _squarenesses(comparison: FormulationComparison) -> list[Printed]:
     """What a tilt adds: the paper's proposed value is that of its text where the table exchanges two."""
     old, new = _found(comparison.profiles["conventional"]), _found(comparison.profiles["new"])
     text = {
@@ -183,7 +183,7 @@ def _squarenesses(comparison: Comparison) -> list[Printed]:
     ]
 
 
-def _given_back(comparison: Comparison) -> list[Printed]:
+def _given_back(comparison: FormulationComparison) -> list[Printed]:
     """What the proposed formulation finds of what the twin was given: the table's measured figures."""
     found = _found(comparison.profiles["new"])
     return [_row(name, "proposed", _TABLE[name][1], found[name], "") for name in list(_TABLE)[3:]]

@@ -16,7 +16,7 @@ from machine_tool_calibration.reports.quantities import plus_minus, quantity, ro
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+    from machine_tool_calibration.methods.step_diagonal.compare import FormulationComparison
     from machine_tool_calibration.methods.step_diagonal.profiles import Figure, Profiles
 
 __all__ = ["command"]
@@ -64,7 +64,7 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
         show_suspicions(console(), suspicious)
 
 
-def _document(comparison: Comparison) -> Mapping[str, Any]:
+def _document(comparison: FormulationComparison) -> Mapping[str, Any]:
     """SI units; NaN becomes null."""
     return {
         "format": "mtcal-formulations/1",
@@ -94,7 +94,7 @@ def _document(comparison: Comparison) -> Mapping[str, Any]:
     }
 
 
-def _show(comparison: Comparison) -> None:
+def _show(comparison: FormulationComparison) -> None:
     out = console()
     title = "Value ± expanded uncertainty (k = 2) from the readings alone"
     rows: list[tuple[str, ...]] = []

@@ -164,7 +164,7 @@ def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str])
             number = measured.history[-1].number
             note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
         model = wanted.model or (None if chosen.model == "free" else chosen.model)
-        chosen = replace(chosen, model=model or spec_of(chosen.sessions[0]).with_tables)
+        chosen = replace(chosen, model=model or spec_of(chosen.sessions[0]).tables)
     result = identify_sessions(chosen)
     said = [bad_fit(result.joint, result.error_map.content)]
     if isinstance(result, Result):

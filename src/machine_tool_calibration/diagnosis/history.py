@@ -163,7 +163,7 @@ class Entry(Record):
             return self.model
         # Of several, those that have the variant that was asked for took it, all others what they can share.
         for part, spec in zip(said, (spec_of(session) for session in sessions), strict=True):
-            if part is not None and part.model != (spec.shared or next(iter(spec.models))):
+            if part is not None and part.model != (spec.tables or next(iter(spec.models))):
                 return part.model
         return None
 

@@ -6,48 +6,44 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_direction, axis_unit, table_axis
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, axis_direction, table_axis
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
 __all__ = ["Backlash", "RotaryBacklash"]
 
 
-class Backlash(Effect):
+class Backlash(AxisEffect):
     """Half the reversal error of a linear axis, against the direction of the last move (ISO 230-2)."""
 
+    id = "backlash_{axis}"
+    title = say("effect.backlash")
+    formula = "e_{axis} = -b dir_{axis}"
     kind = "position"
     source = "ISO 230-2:2014, reversal error; half width b"
-
-    def __init__(self, axis: str) -> None:
-        """Backlash of x, y or z."""
-        self.axis = axis
-        self.id = f"backlash_{axis}"
-        self.title = say("effect.backlash", axis=axis.upper())
-        self.formula = f"e_{axis} = -b dir_{axis}"
-        self.coefficients = (Coefficient("b", "m", 0.0, 5e-5, say("coefficient.half_width")),)
-        self.needs = (axis, f"dir_{axis}")
+    coefficients = (Coefficient("b", "m", 0.0, 5e-5, say("coefficient.half_width")),)
+    needs = ("{axis}", "dir_{axis}")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The sensed part of the axis's direction, against the direction of approach."""
         approach = observations.readings.column(f"dir_{self.axis}")
-        return np.asarray(-approach * (observations.direction @ axis_unit(self.axis)))[None]
+        return np.asarray(-approach * self.along(observations))[None]
 
 
-class RotaryBacklash(Effect):
+class RotaryBacklash(AxisEffect):
     """Half the reversal error of a rotary table, against the direction of the last move (ISO 230-2)."""
 
+    id = "backlash_{axis}"
+    title = say("effect.backlash")
+    formula = say("formula.backlash_angle")
     kind = "position"
     source = "ISO 230-2:2014, reversal error; half width b"
+    coefficients = (Coefficient("b", "rad", 0.0, 1e-3, say("coefficient.half_width")),)
+    needs = ("{axis}", "dir_{axis}")
 
     def __init__(self, axis: str) -> None:
         """Backlash of a, b or c."""
-        self.axis = axis
-        self.id = f"backlash_{axis}"
-        self.title = say("effect.backlash", axis=axis.upper())
-        self.formula = say("formula.backlash_angle", axis=axis.upper(), small=axis)
-        self.coefficients = (Coefficient("b", "rad", 0.0, 1e-3, say("coefficient.half_width")),)
-        self.needs = (axis, f"dir_{axis}")
+        super().__init__(axis)
         # Parts are probed on a table about Z only.
         self.methods = ("rotary_axis", "probing") if axis == "c" else ("rotary_axis",)
 

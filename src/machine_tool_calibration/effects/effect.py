@@ -12,8 +12,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import Said
 
-__all__ = ["Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "table_axis"]
+__all__ = ["AxisEffect", "Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "table_axis"]
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,32 @@ class Effect(ABC):
     def describe(self) -> Mapping[str, str]:
         """For lists and tables."""
         return {"id": self.id, "title": self.title, "formula": self.formula, "source": self.source}
+
+
+class AxisEffect(Effect):
+    """An effect that every axis can have: in its texts `{axis}` stands for the letter of one, `{AXIS}` for its capital.
+
+    Attributes:
+        axis: x, y, z, a, b or c.
+    """
+
+    axis: str
+
+    def __init__(self, axis: str) -> None:
+        """That of one axis."""
+        self.axis = axis
+        for name in ("id", "title", "formula"):
+            setattr(self, name, self._named(getattr(self, name)))
+        for name in ("needs", "covariates", "contains"):
+            setattr(self, name, tuple(map(self._named, getattr(self, name))))
+
+    def _named(self, text: str) -> str:
+        named = {"axis": self.axis, "AXIS": self.axis.upper()}
+        return text.of(**named) if isinstance(text, Said) else text.format(**named)
+
+    def along(self, observations: Observations) -> Array:
+        """(n,) the part of the linear axis's direction that each reading senses."""
+        return np.asarray(observations.direction @ axis_unit(self.axis))
 
 
 def axis_unit(axis: str) -> Array:

@@ -13,11 +13,11 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, together
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "displacement_field", "effect_term"]
+__all__ = ["add_effects", "best_shape", "common_shape", "displacement_field", "effect_term", "without_absorbed"]
 
 
 def displacement_field(
@@ -34,7 +34,7 @@ def displacement_field(
         (k, n, 3), found by looking at the same readings along each axis; None for an effect on the reading itself, and
         for methods whose map holds no effects.
     """
-    if effect.kind != "position" or not spec_of(observations.session).map_holds_effects:
+    if effect.kind != "position" or not spec_of(observations.session).reads_machine:
         return None
     looks = [replace(observations, direction=np.tile(np.eye(3)[j], (len(observations), 1))) for j in range(3)]
     return np.stack([evaluate(look) for look in looks], axis=-1)
@@ -188,18 +188,18 @@ def common_shape(
     return shape, size
 
 
-def _without_absorbed(fit: Fit, effects: Sequence[Effect]) -> tuple[list[Effect], tuple[NotDetermined, ...]]:
-    """The effects without those that the model takes up itself.
+def without_absorbed(fit: JointFit, effects: Sequence[Effect]) -> tuple[list[Effect], tuple[NotDetermined, ...]]:
+    """The effects without those that the models take up together.
 
-    An effect that only repeats the model's own unknowns would make these undetermined and add nothing.
+    An effect that only repeats the models' own unknowns would make these undetermined and add nothing.
     """
-    observations = fit.model.observations
     kept, absorbed = [], []
     for effect in effects:
-        blocks = [effect.columns(observations, shape) for shape in effect.shape_grid(observations)]
-        screened = screen(fit, np.concatenate([np.zeros((0, len(observations))), *blocks]))
-        left = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
-        if left.any():
+        acting = [m.observations if effect.why_not(m.observations) is None else None for m in fit.assembly.models]
+        grid = effect.shape_grid(together([o for o in acting if o is not None]))
+        tried = ([[] if o is None else [effect_term(effect, o, shape, mapped=False)] for o in acting] for shape in grid)
+        screened = (screen_joint(fit, terms) for terms in tried)
+        if any((np.diag(one.gram)[:-1] > ABSORBED * one.squares[:-1]).any() for one in screened):
             kept.append(effect)
         else:
             absorbed.append(NotDetermined(effect.id, _TAKEN_UP, effect.id))
@@ -287,7 +287,7 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     if not effects:
         return model
     bare = fit_models([model]).fits[0]
-    effects, absorbed = _without_absorbed(bare, effects)
+    effects, absorbed = without_absorbed(bare.joint, effects)
     linear = [effect for effect in effects if not effect.shapes]
     curved = [effect for effect in effects if effect.shapes]
     terms, taken_up = _determined_columns(bare, [effect_term(effect, observations) for effect in linear])

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -18,31 +18,28 @@ _POWERS = ("the_same", "power_1", "power_2", "power_3")
 _STILL = 1e-6  # m
 
 
-class LostMotion(Effect):
+def _shape(power: int) -> str:
+    return say(f"coefficient.{_POWERS[power]}" if power < len(_POWERS) else "coefficient.power", n=power)
+
+
+class LostMotion(AxisEffect):
     """Half the reversal error as a smooth function of the position of its axis (ISO 230-2).
 
     b(x) = b0 + b1 P1(u) + b2 P2(u) + ..., P the Legendre polynomials and u the position over the travel, from -1 to 1.
     The constant is the backlash, which this effect contains.
     """
 
+    id = "lost_motion_{axis}"
+    title = say("effect.lost_motion")
+    formula = say("formula.lost_motion", axis="{axis}", n=_DEGREES)
     kind = "position"
     source = "ISO 230-2:2014, reversal error at each position"
-
-    def __init__(self, axis: str) -> None:
-        """Lost motion of x, y or z."""
-        self.axis = axis
-        self.id = f"lost_motion_{axis}"
-        self.title = say("effect.lost_motion", axis=axis.upper())
-        self.formula = say("formula.lost_motion", axis=axis, n=_DEGREES)
-        self.coefficients = tuple(
-            Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, say("coefficient.half_width_of", shape=shape))
-            for k, shape in enumerate(
-                say(f"coefficient.{_POWERS[k]}" if k < len(_POWERS) else "coefficient.power", n=k)
-                for k in range(_DEGREES + 1)
-            )
-        )
-        self.needs = (axis, f"dir_{axis}")
-        self.contains = (f"backlash_{axis}",)
+    coefficients = tuple(
+        Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, say("coefficient.half_width_of", shape=_shape(k)))
+        for k in range(_DEGREES + 1)
+    )
+    needs = ("{axis}", "dir_{axis}")
+    contains = ("backlash_{axis}",)
 
     def why_not(self, observations: Observations) -> str | None:
         """The axis must have moved."""
@@ -71,4 +68,4 @@ class LostMotion(Effect):
         over = (2.0 * position - low - high) / (high - low)
         series = np.polynomial.legendre.legvander(over, self._degree(observations))
         approach = observations.readings.column(f"dir_{self.axis}")
-        return np.asarray(-series.T * approach * (observations.direction @ axis_unit(self.axis)))
+        return np.asarray(-series.T * approach * self.along(observations))

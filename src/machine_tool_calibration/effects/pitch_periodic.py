@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
@@ -22,24 +22,20 @@ _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
 _WAVES, _WAVES_OF_MACHINE = 1.0, 1.5
 
 
-class PitchPeriodic(Effect):
+class PitchPeriodic(AxisEffect):
     """Once a lead of the screw, or once a period of the scale; sine and cosine hold amplitude and phase."""
 
+    id = "pitch_periodic_{axis}"
+    title = say("effect.periodic")
+    formula = "e_{axis} = s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead)"
     kind = "position"
     source = "ISO 230-2:2014, periodic positioning error"
-
-    def __init__(self, axis: str) -> None:
-        """Periodic error of x, y or z."""
-        self.axis = axis
-        self.id = f"pitch_periodic_{axis}"
-        self.title = say("effect.periodic", axis=axis.upper())
-        self.formula = f"e_{axis} = s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead)"
-        self.coefficients = (
-            Coefficient("s", "m", -5e-5, 5e-5, say("coefficient.wave_sine")),
-            Coefficient("c", "m", -5e-5, 5e-5, say("coefficient.wave_cosine")),
-        )
-        self.shapes = (Shape("lead", "m", _SHORTEST, 1.0, meaning=say("coefficient.wave_length")),)
-        self.needs = (axis,)
+    coefficients = (
+        Coefficient("s", "m", -5e-5, 5e-5, say("coefficient.wave_sine")),
+        Coefficient("c", "m", -5e-5, 5e-5, say("coefficient.wave_cosine")),
+    )
+    shapes = (Shape("lead", "m", _SHORTEST, 1.0, meaning=say("coefficient.wave_length")),)
+    needs = ("{axis}",)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Leads from the range covered down to what the positions can resolve.
@@ -69,5 +65,5 @@ class PitchPeriodic(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of the position, along the axis."""
         angle = 2.0 * np.pi * observations.readings.column(self.axis) / shape[0]
-        along = observations.direction @ axis_unit(self.axis)
+        along = self.along(observations)
         return np.asarray([np.sin(angle) * along, np.cos(angle) * along])

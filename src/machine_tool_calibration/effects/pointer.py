@@ -19,6 +19,16 @@ def beam_azimuth(observations: Observations) -> Array:
     return np.asarray(np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
 
 
+def _level(observations: Observations) -> Array:
+    """(n,) cosine of the beam's elevation."""
+    return np.asarray(np.hypot(observations.direction[:, 0], observations.direction[:, 1]))
+
+
+def _open_loop(observations: Observations) -> bool:
+    """Whether the beam stays on the commanded direction."""
+    return getattr(observations.session.description, "pointing", "tracking") == "open_loop"
+
+
 class PointerRadialError(HarmonicEffect):
     """Radial error motion of the pointer's azimuth axis; once a turn is the station's position (ISO 230-7).
 
@@ -41,12 +51,16 @@ class PointerRadialError(HarmonicEffect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Sine and cosine of each order, as far as the beam lies in the plane of azimuth."""
-        level = np.hypot(observations.direction[:, 0], observations.direction[:, 1])
-        return np.asarray(level * super().columns(observations, shape))
+        return np.asarray(_level(observations) * super().columns(observations, shape))
 
 
 class PointerZeroOffset(Effect):
-    """The beam turned by a constant angle reads the path's projection (cosine error)."""
+    """The azimuth counts from another zero: a beam that is held reads the path's projection (cosine error).
+
+    Turned about the azimuth axis by a small angle, a beam is off its direction by cos(elevation) times the angle. One
+    that follows the target stays on it wherever the azimuth counts from. An elevation's zero makes all paths shorter
+    alike, as a scale does.
+    """
 
     id = "pointer_zero_offset"
     title = say("effect.pointer_zero")
@@ -58,9 +72,15 @@ class PointerZeroOffset(Effect):
     methods = ("tracking_interferometer",)
     instruments = ("tracking_interferometer",)
 
+    def why_not(self, observations: Observations) -> str | None:
+        """Also where the beam follows the target."""
+        if (why := super().why_not(observations)) is not None:
+            return why
+        return None if _open_loop(observations) else "does not occur where the beam follows the target"
+
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Minus the path."""
-        return np.asarray(-observations.path)[None]
+        """Minus the path's part in the plane of azimuth, times the cosine of the elevation."""
+        return np.asarray(-observations.path * _level(observations) ** 2)[None]
 
 
 class PointerAxisOffset(Effect):
@@ -87,11 +107,9 @@ class PointerAxisOffset(Effect):
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """The beam's distance only where the beam follows."""
-        open_loop = getattr(observations.session.description, "pointing", "tracking") == "open_loop"
-        return self.coefficients[:1] if open_loop else self.coefficients
+        return self.coefficients[:1] if _open_loop(observations) else self.coefficients
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Minus the cosine of the beam's elevation, and minus the reciprocal of twice the path."""
-        level = np.hypot(observations.direction[:, 0], observations.direction[:, 1])
-        every = np.asarray([-level, -0.5 / observations.path])
+        every = np.asarray([-_level(observations), -0.5 / observations.path])
         return every[: len(self.coefficients_for(observations))]

@@ -37,7 +37,7 @@ class RetroreflectorForm(HarmonicEffect):
     def angle(self, observations: Observations) -> Array:
         """The angle of incidence."""
         session = observations.session
-        if spec_of(session).on_turning_table:
+        if spec_of(session).turns_one_axis:
             axis = table_axis(observations)
             i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
             about = np.arctan2(observations.direction[:, j], observations.direction[:, i])

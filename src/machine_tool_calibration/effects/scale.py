@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -31,28 +31,23 @@ class Scale(Effect):
         return np.asarray(np.einsum("nj,nj->n", observations.position, observations.direction))[None]
 
 
-class AxisScale(Effect):
+class AxisScale(AxisEffect):
     """The scale of one axis: lead, encoder, or the axis was not at 20 degrees Celsius.
 
     Only for direct deviations: elsewhere the machine's positioning is an error motion as a whole.
     """
 
+    id = "scale_{axis}"
+    title = say("effect.scale")
+    formula = "e_{axis} = s {axis}"
     kind = "position"
     tolerance = 0.0  # geometry, and no law
     source = "ISO 230-1:2012, 3.4.3, linear part of the positioning error"
     methods = ("direct",)
-
-    def __init__(self, axis: str) -> None:
-        """Scale of x, y or z."""
-        self.axis = axis
-        self.id = f"scale_{axis}"
-        self.title = say("effect.scale", axis=axis.upper())
-        self.formula = f"e_{axis} = s {axis}"
-        self.coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
-        self.needs = (axis,)
-        self.covariates = (axis, "path", "displacement")
+    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
+    needs = ("{axis}",)
+    covariates = ("{axis}", "path", "displacement")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The position of the axis, as far as it is sensed."""
-        along = observations.direction @ axis_unit(self.axis)
-        return np.asarray(observations.readings.column(self.axis) * along)[None]
+        return np.asarray(observations.readings.column(self.axis) * self.along(observations))[None]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -16,7 +16,7 @@ __all__ = ["REFERENCE_TEMPERATURE", "ThermalExpansion"]
 REFERENCE_TEMPERATURE = 20.0
 
 
-class ThermalExpansion(Effect):
+class ThermalExpansion(AxisEffect):
     """The scale of a linear axis grows with its temperature, from the point where it is fixed (ISO 230-3).
 
     A scale or screw that is fixed at p0 grows away from there: e = k (T - 20) (position - p0). The product of the two
@@ -26,20 +26,16 @@ class ThermalExpansion(Effect):
     stands alone.
     """
 
+    id = "thermal_expansion_{axis}"
+    title = say("effect.thermal")
+    formula = say("formula.thermal")
     kind = "position"
     source = "ISO 230-3; reference temperature of ISO 1"
-
-    def __init__(self, axis: str) -> None:
-        """Expansion of x, y or z."""
-        self.axis = axis
-        self.id = f"thermal_expansion_{axis}"
-        self.title = say("effect.thermal", axis=axis.upper())
-        self.formula = say("formula.thermal", axis=axis)
-        self.coefficients = (
-            Coefficient("k", "1/K", -2e-4, 2e-4, say("coefficient.expansion")),
-            Coefficient("q", "m/K", -5e-5, 5e-5, say("coefficient.expansion_fixed")),
-        )
-        self.needs = (axis, f"temperature_{axis}")
+    coefficients = (
+        Coefficient("k", "1/K", -2e-4, 2e-4, say("coefficient.expansion")),
+        Coefficient("q", "m/K", -5e-5, 5e-5, say("coefficient.expansion_fixed")),
+    )
+    needs: tuple[str, ...] = ("{axis}", "temperature_{axis}")
 
     def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """(n,) of the structure, degrees Celsius: that of the axis's sensor."""
@@ -48,5 +44,5 @@ class ThermalExpansion(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Position times excess temperature, and minus the excess temperature, along the axis."""
         excess = self.temperature(observations, shape) - REFERENCE_TEMPERATURE
-        along = observations.direction @ axis_unit(self.axis)
+        along = self.along(observations)
         return np.asarray([excess * observations.readings.column(self.axis) * along, -excess * along])

@@ -26,17 +26,13 @@ class ThermalLag(ThermalExpansion):
     special case without lag. A lag longer than the session shows a rate of change only.
     """
 
+    id = "thermal_lag_{axis}"
+    title = say("effect.thermal_lag")
+    formula = say("formula.thermal_lag")
     source = "ISO 230-3; first-order lag, ISO/TR 16015, thermal inertia"
-
-    def __init__(self, axis: str) -> None:
-        """Delayed expansion of x, y or z."""
-        super().__init__(axis)
-        self.contains = (self.id,)
-        self.id = f"thermal_lag_{axis}"
-        self.title = say("effect.thermal_lag", axis=axis.upper())
-        self.formula = say("formula.thermal_lag", axis=axis)
-        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
-        self.needs = (*self.needs, "time")
+    shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
+    needs = (*ThermalExpansion.needs, "time")
+    contains = (ThermalExpansion.id,)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Time constants from a fiftieth of the session to its whole length."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Shape
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -16,23 +16,19 @@ __all__ = ["Warmup"]
 _LARGEST = 5e-4
 
 
-class Warmup(Effect):
+class Warmup(AxisEffect):
     """Exponential approach of a new position with one time constant (ISO 230-3, thermal distortion)."""
 
+    id = "warmup_{axis}"
+    title = say("effect.warm_up")
+    formula = say("formula.warm_up")
     kind = "position"
     source = "ISO 230-3, thermal distortion caused by moving axes"
     tolerance = 0.3  # machines have more than one time constant
-
-    def __init__(self, axis: str) -> None:
-        """Warm-up of x, y or z."""
-        self.axis = axis
-        self.id = f"warmup_{axis}"
-        self.title = say("effect.warm_up", axis=axis.upper())
-        self.formula = say("formula.warm_up", axis=axis)
-        self.coefficients = (Coefficient("a", "m", -_LARGEST, _LARGEST, say("coefficient.when_warm")),)
-        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
-        self.needs = (axis, "time")
-        self.covariates = ("time",)
+    coefficients = (Coefficient("a", "m", -_LARGEST, _LARGEST, say("coefficient.when_warm")),)
+    shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
+    needs = ("{axis}", "time")
+    covariates = ("time",)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Time constants from a fiftieth of the session to its whole length; a longer one is a linear drift."""
@@ -43,5 +39,4 @@ class Warmup(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The exponential, along the axis."""
         time = observations.readings.column("time")
-        along = observations.direction @ axis_unit(self.axis)
-        return np.asarray((1.0 - np.exp(-time / shape[0])) * along)[None]
+        return np.asarray((1.0 - np.exp(-time / shape[0])) * self.along(observations))[None]

@@ -62,7 +62,7 @@ def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Eff
     if not acting or not len(error_map.points):
         return ErrorStates(error_map, np.zeros_like(error_map.points), names)
     added = np.concatenate([sum((displacement(e, fit) for e in acting), np.zeros((1, 3))) for fit in fits])
-    if len(observed) == 1 and spec_of(observed[0].session).map_holds_effects:
+    if len(observed) == 1 and spec_of(observed[0].session).reads_machine:
         # This map holds the effects, once for every state.
         readings = _mapped(fits[0], names)
         if len(readings) == len(error_map.points):

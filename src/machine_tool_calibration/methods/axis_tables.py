@@ -167,7 +167,7 @@ def axis_tables(result: Result) -> AxisTables:
     tables: Sequence[MachineTable] = getattr(model, "tables", None) or ()
     left_out = [entry for entry in result.not_determined if entry.name[:3] in SQUARENESS or entry.name[:1] == "E"]
     squareness: dict[str, tuple[float, float]] = {}
-    if spec_of(session).profiles:
+    if "x_position" in result.error_map.content:
         found, words = _profiles(result, left_out), _IN_PROFILES
     else:
         found, squareness = _terms(result.parameters, tables, left_out)

@@ -46,7 +46,7 @@ def sharing_variant(session: Session, model: str | None) -> str | None:
         model: what was asked for, of the methods that have it; otherwise tables of the machine's errors, which others
             can share.
     """
-    return model if model in spec_of(session).models else spec_of(session).shared
+    return model if model in spec_of(session).models else spec_of(session).tables
 
 
 def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:

@@ -303,7 +303,7 @@ def _line(observations: Observations, mine: IntArray) -> Array | None:
     line = np.where(np.abs(far) > _STILL, far, 0.0) / length
     line = np.abs(line) if np.count_nonzero(line) == 1 else line
     # Only what moves in steps is read off its line between two places on it.
-    return line if spec_of(observations.session).ordered_moves or _on(position, line).all() else None
+    return line if spec_of(observations.session).states_runs or _on(position, line).all() else None
 
 
 def _on(position: Array, line: Array) -> BoolArray:

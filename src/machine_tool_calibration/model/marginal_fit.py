@@ -21,7 +21,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
 from machine_tool_calibration.estimation.normal import covariance_root
-from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
 from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
@@ -129,6 +129,8 @@ def marginal_fit(solved: Solved) -> MarginalFit:
             np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
         )
     mean, covariance = found.mean, found.covariance
+    if wide.priors is not None:
+        covariance = _as_stated(covariance, wide.priors, found.scatter)
     if sizes := effect_sizes(solved.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
@@ -147,6 +149,20 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     return MarginalFit(
         tuple(parts), stated, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
     )
+
+
+def _as_stated(covariance: Array, known: PriorRows, scatter: float) -> Array:
+    """The covariance in which what is known besides the readings keeps the uncertainty that is stated.
+
+    How the readings scatter says nothing of a length's certificate, or of the survey of a station.
+
+    Args:
+        covariance: of all unknowns over the square of `scatter`, as if what is known scattered like the readings.
+        known: what is known besides the readings.
+        scatter: standard uncertainties in units of those declared.
+    """
+    moved = covariance @ (known.columns / known.sigma[:, None]).T
+    return np.asarray(covariance - (1.0 - scatter**-2) * moved @ moved.T)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
-from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.refits import declared
@@ -223,11 +222,7 @@ def expected_model(session: Session, model: str | None, angular: float = ANGULAR
         angular: expected root mean square of the machine's angular errors, rad.
     """
     built = build_model(session, model)[0]
-    if isinstance(built, StepDiagonalModel) and built.spread is not None:
-        expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
-        spread = replace(built.spread, posterior=None)
-        built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
-    return built
+    return built.expecting(angular) if isinstance(built, StepDiagonalModel) else built
 
 
 def _map(model: MethodModel) -> ErrorMap:

@@ -124,16 +124,13 @@ def _nominal(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 
 def directly(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """No deviation, along the direction that is sensed."""
-    description, n = procedure.session, len(steps)
-    assert isinstance(description, Direct)
-    direction = sensing_direction(description)
+    direction, n = sensing_direction(procedure.session.as_a(Direct)), len(steps)
     return np.zeros(n), {f"g{axis}": np.full(n, direction[j]) for j, axis in enumerate("xyz")}, {}
 
 
 def touching(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """No deviation, where the stylus touches."""
-    description = procedure.session
-    assert isinstance(description, Probing)
+    description = procedure.session.as_a(Probing)
     part = Part(description)
     points = [step.target or 0 for step in steps]
     angles = [description.setups[s].c for s in setup]
@@ -144,8 +141,7 @@ def touching(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 
 def along_diagonals(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Ways along the beams on the flat mirror."""
-    description = procedure.session
-    assert isinstance(description, StepDiagonal)
+    description = procedure.session.as_a(StepDiagonal)
     motion = np.array([run.direction for run in description.setups]) * np.asarray(description.step)
     beam = motion / np.linalg.norm(motion, axis=1)[:, None]
     return np.asarray(np.einsum("nj,nj->n", _aims(steps), beam[setup])), {}, {}
@@ -153,8 +149,7 @@ def along_diagonals(procedure: Procedure, steps: tuple[Step, ...], setup: IntArr
 
 def to_table(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Distances from the stations to targets on the table."""
-    description = procedure.session
-    assert isinstance(description, RotaryAxis)
+    description = procedure.session.as_a(RotaryAxis)
     stations = np.array([entry.position for entry in description.setups])[setup]
     names = np.array([description.targets[step.target or 0].id for step in steps], dtype=object)
     return np.linalg.norm(_aims(steps) - stations, axis=1), {}, {"target": names}
@@ -162,8 +157,7 @@ def to_table(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 
 def from_stations(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Distances from the stations to the tool, and the beams' angles."""
-    description, aim = procedure.session, _aims(steps)
-    assert isinstance(description, TrackingInterferometer)
+    description, aim = procedure.session.as_a(TrackingInterferometer), _aims(steps)
     stations = np.array([entry.position for entry in description.setups])[setup]
     if description.dimension == 2:
         stations[:, 2] = aim[:, 2]

@@ -192,7 +192,7 @@ def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     order = np.concatenate([np.flatnonzero(group == g)[::-1] for g in dict.fromkeys(group.tolist())])
     rows, group = rows[order], group[order]
     approaches = _approaches(session, rows, group, -1.0)
-    if not approaches and not spec_of(session).ordered_moves:
+    if not approaches and not spec_of(session).states_runs:
         return None
     return Changed(rows, approaches), say("measure.backwards")
 

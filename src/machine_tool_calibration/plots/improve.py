@@ -74,7 +74,10 @@ def _along(step: Step) -> str | None:
     """What the residuals of a single session are drawn over where arrows would lie on each other."""
     observations = step.result.joint.fits[0].model.observations
     line = line_of(observations.position, observations.direction)
-    return spec_of(observations.session).along or (None if line is None else "xyz"[line])
+    spec = spec_of(observations.session)
+    if spec.turns_one_axis or spec.states_runs:
+        return "c" if spec.turns_one_axis else "path"
+    return None if line is None else "xyz"[line]
 
 
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:

@@ -28,8 +28,7 @@ _GRAY = "0.65"
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name, the first one first to be looked at."""
-    assert isinstance(session.description, Probing)
-    return {"probing": draw_probing(session.description, result["error_map"])}
+    return {"probing": draw_probing(session.description.as_a(Probing), result["error_map"])}
 
 
 def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:

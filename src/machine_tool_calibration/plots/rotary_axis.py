@@ -23,8 +23,7 @@ __all__ = ["draw_motions", "figures"]
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name, the first one first to be looked at."""
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     axis = (description.machine.axis or "C").upper()
     content = result["error_map"]
     return {"error_motions": draw_motions(content, axis), "arrangement": _draw_arrangement(content, axis)}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.methods.step_diagonal.compare import FormulationComparison
 from machine_tool_calibration.plots.style import mark_lost, new_figure
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.words import say
@@ -29,7 +29,7 @@ _MARGIN = 0.2
 _ASIDE = 0.006
 
 
-def draw_comparison(comparison: Comparison) -> Figure:
+def draw_comparison(comparison: FormulationComparison) -> Figure:
     """Panels: error in X, Y, Z (columns) with the motion of X, Y, Z (rows), um against mm; of the axes that moved.
 
     Marks are the errors from all repeats, bars their expanded uncertainty (k = 2), short lines those of each repeat
@@ -56,7 +56,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
     return figure
 
 
-def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> None:
+def _panel(panel: Axes, comparison: FormulationComparison, motion: int, component: int) -> None:
     along, letter = "xyz"[component], "XYZ"[motion]
     low, high = 0.0, 0.0
     drawn = False

@@ -157,7 +157,7 @@ def parse_procedure(text: str, source: str) -> Procedure:
     if session.repeats > _MOST_REPEATS:
         raise SessionError(f"{source}: session.repeats is {session.repeats}; at most {_MOST_REPEATS} are planned")
     spec = method_spec(session.method)
-    if content.path is None and not spec.path_from_session:
+    if content.path is None and not spec.states_runs:
         raise SessionError(f"{source}: the key 'path' is missing")
     if content.path is not None and not spec.turns_one_axis:
         for key, given in (("both_ways", content.path.both_ways), ("targets", content.path.targets != "one_by_one")):

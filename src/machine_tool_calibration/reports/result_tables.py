@@ -58,7 +58,7 @@ def error_map(result: Result | JointResult) -> pd.DataFrame:
 def _places(result: Result) -> dict[str, Any]:
     """What a method says of the places of its map besides where they are."""
     content, session = result.error_map.content, result.fit.model.observations.session
-    if spec_of(session).profiles:
+    if "x_position" in content:
         return {"axis": np.repeat(list("xyz"), [len(content[axis]) for axis in "xyz"])}
     if spec_of(session).turns_one_axis:
         axis = (session.description.machine.axis or "C").lower()
@@ -107,7 +107,7 @@ def _single(result: Result) -> Iterator[_Value]:
         axis = (session.description.machine.axis or "C").upper()
         for name in (f"E{component}{axis}" for component in "XYZABC"):
             yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
-    elif spec_of(session).profiles:
+    elif "x_position" in content:
         yield from _profiles(content)
     else:
         yield from _unknowns(result)

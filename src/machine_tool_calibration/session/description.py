@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -215,6 +215,9 @@ class DirectSetup(Setup):
     """A setup of an instrument that reads deviations directly."""
 
 
+Said = TypeVar("Said", bound="Description")
+
+
 class Description(Record):
     """What every method says; each adds its `method`, its `setups`, and what else it has to say.
 
@@ -240,6 +243,16 @@ class Description(Record):
     trust_units: bool = False
     about: About = Field(default_factory=dict)
     budget: Contributors = ()
+
+    def as_a(self, kind: type[Said]) -> Said:
+        """The same, where its method is known.
+
+        Raises:
+            TypeError: it is of another one.
+        """
+        if not isinstance(self, kind):
+            raise TypeError(f"a description of {self.method} is no {kind.__name__}")
+        return self
 
     @model_validator(mode="after")
     def _check_ids(self) -> Any:

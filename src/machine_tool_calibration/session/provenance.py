@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.session.folder import readings_frame
 from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.version import __version__
+from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.version import __version__
-from machine_tool_calibration.words import say, together
 
 __all__ = ["Origin", "Provenance", "data_hash", "flattened", "provenance"]
 

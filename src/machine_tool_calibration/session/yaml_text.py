@@ -9,7 +9,8 @@ Scalars follow YAML 1.2 (`1e-7` is a number, `on` and `Y` are text).
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import yaml
@@ -58,107 +59,99 @@ class Document:
         return self.lines.get(path) if path else None
 
 
-@dataclass
-class _Open:
-    """A list or mapping whose end has not come yet."""
+class _Reader:
+    """The values of a text from PyYAML's events."""
 
-    value: list[Any] | dict[str, Any]
-    path: Path
-    anchor: str | None
-    size_before: int
-    key: str | None = None
-    verbatim: bool = False
+    def __init__(self, text: str, source: str, truth: bool) -> None:
+        self.source, self.truth = source, truth
+        self.lines: dict[Path, int] = {}
+        self.anchors: dict[str, tuple[Any, int]] = {}
+        self.values, self.aliased = 0, 0
+        self.events = self._accepted(text)
 
+    def _accepted(self, text: str) -> Iterator[Any]:
+        documents = 0
+        for event in yaml.parse(text, Loader=_LOADER):
+            if tag := getattr(event, "tag", None):
+                raise self.fail(event, f"tag {tag!r} is not accepted")
+            documents += isinstance(event, yaml.DocumentStartEvent)
+            if documents > 1:
+                raise self.fail(event, "a second document; one is expected")
+            yield event
 
-@dataclass
-class _Builder:
-    source: str
-    truth: bool = True
-    stack: list[_Open] = field(default_factory=list)
-    lines: dict[Path, int] = field(default_factory=dict)
-    anchors: dict[str, tuple[Any, int]] = field(default_factory=dict)
-    values: int = 0
-    aliased: int = 0
-    root: Any = None
-    documents: int = 0
+    def root(self) -> Any:
+        value = None
+        for event in self.events:
+            if isinstance(event, yaml.NodeEvent):
+                value = self._value(event, (), verbatim=False)
+        return value
 
     def fail(self, event: Any, what: str) -> SessionError:
         return SessionError(f"{self.source} line {event.start_mark.line + 1}: {what}")
 
-    def count(self, event: Any, number: int = 1) -> None:
+    def _count(self, event: Any, number: int = 1) -> None:
         self.values += number
         if self.values > _MAX_VALUES:
             raise self.fail(event, f"more than {_MAX_VALUES} values")
 
-    def here(self) -> Path:
-        if not self.stack:
-            return ()
-        top = self.stack[-1]
-        if isinstance(top.value, list):
-            return (*top.path, len(top.value))
-        return (*top.path, top.key or "")
-
-    def add(self, event: Any, value: Any) -> None:
-        if not self.stack:
-            self.root = value
-            return
-        top = self.stack[-1]
-        if isinstance(top.value, list):
-            top.value.append(value)
-        elif top.key is None:
-            if not isinstance(value, str):
-                raise self.fail(event, "a key must be text")
-            if value in top.value:
-                raise self.fail(event, f"key {value!r} stands twice")
-            top.key = value
-            self.lines[(*top.path, value)] = event.start_mark.line + 1
-        else:
-            top.value[top.key] = value
-            top.key = None
-
-    def expects_key(self) -> bool:
-        return bool(self.stack) and isinstance(self.stack[-1].value, dict) and self.stack[-1].key is None
-
-    def scalar(self, event: Any) -> None:
-        self.count(event)
-        is_text = self.expects_key() or not event.implicit[0]
-        if not is_text and self.stack:
-            top = self.stack[-1]
-            is_text = top.verbatim or (top.key in _TEXT_KEYS and event.value not in _SPECIAL)
-        if not self.expects_key():
-            self.lines.setdefault(self.here(), event.start_mark.line + 1)
-        value = event.value if is_text else _resolve(event.value, self.truth)
-        if event.anchor:
-            self.anchors[event.anchor] = (value, 1)
-        self.add(event, value)
-
-    def open(self, event: Any, value: list[Any] | dict[str, Any]) -> None:
-        self.count(event)
-        if self.expects_key():
-            raise self.fail(event, "a key must be text")
-        if len(self.stack) >= _MAX_DEPTH:
-            raise self.fail(event, f"nested deeper than {_MAX_DEPTH} levels")
-        path = self.here()
+    def _value(self, event: Any, path: Path, *, verbatim: bool) -> Any:
+        """What begins with an event, at its place; `verbatim` where all is text as it stands."""
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event)
+        self._count(event)
         self.lines.setdefault(path, event.start_mark.line + 1)
-        top = self.stack[-1] if self.stack else None
-        verbatim = top is not None and (top.verbatim or top.key in _VERBATIM_KEYS)
-        self.stack.append(_Open(value, path, event.anchor, self.values, verbatim=verbatim))
+        before, key = self.values, path[-1] if path else None
+        value: Any
+        if isinstance(event, yaml.ScalarEvent):
+            is_id = key in _TEXT_KEYS and event.value not in _SPECIAL
+            is_text = verbatim or is_id or not event.implicit[0]
+            value = event.value if is_text else _resolve(event.value, self.truth)
+        elif len(path) >= _MAX_DEPTH:
+            raise self.fail(event, f"nested deeper than {_MAX_DEPTH} levels")
+        else:
+            collect = self._list if isinstance(event, yaml.SequenceStartEvent) else self._mapping
+            value = collect(path, verbatim or key in _VERBATIM_KEYS)
+        if event.anchor:
+            self.anchors[event.anchor] = (value, 1 + self.values - before)
+        return value
 
-    def close(self, event: Any) -> None:
-        top = self.stack.pop()
-        if top.anchor:
-            self.anchors[top.anchor] = (top.value, 1 + self.values - top.size_before)
-        self.add(event, top.value)
+    def _list(self, path: Path, verbatim: bool) -> list[Any]:
+        out: list[Any] = []
+        while not isinstance(event := next(self.events), yaml.SequenceEndEvent):
+            out.append(self._value(event, (*path, len(out)), verbatim=verbatim))
+        return out
 
-    def alias(self, event: Any) -> None:
+    def _mapping(self, path: Path, verbatim: bool) -> dict[str, Any]:
+        out: dict[str, Any] = {}
+        while not isinstance(event := next(self.events), yaml.MappingEndEvent):
+            key = self._key(event)
+            if key in out:
+                raise self.fail(event, f"key {key!r} stands twice")
+            self.lines[(*path, key)] = event.start_mark.line + 1
+            out[key] = self._value(next(self.events), (*path, key), verbatim=verbatim)
+        return out
+
+    def _key(self, event: Any) -> str:
+        if isinstance(event, yaml.AliasEvent):
+            key = self._alias(event)
+        else:
+            self._count(event)
+            key = getattr(event, "value", None)
+            if event.anchor:
+                self.anchors[event.anchor] = (key, 1)
+        if not isinstance(key, str):
+            raise self.fail(event, "a key must be text")
+        return key
+
+    def _alias(self, event: Any) -> Any:
         if event.anchor not in self.anchors:
             raise self.fail(event, f"alias *{event.anchor} of nothing that stands before it")
         value, size = self.anchors[event.anchor]
         self.aliased += size
         if self.aliased > _MAX_ALIASED:
             raise self.fail(event, f"aliases repeat more than {_MAX_ALIASED} values")
-        self.count(event, size)
-        self.add(event, value)
+        self._count(event, size)
+        return value
 
 
 def _resolve(text: str, truth: bool) -> Any:
@@ -183,31 +176,14 @@ def load_yaml(text: str, source: str, *, truth: bool = True) -> Document:
         SessionError: not YAML, more than one document, a tag, a key that stands twice or is not text, nested or
             repeated (by aliases) without measure. One line, with the line in the file.
     """
-    builder = _Builder(source, truth)
+    reader = _Reader(text, source, truth)
     try:
-        for event in yaml.parse(text, Loader=_LOADER):
-            if tag := getattr(event, "tag", None):
-                raise builder.fail(event, f"tag {tag!r} is not accepted")
-            if isinstance(event, yaml.ScalarEvent):
-                builder.scalar(event)
-            elif isinstance(event, yaml.AliasEvent):
-                builder.alias(event)
-            elif isinstance(event, yaml.SequenceStartEvent):
-                builder.open(event, [])
-            elif isinstance(event, yaml.MappingStartEvent):
-                builder.open(event, {})
-            elif isinstance(event, yaml.SequenceEndEvent | yaml.MappingEndEvent):
-                builder.close(event)
-            elif isinstance(event, yaml.DocumentStartEvent):
-                builder.documents += 1
-                if builder.documents > 1:
-                    raise builder.fail(event, "a second document; one is expected")
+        return Document(reader.root(), reader.lines)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or type(error).__name__
         raise SessionError(f"{source}{where}: not valid YAML: {problem}") from None
-    return Document(builder.root, builder.lines)
 
 
 class PlainDumper(yaml.SafeDumper):

@@ -45,6 +45,10 @@ class Said(str):
         """Itself, so that a picture, which takes the text of whatever it is given, keeps what it can be told from."""
         return self
 
+    def of(self, **values: Any) -> Said:
+        """The same text with other values put in."""
+        return say(self.key, **{**dict(self.values), **values})  # type: ignore[arg-type]
+
     def told(self, words: Words) -> str:
         """The same in another language."""
         if isinstance(self.values, tuple):

@@ -85,7 +85,7 @@ def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple
     fit, result = model.fit, model.fit.result
     sessions = fit.measurement.sessions
     if len(sessions) == 1:
-        variant = spec_of(sessions[0]).with_tables
+        variant = spec_of(sessions[0]).tables
         if variant is not None and variant != result.model_name:
             progress(f"fitting with the model {variant}", 0.1)
             result = identify(sessions[0], model=variant, effects=fit.effects, own=subject.own, keep_all=True)

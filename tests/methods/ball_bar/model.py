@@ -81,8 +81,7 @@ def build(session: Session, model: str) -> CircleModel:
     Raises:
         ModelError: no reading.
     """
-    description = session.description
-    assert isinstance(description, BallBar)
+    description = session.description.as_a(BallBar)
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     if not len(readings):
         raise ModelError("no reading: every displacement is missing")

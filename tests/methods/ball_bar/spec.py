@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from machine_tool_calibration.session.checks.enough import enough_in_a_setup
 from machine_tool_calibration.session.description import Description, Setup
+from machine_tool_calibration.session.judgements import Checks
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.values import Positive, Vector3
 
@@ -27,11 +27,16 @@ class BallBar(Description):
     setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
 
 
+class CircleChecks(Checks):
+    """A centre, a length and the machine's errors need six readings."""
+
+    needed = 6
+
+
 SPEC = MethodSpec(
-    name="ball_bar",
     description=BallBar,
     columns=lambda description: ("setup", "x", "y", "displacement"),
-    enough=lambda session, measured, place: enough_in_a_setup(session, measured, place, needed=6),
+    checks=CircleChecks(),
     model="ball_bar.model",
     models={"circle": "the only one"},
     words=lambda description: "circles with a ball bar",

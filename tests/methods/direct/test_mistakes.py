@@ -17,8 +17,10 @@ Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 ACTUAL: dict[str, tuple[Change, str]] = {
     "quarter": (lambda x, y: np.column_stack([-y, x]), "turned by 90 degrees"),
+    "quarter back": (lambda x, y: np.column_stack([y, -x]), "turned by -90 degrees"),
     "half": (lambda x, y: np.column_stack([-x, -y]), "turned by 180 degrees"),
     "mirror": (lambda x, y: np.column_stack([-x, y]), "the sign of x is reversed"),
+    "mirror of y": (lambda x, y: np.column_stack([x, -y]), "the sign of y is reversed"),
     "exchanged": (lambda x, y: np.column_stack([y, x]), "x and y of the actual places look exchanged"),
 }
 
@@ -76,3 +78,14 @@ def test_a_bad_machine_and_a_part_askew_are_not_refused(plates: ModuleType) -> N
         turn = (0.0, 1e-3, 1e-2, 5e-2)[seed % 4]
         session, _ = plates.plate(seed, holes=80, scales=(2e-3, -1e-3), square=1.5e-3, turn=turn, drilled=5e-5)
         identify(session)
+
+
+def test_a_cloud_that_follows_no_place_is_no_part_that_lies_otherwise(plates: ModuleType) -> None:
+    """Scatter of a third of the plate, a fifth of it along the places: nobody can say how it lies."""
+    session, _ = plates.plate(1, holes=100)
+    x, y = session.readings.position()[::2, :2].T
+    noise = 0.2 * np.random.default_rng(3).normal(size=(len(x), 2))
+    spoilt = plates.with_columns(session, (np.column_stack([-y - x, x - y]) * 0.2 + noise).reshape(-1))
+    with pytest.raises(ModelError) as caught:
+        identify(spoilt)
+    assert "degrees" not in str(caught.value) and "reversed" not in str(caught.value)

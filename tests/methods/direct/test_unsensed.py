@@ -15,7 +15,7 @@ from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
-from machine_tool_calibration.methods.direct.map import sensed_axes
+from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.model.result import map_change

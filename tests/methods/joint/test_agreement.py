@@ -10,9 +10,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.methods.joint.agreement import Contradiction, _Scores, _sentence
+from machine_tool_calibration.methods.joint.agreement import (
+    Contradiction,
+    _difference_of,
+    _log_tail,
+    _read_by_both,
+    _Scores,
+    _sentence,
+)
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -104,7 +113,8 @@ def test_sessions_of_different_places_are_not_compared_there(several: SimpleName
 
 
 @pytest.mark.parametrize(
-    ("unit", "shown"), [("m", "2.5 ± 1 µm"), ("1/K", "2.5 ± 1 µm/(m K)"), ("rad/K", "2.5 ± 1 µrad/K")]
+    ("unit", "shown"),
+    [("m", "2.5 ± 1 µm"), ("1/K", "2.5 ± 1 µm/(m K)"), ("rad/K", "2.5 ± 1 µrad/K"), ("m/s", "2.5e-06 ± 1e-06 m/s")],
 )
 def test_a_contradiction_is_said_in_the_units_of_the_tables(unit: str, shown: str) -> None:
     entry = Contradiction("a", ("b",), "some_effect", (), -2.5e-6, 0.5e-6, unit, 1e-9)
@@ -118,3 +128,88 @@ def test_what_is_shown_of_a_difference_is_clear_beside_the_scatter() -> None:
     assert scores.difference(0, shape, 1.0) == pytest.approx((8.0, 1.0))
     assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 1.0) == pytest.approx((26.0, np.sqrt(15.25)))
     assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 2.5) == pytest.approx((8.0, 2.5))
+
+
+def test_the_tail_of_a_chi_square_beyond_floating_point_is_that_of_the_exponential() -> None:
+    """Of two degrees of freedom it is exp(-x / 2), of four (1 + x / 2) exp(-x / 2)."""
+    for chi_square in (3.0, 80.0, 5000.0):
+        assert _log_tail(chi_square, 2) == pytest.approx(-chi_square / 2, rel=1e-12)
+        assert _log_tail(chi_square, 4) == pytest.approx(np.log1p(chi_square / 2) - chi_square / 2, rel=1e-6)
+    assert _log_tail(200.0, 7) == pytest.approx(stats.chi2.logsf(200.0, 7), rel=1e-9)
+
+
+def _scored(columns: np.ndarray, data: np.ndarray, start: list[int]) -> _Scores:
+    return _Scores(columns @ columns.T, columns @ data, np.sum(columns**2, axis=1), np.array(start))
+
+
+def test_a_difference_is_tested_by_what_it_takes_off_the_sum_of_squares() -> None:
+    """Also beside one that was found before: then by what both take off together, less what that one did."""
+    rng = np.random.default_rng(5)
+    columns, data = rng.normal(size=(5, 40)) * [[1.0], [1e-3], [2.0], [5.0], [1e3]], rng.normal(size=40)
+    scores = _scored(columns, data, [0, 2, 3, 5])
+
+    def taken(rows: list[int]) -> float:
+        left = data - columns[rows].T @ np.linalg.lstsq(columns[rows].T, data, rcond=None)[0]
+        return float(data @ data - left @ left)
+
+    assert scores.test(0) == (pytest.approx(taken([0, 1])), 2)
+    assert scores.test(1) == (pytest.approx(taken([2])), 1)
+    assert scores.test(2) == (pytest.approx(taken([3, 4])), 2)
+    beside = scores.without(1)
+    assert beside.test(2) == (pytest.approx(taken([2, 3, 4]) - taken([2])), 2)
+    assert beside.without(2).test(0) == (pytest.approx(taken([0, 1, 2, 3, 4]) - taken([2, 3, 4])), 2)
+    # What was taken into the model is nothing any more.
+    assert beside.test(1) == (pytest.approx(0.0, abs=1e-12), 0)
+
+
+def test_a_difference_has_the_value_and_uncertainty_of_its_least_squares() -> None:
+    rng = np.random.default_rng(6)
+    columns, data = rng.normal(size=(2, 30)), rng.normal(size=30)
+    data = data + 50.0 * columns[0]
+    shape = np.array([[1.0, 0.5], [0.2, 1.0]])
+    value, u = _scored(columns, data, [0, 2]).difference(0, shape, 1.5)
+    covariance = np.linalg.inv(columns @ columns.T)
+    found = shape @ np.linalg.lstsq(columns.T, data, rcond=None)[0]
+    assert np.argmax(np.abs(found)) == 0
+    assert value == pytest.approx(found[0])
+    assert u == pytest.approx(1.5 * np.sqrt(shape[0] @ covariance @ shape[0]))
+
+
+def test_what_a_difference_is_made_of(several: SimpleNamespace) -> None:
+    """Of a table with few nodes each by itself; of one with many, polynomials up to the fourth degree."""
+    model = build_model(several.measured("run", 3).session)[0]
+    (table,) = model.tables
+    (exx,) = (term for term in model.terms if term.name == "EXX")
+    at = np.array([0.04, 0.2])
+    few, shown = _difference_of(model, exx, [1, 3], at)
+    np.testing.assert_array_equal(few, np.eye(len(exx.parameters))[:, [1, 3]])
+    np.testing.assert_allclose(shown, interpolation(table.nodes, at).T[:, [1, 3]])
+    every = list(range(len(exx.parameters)))
+    assert len(every) == 6
+    mix, shown = _difference_of(model, exx, every, at)
+    u = table.nodes / 0.2 - 1.0
+    polynomials = np.array([u**0, u, 1.5 * u**2 - 0.5, 2.5 * u**3 - 1.5 * u, (35 * u**4 - 30 * u**2 + 3) / 8]).T
+    np.testing.assert_allclose(mix, polynomials, atol=1e-12)
+    between = np.array([np.interp(at, table.nodes, p) for p in polynomials.T]).T
+    np.testing.assert_allclose(shown, between, atol=1e-12)
+
+
+def test_two_sessions_are_compared_where_both_have_read(several: SimpleNamespace) -> None:
+    session = several.measured("run", 4).session
+    x = session.readings.column("x")
+    parts = [build_model(session.with_readings(session.readings.select(k)))[0] for k in (x < 0.25, x > 0.15, x > 0.3)]
+    between = _read_by_both(parts[0], parts[1], "EXX")
+    assert between is not None
+    np.testing.assert_allclose(between, np.linspace(0.16, 0.24, 21), atol=1e-12)
+    assert _read_by_both(parts[0], parts[2], "EXX") is None
+    for name in ("C0Y", "EXC0", "backlash_x"):
+        both = _read_by_both(parts[0], parts[2], name)
+        assert both is not None and not both.size
+
+
+@pytest.mark.parametrize(("others", "alike", "text"), [
+    (("b", "c"), (), "session 'a' contradicts the others in EXX by 3 ± 1 µm (k = 2)"),
+    (("b",), ("EYX", "C0Y"), "sessions 'a' and 'b' contradict each other in EXX (or EYX, C0Y) by 3 ± 1 µm (k = 2)"),
+])  # fmt: skip
+def test_a_contradiction_names_who_and_what_else(others: tuple[str, ...], alike: tuple[str, ...], text: str) -> None:
+    assert _sentence(Contradiction("a", others, "EXX", alike, 3e-6, 5e-7, "m", 1e-9)) == text

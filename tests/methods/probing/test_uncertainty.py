@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """MarginalFit uncertainties: against a brute-force reference, and against the scatter of many noisy runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from papers.study_probing import forecast, planned_session
@@ -53,10 +55,22 @@ def test_normalised_error_over_many_runs(make, plan, many):
         assert mean == pytest.approx(1.0, abs=many.off(0.1)), means | {"worst": key}
 
 
-def test_against_brute_force(make, reproducible):
-    """All unknowns in one dense matrix, the conditions as in the paper."""
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_against_brute_force(make, reproducible, times):
+    """All unknowns in one dense matrix, the conditions as in the paper.
+
+    Touches that scatter by more than was declared are as uncertain as they scatter; the length stays as its certificate
+    has it.
+    """
     case = make(part="cam")
-    result = identify(case.session)
+    session = case.session
+    if times > 1.0:
+        noise = times * session.sigma * np.random.default_rng(4).normal(size=len(session.readings))
+        displacement = session.readings.displacement + noise
+        session = session.with_readings(replace(session.readings, displacement=displacement))
+    result = identify(session, keep_all=True)
+    scatter = result.fit.scatter_factor
+    assert scatter == pytest.approx(times, rel=0.15)
     model = result.fit.model
     names = [parameter.name for parameter in model.parameters]
     n_points = len(model.description.workpiece)
@@ -68,7 +82,7 @@ def test_against_brute_force(make, reproducible):
     free = [j for j in range(k + n_points) if j >= k or names[j] not in conditions]
     sigma, known = case.session.sigma, case.session.description.known["EXX"]
     length = np.eye(k + n_points)[[names.index("EXX(0.132)")]] / known.standard_uncertainty
-    rows = np.concatenate([matrix / sigma, length])
+    rows = np.concatenate([matrix / (scatter * sigma), length])
     size = np.linalg.norm(rows[:, free], axis=0)
     covariance = np.linalg.inv((rows[:, free] / size).T @ (rows[:, free] / size)) / np.outer(size, size)
     full = np.zeros((k + n_points, k + n_points))

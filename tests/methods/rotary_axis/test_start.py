@@ -68,6 +68,24 @@ def test_gross_errors_do_not_lead_astray() -> None:
     assert 0.4e-6 < found.misfit < 1.0e-6
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gross_error_in_every_run_leaves_the_places_where_the_others_put_them(seed: int) -> None:
+    """As large as what the stated places are off by: spread over all readings, none of them stands out at first."""
+    rng = np.random.default_rng(seed)
+    stations, targets = nominal("C")
+    true = (places + 1e-3 * rng.normal(size=places.shape) for places in (stations, targets))
+    table = exact("C", 1, *true)
+    wild = np.zeros(len(table.run))
+    for run in np.unique(table.run):
+        wild[rng.choice(np.flatnonzero(table.run == run))] = rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 3e-3)
+    reading = table.readings.displacement + 1e-6 * rng.normal(size=len(wild))
+    clean = replace(table, readings=replace(table.readings, displacement=reading))
+    spoilt = replace(table, readings=replace(table.readings, displacement=reading + wild))
+    found = find_start(spoilt, stations, targets)
+    assert np.abs(left(clean, found)).max() < 5e-6
+    assert found.misfit < 1e-6
+
+
 def test_a_tilted_axis_and_places_decimetres_away_are_tried_when_asked() -> None:
     stations, targets = nominal("C")
     tilted = Rotation.from_rotvec([0.0, 1.5, 0.0]).apply(stations)

@@ -9,10 +9,8 @@ from machine_tool_calibration.methods.step_diagonal.compare import compare_formu
 from machine_tool_calibration.methods.step_diagonal.formulations import (
     alternative,
     conventional,
-    conventional_2d,
     increments,
     new,
-    new_2d,
 )
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 
@@ -171,10 +169,10 @@ def test_what_is_not_in_the_plane_is_not_determined(written):
 def test_two_dimensional_formulas():
     R = np.random.default_rng(1).normal(size=(2, 2, 4))
     step = np.array([0.02, 0.03])
-    out = conventional_2d(R, step)
+    out = conventional(R, step)
     length = np.hypot(*step)
     assert out[0, 1] == pytest.approx(length / (2 * step[1]) * (R[0, 0] - R[1, 0]))
-    assert new_2d(R, np.zeros((2, 4)), step)[0, 1].mean() == pytest.approx(0.0, abs=1e-12)
+    assert new(R, np.zeros((2, 4)), step)[0, 1].mean() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_alternative_is_for_space_only(written):

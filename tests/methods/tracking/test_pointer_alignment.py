@@ -198,8 +198,7 @@ def test_the_verb_prints_lines_for_the_session(tmp_path: Path) -> None:
         "format: mtcal-session/1\nmethod: tracking_interferometer\ndimension: 2\npointing: open_loop\n"
         f"machine: {{chain: w-b-Y-X-Z-t}}\nstandard_uncertainty: {{displacement: 1.0e-6}}\n{setups}"
     )
-    description = parse_description(text, "printed")
-    assert isinstance(description, TrackingInterferometer)
+    description = parse_description(text, "printed").as_a(TrackingInterferometer)
     assert description.setups[0].position[:2] == pytest.approx(CENTRE[:2], abs=1e-7)
     twice = CliRunner().invoke(command, [files[0], files[0]])
     assert isinstance(twice.exception, CalibrationError) and "at most one search" in str(twice.exception)

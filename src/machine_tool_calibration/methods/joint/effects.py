@@ -14,12 +14,13 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.effect_terms import ABSORBED, common_shape, effect_term
+from machine_tool_calibration.effects.effect_terms import common_shape, effect_term, without_absorbed
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.joint.model import CommonModels
-from machine_tool_calibration.model.fit import JointFit, fit_models, screen_joint
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Term
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.observations import together
+from machine_tool_calibration.words import say
 
 __all__ = ["with_effects"]
 
@@ -42,7 +43,8 @@ def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[
             first, why = next(iter(reasons.items()))
             raise ModelError(f"effect {effect.id} acts in no session: {first}: {why}")
     # Even where a session by itself takes an effect up, the others may determine it.
-    models, effects = _without_absorbed(models, labels, effects)
+    effects, absorbed = without_absorbed(fit_models(models, labels), effects)
+    models = [replace(model, left_out=model.left_out + absorbed) for model in models]
     for effect in effects:
         if not effect.shapes:
             models = _extended(models, effect, ())
@@ -50,28 +52,6 @@ def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[
         if effect.shapes:
             models = _with_curved(models, labels, effect)
     return replace(common, models=tuple(models))
-
-
-def _without_absorbed(
-    models: Sequence[MethodModel], labels: Sequence[str], effects: Sequence[Effect]
-) -> tuple[list[MethodModel], list[Effect]]:
-    """The models, knowing what they take up together, and the other effects: those would leave the map undetermined."""
-    fit, out, kept = fit_models(models, labels), list(models), []
-    for effect in effects:
-        acting = [m.observations if effect.why_not(m.observations) is None else None for m in models]
-        grid = effect.shape_grid(together([o for o in acting if o is not None]))
-        candidates = ([[] if o is None else [effect_term(effect, o, shape)] for o in acting] for shape in grid)
-        if any(_is_determined(fit, terms) for terms in candidates):
-            kept.append(effect)
-            continue
-        entry = NotDetermined(effect.id, "fully correlated with the model's own unknowns", effect.id)
-        out = [replace(model, left_out=(*model.left_out, entry)) for model in out]
-    return out, kept
-
-
-def _is_determined(fit: JointFit, terms: Sequence[Sequence[Term]]) -> bool:
-    screened = screen_joint(fit, terms)
-    return bool((np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]).any())
 
 
 def _extended(
@@ -116,7 +96,7 @@ def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...
     entries = tuple(
         NotDetermined(
             f"{effect.id}.{c.name}",
-            f"the readings do not bound it: the effect is too small in them; held at {shape[k]:.3g} {c.unit}",
+            say("undetermined.held_at", value=f"{shape[k]:.3g} {c.unit}"),
             effect.id,
         )
         for k, c in enumerate(effect.shapes_for(models[0].observations))

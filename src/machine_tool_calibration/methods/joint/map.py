@@ -11,7 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.error_motions import parse_motion
-from machine_tool_calibration.methods.direct.map import sensed_axes
+from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles
 from machine_tool_calibration.model.fit import JointFit

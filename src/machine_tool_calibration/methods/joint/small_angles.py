@@ -124,13 +124,7 @@ def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None
     untold = []
     for table, prior in zip(angles, told.priors, strict=True):
         if variance[[place[label] for label in table.labels]].sum() > _TOLD * np.trace(prior):
-            untold.append(
-                NotDetermined(
-                    table.name,
-                    "the readings say little more than its size (angular_size); it is taken for a small smooth random "
-                    "function",
-                )
-            )
+            untold.append(NotDetermined(table.name, say("undetermined.hardly_more")))
     return StatedAngles(told.size, told.probability, tuple(untold))
 
 

@@ -96,9 +96,7 @@ class ProbingModel(MethodModel):
     @property
     def description(self) -> Probing:
         """What the session says of workpiece, indices and known length."""
-        description = self.observations.session.description
-        assert isinstance(description, Probing)
-        return description
+        return self.observations.session.description.as_a(Probing)
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every point of the workpiece has one unknown of its own, its error along the normal; it is eliminated."""
@@ -143,8 +141,7 @@ def build(session: Session, model: str = "rigid_body") -> ProbingModel:
 
 
 def _build(session: Session) -> ProbingModel:
-    description = session.description
-    assert isinstance(description, Probing)
+    description = session.description.as_a(Probing)
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     position = readings.position()
     where = touches(description, readings, session.rotation_sign)

@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The probing of a part on a rotary table as a record."""
 
-from machine_tool_calibration.methods.probing.nominal import held_probing, nominal_probing
-from machine_tool_calibration.session.checks.enough import enough_probing
-from machine_tool_calibration.session.checks.units import probing_units
+from machine_tool_calibration.methods.probing.checks import ProbingChecks
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.method import MethodSpec
 
 __all__ = ["SPEC"]
 
 SPEC = MethodSpec(
-    name="probing",
     description=Probing,
     columns=lambda description: ("time", "setup", "repeat", "point", "x", "y", "c", "displacement"),
-    enough=enough_probing,
-    magnitudes=probing_units,
-    nominal=nominal_probing,
-    held=held_probing,
+    checks=ProbingChecks(),
     model="machine_tool_calibration.methods.probing.model",
     map="machine_tool_calibration.methods.probing.map",
     models={
@@ -27,10 +21,8 @@ SPEC = MethodSpec(
     turned_part=("the probe", ("probe_pretravel",)),
     reads_deviations=True,
     probes_surface=True,
-    on_turning_table=True,
     steps="machine_tool_calibration.procedure.steps:touch_steps",
     further_places="machine_tool_calibration.planning.places:further_angles",
     planned="machine_tool_calibration.planning.forecast:touching",
     pictures="machine_tool_calibration.plots.probing",
-    unneeded=("rotary_pointer", "instrument"),
 )

@@ -1,104 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions of a rotary axis that contradict their own geometry, and the common mistake that explains it."""
+"""Stations, targets and angles of a rotary axis, and its readings against the places as they are stated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, best_motion
-from machine_tool_calibration.errors import ModelError, SessionError, suspected
-from machine_tool_calibration.methods.rotary_axis.geometry import table_readings
-from machine_tool_calibration.methods.rotary_axis.nominal import turning_mistakes
-from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
-from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
-from machine_tool_calibration.session.checks.mistakes import exchanged, explanation, shifted
-from machine_tool_calibration.session.checks.nominal_geometry import off_prediction
-from machine_tool_calibration.session.description import Place, RotaryAxis, StationSetup, Target
-from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.arrays import Array, BoolArray, groups
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.checks.enough import enough_stations, on_a_line, refuse_one_line
+from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, in_degrees, scaled, turned_round
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    judged_by_worst,
+    lines_of_sight,
+    relative_misfit,
+    turned,
+)
+from machine_tool_calibration.session.description import Place, RotaryAxis, rotary_column
+from machine_tool_calibration.session.judgements import Checks, Judgement, Supposition
+from machine_tool_calibration.session.session import Readings, Session, distinct_places, places_among
 
-__all__ = ["refuse_mistakes", "refuse_wrong_rows", "suppositions"]
-
-# Share of the readings' range, and of the arrangement's size, that no rotary axis and no survey is wrong by; and the
-# share of the misfit that is left without a mistake that is named.
-_ABSURD, _BETTER = 2e-3, 0.1
-# A reading is off by an error of the axis, or by less than this, m.
-_WRONG = 2e-3
-# What a survey may be off by: m, or so many of its uncertainties.
-_MISPLACED, _MANY = 0.05, 20.0
+__all__ = ["RotaryChecks", "on_table", "turning_mistakes"]
 
 
-def suppositions(session: Session) -> Iterator[Supposition]:
-    """The measurement without each common mistake."""
-    yield from turning_mistakes(session)
-    yield from shifted(session, "displacement", session.readings.displacement)
-    yield from exchanged(session, "setup", [session.setup_ids[k] for k in np.unique(session.readings.setup)])
-    yield from exchanged(session, "target", np.unique(session.readings.labels["target"]).tolist())
+class RotaryChecks(Checks):
+    """Of a rotary axis."""
+
+    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
+        """Stations, targets and angles.
+
+        Raises:
+            SessionError: two stations at one place, too few stations or readings, all stations on a line.
+        """
+        description = session.description.as_a(RotaryAxis)
+        enough_stations(session, description.setups, measured, place, needed=3, method=session.method)
+        refuse_one_line(description.setups, place)
+        _enough_angles(session, description, measured, place)
+
+    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
+        """Judgements of a rotary axis."""
+        exchanges = (badly_exchanged(session, _off_table, kind) for kind in ("setup", "target"))
+        yield judged_by_worst(_off_table, itertools.chain(turning_mistakes(session), *exchanges))
 
 
-def refuse_mistakes(session: Session, start: Start) -> None:
-    """Refuse readings that a table turning without error misses by far, if a common mistake explains them.
+def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArray, place: Place) -> None:
+    readings = session.readings
+    ids = [target.id for target in description.targets]
+    used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
+    straight = on_a_line(np.array([description.targets[i].position for i in used]))
+    angle = readings.columns[rotary_column(description)][measured]
+    first, at_angle = distinct_places(angle[:, None])
+    angles = len(first)
+    count = len(np.unique(readings.setup[measured]))
+    different = len(np.unique(groups(readings.labels["target"][measured], readings.setup[measured], at_angle)))
+    # the table moves as a rigid body; one or two targets show three or five of its six motions. At each angle but the
+    # first that many unknowns, three per target and station, a path for each pair of them; minus the frame
+    # (with one target: 3 n + 13, Zhang et al. 2015)
+    per_angle = 3 if len(used) == 1 else 5 if straight else 6
+    unknown = per_angle * (angles - 1) + 3 * len(used) + (3 + len(used)) * count - 6
+    if count < 4 and straight:
+        seen = "one target" if len(used) == 1 else "two targets" if len(used) == 2 else "targets on a line"
+        raise SessionError(
+            f"{place.readings}: {seen} from {count} stations leave the places of the stations open; "
+            "measure a third target off the line, or from a fourth station"
+        )
+    if different < unknown:
+        raise SessionError(
+            f"{place.readings}: too few readings: {different} different ones at {angles} angles "
+            f"for {unknown} unknowns; measure more angles"
+        )
 
-    Also looked at is where stations and targets had to be put: with all places free, exchanged ones fit perfectly, at
-    each other's place.
 
-    Raises:
-        ModelError: the mistake.
+def on_table(session: Session, readings: Readings) -> Array:
+    """(n, 3) nominal position of each reading's target in the machine frame, m.
+
+    Args:
+        session: gives the sense of rotation, the targets and the axis under test.
+        readings: give the target and the commanded angle.
     """
-    description = session.description
-    assert isinstance(description, RotaryAxis)
-    stations, stations_u = _stated(description.setups)
-    targets, targets_u = _stated(description.targets)
-
-    def misfit(other: Session) -> float:
-        table = table_readings(other)
-        found = start if other is session else find_start(table, stations, targets)
-        extent = max(float(np.ptp(table.readings.displacement)), 1e-12)
-        used = np.unique(table.readings.setup)
-        size = max(float(np.ptp(stations[used], axis=0).max()), 1e-3)
-        turn, shift = best_motion(found.stations[used], stations[used])
-        off = found.stations[used] @ turn.T + shift - stations[used]
-        misplaced = _too_far(off, stations_u[used]) + _too_far(found.targets - targets, targets_u)
-        return found.misfit / extent + misplaced / size
-
-    what = explanation(session, [Judgement(misfit, suppositions(session), _ABSURD, _ABSURD, _BETTER)])
-    if what is not None:
-        with suspected():
-            raise ModelError(f"{session.source}: the readings do not fit at all; they would without a mistake: {what}")
+    description = session.description.as_a(RotaryAxis)
+    column = rotary_column(description)
+    target = places_among(readings.labels["target"], [entry.id for entry in description.targets])
+    points = np.array([entry.position for entry in description.targets])[target]
+    # the two coordinates that turn, in the order that makes a positive turn counter-clockwise seen from the axis's end
+    first, second = {"a": (1, 2), "b": (2, 0), "c": (0, 1)}[column]
+    angle = session.rotation_sign * readings.columns[column]
+    points[:, [first, second]] = turned(points[:, [first, second]], angle)
+    return points
 
 
-def refuse_wrong_rows(session: Session, start: Start) -> None:
-    """Refuse readings of a run that a table turning without error misses by far where it fits the others.
-
-    Raises:
-        ModelError: the run, by how much, and of which setup its readings look.
-    """
-
-    def held(other: Session) -> Iterator[Held]:
-        table = table_readings(other)
-        arm = table.turned(start.targets)
-        path = np.linalg.norm(arm - start.stations[table.readings.setup], axis=1)
-        off = off_prediction(other, path, table.run)
-        against = "the change of distance from where the station was found"
-        yield Held("displacement", against, off, np.full(len(off), _WRONG), group=table.run)
-
-    read = session.with_readings(table_readings(session).readings)
-    try:
-        with suspected():
-            refuse_contradictions(read, Place(session.source, session.source), held)
-    except SessionError as error:
-        raise ModelError(str(error)) from None
+def turning_mistakes(session: Session) -> Iterator[Supposition]:
+    """Angles, senses and units of a rotary axis's session."""
+    column = rotary_column(session.description.as_a(RotaryAxis))
+    yield in_degrees(session, f"the column {column} looks", column)
+    yield turned_round(session, "the axis looks as if it turned the other way: check rotation_sign")
+    yield from scaled(session, *UNITS, *SENSES)
 
 
-def _stated(entries: Sequence[StationSetup | Target]) -> tuple[Array, Array]:
-    """(k, 3) stated places, m, and (k,) their uncertainties; 0 where none is stated."""
-    places = np.array([entry.position for entry in entries])
-    return places, np.array([entry.position_uncertainty or 0.0 for entry in entries])
-
-
-def _too_far(moved: Array, stated: Array) -> float:
-    """How much further the worst place is off than a survey can be, m."""
-    allowed = np.maximum(_MISPLACED, _MANY * stated)
-    return float(np.max(np.clip(np.linalg.norm(moved, axis=1) - allowed, 0.0, None)))
+def _off_table(session: Session) -> Array:
+    """Displacements against the change of distance between station and turning target."""
+    readings = session.readings
+    path = np.linalg.norm(lines_of_sight(session, on_table(session, readings)), axis=1)
+    return relative_misfit(session, path, groups(readings.setup, readings.repeat, readings.labels["target"]))

@@ -99,8 +99,7 @@ def table_readings(session: Session) -> TableReadings:
     Raises:
         ModelError: the axis under test is no rotary axis, or a target is unknown.
     """
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     axis = (description.machine.axis or "C").upper()
     if axis not in ("A", "B", "C"):
         raise ModelError(f"machine.axis is {axis!r}; the rotary axis under test is A, B or C")

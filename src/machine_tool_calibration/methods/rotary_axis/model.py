@@ -23,7 +23,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
 from machine_tool_calibration.estimation.robust import robust_start
-from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.datum import (
     HELD_WITHIN,
     ROTARY_DATUM,
@@ -36,6 +35,7 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
+from machine_tool_calibration.methods.rotary_axis.mistakes import refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.model.model import (
     MethodModel,
@@ -86,9 +86,7 @@ class RotaryAxisModel(MethodModel):
     @property
     def description(self) -> RotaryAxis:
         """The session's description."""
-        description = self.observations.session.description
-        assert isinstance(description, RotaryAxis)
-        return description
+        return self.observations.session.description.as_a(RotaryAxis)
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -224,8 +222,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
             geometry in a way that a common mistake explains.
     """
     table = table_readings(session)
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     start = find_start(
         table,
         np.array([setup.position for setup in description.setups]),
@@ -292,8 +289,7 @@ def _moved(start: Start, model: RotaryAxisModel) -> Start:
 
 def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisModel:
     """The model, linearised at first estimates."""
-    description = session.description
-    assert isinstance(description, RotaryAxis)
+    description = session.description.as_a(RotaryAxis)
     arm = table.turned(start.targets)
     away = arm - start.stations[table.readings.setup]
     path = np.linalg.norm(away, axis=1)

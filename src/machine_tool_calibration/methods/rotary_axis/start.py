@@ -28,8 +28,11 @@ _STATIONS_BESIDE = 0.15
 _TARGETS_BESIDE = 0.03
 _WIDE = 0.2
 # Readings off by so many times the median of all say that there are gross errors. Then Huber's weights (1964), until
-# none changes by more than this, and so often at most.
+# none changes by more than this, and so often at most. Least squares may spread gross errors over all readings, so that
+# none stands out: some millimetres leave no more than this misfit, m, and were the cause where these weights leave less
+# than this share of it.
 _WILD = 20.0
+_SMEARED, _SPREAD = 1e-3, 0.2
 _TUNING = 1.345
 _AT_REST = 0.02
 _REWEIGHTED = 15
@@ -64,6 +67,9 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
             the fit sets out from places beside them.
     """
     start = _fitted(table, stations, targets)
+    if _DOUBTFUL < start.misfit < _SMEARED:
+        resisting = _fitted(table, stations, targets, resisting=True)
+        start = resisting if resisting.misfit < _SPREAD * start.misfit else start
     if not tilted or start.misfit < _DOUBTFUL:
         return start
     if start.misfit > _ABSURD:
@@ -123,8 +129,13 @@ def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
     return float(np.median(np.abs(_off(table, stations, targets))))
 
 
-def _fitted(table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL) -> Start:
-    """Reweighted as long as some readings are off by far more than the others: gross errors must not lead astray."""
+def _fitted(
+    table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL, *, resisting: bool = False
+) -> Start:
+    """Reweighted as long as some readings are off by far more than the others: gross errors must not lead astray.
+
+    `resisting` also where none is.
+    """
     x = np.concatenate([stations.ravel(), targets.ravel()])
     off = np.abs(_off(table, stations, targets))
     usual = max(float(np.median(off)), 1e-9)  # m; 0 where most runs have a single reading
@@ -132,7 +143,7 @@ def _fitted(table: TableReadings, stations: Array, targets: Array, within: float
     for _ in range(_REWEIGHTED):
         x, left = _weighted(table, stations, targets, within, x, weight)
         scale = max(float(np.median(np.abs(left))) / 0.6745, 1e-9)
-        if not (np.abs(left) > _WILD * scale).any() and (weight == 1.0).all():
+        if not resisting and not (np.abs(left) > _WILD * scale).any() and (weight == 1.0).all():
             break
         before, weight = weight, np.minimum(1.0, _TUNING * scale / np.maximum(np.abs(left), 1e-12))
         if np.abs(weight - before).max() < _AT_REST:

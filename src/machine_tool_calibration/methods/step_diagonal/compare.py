@@ -16,10 +16,8 @@ from machine_tool_calibration.methods.step_diagonal.formulations import (
     Increments,
     alternative,
     conventional,
-    conventional_2d,
     increments,
     new,
-    new_2d,
 )
 from machine_tool_calibration.methods.step_diagonal.geometry import step_diagonal_of
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
@@ -27,7 +25,7 @@ from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["FORMULATIONS", "Comparison", "compare_formulations", "identify_by_formulation"]
+__all__ = ["FORMULATIONS", "FormulationComparison", "compare_formulations", "identify_by_formulation"]
 
 FORMULATIONS = ("conventional", "new", "alternative", "least_squares", "small_angles")
 """`least_squares` and `small_angles` are the weighted least-squares estimator over all readings, without and with small
@@ -67,14 +65,10 @@ def identify_by_formulation(session: Session, name: str) -> Profiles:
 
 def _formula(name: str, moves: Increments) -> Callable[[Array, Array], Array]:
     """Increments of the errors from (..., D, d, N) displacements and (..., d, N) positioning errors."""
-    if len(moves.axes) == 2:
-        if name == "alternative":
-            raise ModelError("the alternative formulation, Eq. (20), is for three axes")
-        if name == "conventional":
-            return lambda R, linear: conventional_2d(R, moves.step)
-        return partial(new_2d, step=moves.step)
     if name == "conventional":
         return lambda R, linear: conventional(R, moves.step)
+    if name == "alternative" and len(moves.axes) == 2:
+        raise ModelError("the alternative formulation, Eq. (20), is for three axes")
     return partial(new if name == "new" else alternative, step=moves.step)
 
 
@@ -126,7 +120,7 @@ def _profiles(change: Array, moves: Increments) -> Array:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FormulationComparison:
     """Formulations side by side.
 
     Attributes:
@@ -143,7 +137,7 @@ class Comparison:
     tilts: Mapping[str, float]
 
 
-def compare_formulations(session: Session) -> Comparison:
+def compare_formulations(session: Session) -> FormulationComparison:
     """Every formulation that the session allows.
 
     Raises:
@@ -165,7 +159,7 @@ def compare_formulations(session: Session) -> Comparison:
                 refused[name] = str(error)
     if not profiles:
         raise ModelError(f"{session.source}: no formulation can be used: {next(iter(refused.values()))}")
-    return Comparison(profiles, by_repeat, refused, _tilts(session) if "least_squares" in profiles else {})
+    return FormulationComparison(profiles, by_repeat, refused, _tilts(session) if "least_squares" in profiles else {})
 
 
 def _tilts(session: Session) -> dict[str, float]:

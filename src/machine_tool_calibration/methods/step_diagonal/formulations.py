@@ -18,7 +18,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of, step_diagonal_of
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Increments", "alternative", "conventional", "conventional_2d", "increments", "new", "new_2d"]
+__all__ = ["Increments", "alternative", "conventional", "increments", "new"]
 
 
 _NEAR = 1e-2
@@ -166,13 +166,14 @@ def conventional(R: Array, step: Array) -> Array:
     It takes the mirror to be at right angles to the beam: a tilt of 1 mrad makes it wrong by tens of micrometres.
 
     Args:
-        R: (..., 3, 3, N), m.
-        step: (3,) a_x, a_y, a_z, m.
+        R: (..., d, d, N), m.
+        step: (d,) a_x, a_y, a_z, m.
     """
-    signs = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])
+    count = len(step)
+    signs = np.where(np.eye(count, count, -1) > 0, -1.0, 1.0)
     beams = signs * step / np.linalg.norm(step)
     out = np.empty(R.shape)
-    for axis in range(3):
+    for axis in range(count):
         # A move of -a along the axis reads minus the beam's share of it.
         matrix = signs[:, axis, None] * beams
         out[..., axis, :, :] = np.linalg.solve(matrix, R[..., :, axis, :])
@@ -183,41 +184,37 @@ def conventional(R: Array, step: Array) -> Array:
 def new(R: Array, linear: Array, step: Array) -> Array:
     """The formulation that is immune to the mirrors' tilts, Eqs. (6)-(19), in the coordinate system of Eq. (17).
 
+    A tilt adds a constant to each move of an axis; the constants of one diagonal sum up to zero. So the normal errors
+    are those of the conventional formulation but for lambda / (2 l), l the beam's direction cosine: in a plane
+    lambda_xy = -lambda_yx (Ibaraki, Hata and Matsubara 2009), and the coordinate system alone differs (Remark 1).
+
     Args:
-        R: (..., 3, 3, N), m.
-        linear: (..., 3, N) increments of the positioning errors de_x(x), de_y(y), de_z(z) from linear runs, m.
-        step: (3,) a_x, a_y, a_z, m.
+        R: (..., d, d, N), m.
+        linear: (..., d, N) increments of the positioning errors de_x(x), de_y(y), de_z(z) from linear runs, m.
+        step: (d,) a_x, a_y, a_z, m.
     """
-    length = np.linalg.norm(step)
-    ax, ay, az = step
-    dx, dy, dz = (linear[..., axis, :] for axis in range(3))
-    rx, ry, rz = (R[..., :, axis, :] for axis in range(3))
-
-    def mean(values: Array) -> Array:
-        return np.asarray(values.mean(axis=-1, keepdims=True))
-
-    # Eqs. (16) and (18); under Eq. (17) the means of de_y(x), de_z(x) and de_y(z) vanish.
-    l_xx = mean(-2 * ax / length * (dx + ax) + rx[..., _PPP, :] + rx[..., _NPP, :])
-    l_yy = mean(-2 * ay / length * (dy + ay) + ry[..., _PPP, :] + ry[..., _PNP, :])
-    l_zz = mean(-2 * az / length * (dz + az) + rz[..., _NPP, :] + rz[..., _PNP, :])
-    l_yx = mean(rx[..., _PPP, :] - rx[..., _PNP, :])
-    l_zx = mean(rx[..., _PNP, :] - rx[..., _NPP, :])
-    l_yz = mean(rz[..., _PPP, :] - rz[..., _PNP, :])
-    # Eq. (19)
-    l_xz = -l_zx - l_xx - l_yy - l_zz
-    l_xy = -l_yx - l_zx - l_xz
-    l_zy = -l_yx - l_yz - l_xy
-    out = np.empty(R.shape)
-    # Eqs. (7)-(9), (11)-(13); positioning from the linear runs
-    out[..., _X, _X, :] = dx
-    out[..., _X, _Y, :] = length / (2 * ay) * (rx[..., _PPP, :] - rx[..., _PNP, :] - l_yx)
-    out[..., _X, _Z, :] = length / (2 * az) * (rx[..., _PNP, :] - rx[..., _NPP, :] - l_zx)
-    out[..., _Y, _X, :] = length / (2 * ax) * (ry[..., _PPP, :] - ry[..., _NPP, :] - l_xy)
-    out[..., _Y, _Y, :] = dy
-    out[..., _Y, _Z, :] = length / (2 * az) * (ry[..., _NPP, :] - ry[..., _PNP, :] - l_zy)
-    out[..., _Z, _X, :] = length / (2 * ax) * (rz[..., _PPP, :] - rz[..., _NPP, :] - l_xz)
-    out[..., _Z, _Y, :] = length / (2 * ay) * (rz[..., _PPP, :] - rz[..., _PNP, :] - l_yz)
-    out[..., _Z, _Z, :] = dz
+    twice = 2.0 * step / np.linalg.norm(step)
+    out = conventional(R, step)
+    # Eqs. (16) and (18): l[..., axis, component], of which the mean is that of what differs from the linear runs.
+    surplus = out.copy()
+    for axis in range(len(step)):
+        surplus[..., axis, axis, :] -= linear[..., axis, :]
+    told = twice[:, None] * surplus.mean(axis=-1, keepdims=True)
+    constant = np.zeros(told.shape)
+    # Under Eq. (17) the means of de_y(x), de_z(x) and de_y(z) vanish.
+    constant[..., _X, 1:, :] = told[..., _X, 1:, :]
+    if len(step) == 2:
+        constant[..., _Y, _X, :] = -told[..., _X, _Y, :]
+    else:
+        constant[..., _Z, _Y, :] = told[..., _Z, _Y, :]
+        # Eq. (19)
+        own = told[..., _X, _X, :] + told[..., _Y, _Y, :] + told[..., _Z, _Z, :]
+        constant[..., _Z, _X, :] = -told[..., _X, _Z, :] - own
+        constant[..., _Y, _X, :] = -constant[..., _X, _Y, :] - constant[..., _X, _Z, :] - constant[..., _Z, _X, :]
+        constant[..., _Y, _Z, :] = -constant[..., _X, _Y, :] - constant[..., _Z, _Y, :] - constant[..., _Y, _X, :]
+    out -= constant / twice[:, None]
+    for axis in range(len(step)):
+        out[..., axis, axis, :] = linear[..., axis, :]
     return out
 
 
@@ -265,43 +262,4 @@ def alternative(R: Array, linear: Array, step: Array) -> Array:
     out[..., _X, _Y, :], out[..., _X, _Z, :] = solved[..., 0, :], solved[..., 1, :]
     out[..., _Y, _X, :], out[..., _Y, _Z, :] = solved[..., 2, :], solved[..., 3, :]
     out[..., _Z, _X, :], out[..., _Z, _Y, :] = solved[..., 4, :], solved[..., 5, :]
-    return out
-
-
-def conventional_2d(R: Array, step: Array) -> Array:
-    """Eq. (2) in a plane: diagonals pp and np.
-
-    Args:
-        R: (..., 2, 2, N), m.
-        step: (2,) a_x, a_y, m.
-    """
-    length = np.linalg.norm(step)
-    ax, ay = step
-    plus, minus = R[..., 0, :, :] + R[..., 1, :, :], R[..., 0, :, :] - R[..., 1, :, :]
-    out = np.empty(R.shape)
-    out[..., _X, _X, :] = length / (2 * ax) * plus[..., _X, :] - ax
-    out[..., _X, _Y, :] = length / (2 * ay) * minus[..., _X, :]
-    out[..., _Y, _X, :] = length / (2 * ax) * minus[..., _Y, :]
-    out[..., _Y, _Y, :] = length / (2 * ay) * plus[..., _Y, :] - ay
-    return out
-
-
-def new_2d(R: Array, linear: Array, step: Array) -> Array:
-    """The new formulation in a plane (Ibaraki, Hata and Matsubara 2009), with the mean of de_y(x) zero.
-
-    A tilt adds a constant to each move whose sum over x and y is zero, so lambda_xy = -lambda_yx. The normal errors are
-    those of the conventional formulation but for the orientation of the coordinate system (the paper's Remark 1).
-
-    Args:
-        R: (..., 2, 2, N), m.
-        linear: (..., 2, N) increments of the positioning errors from linear runs, m.
-        step: (2,) a_x, a_y, m.
-    """
-    length = np.linalg.norm(step)
-    out = conventional_2d(R, step)
-    tilt = (R[..., 0, _X, :] - R[..., 1, _X, :]).mean(axis=-1, keepdims=True)
-    out[..., _X, _Y, :] -= length / (2 * step[_Y]) * tilt
-    out[..., _Y, _X, :] += length / (2 * step[_X]) * tilt
-    for axis in range(2):
-        out[..., axis, axis, :] = linear[..., axis, :]
     return out

@@ -1,27 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step diagonal as a record."""
 
-from functools import partial
-
-from machine_tool_calibration.methods.step_diagonal.nominal import held_diagonal, nominal_diagonal, suspicious_diagonal
-from machine_tool_calibration.session.checks.enough import enough_in_a_setup
-from machine_tool_calibration.session.checks.units import diagonal_units
+from machine_tool_calibration.methods.step_diagonal.checks import DiagonalChecks
 from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.method import MethodSpec
 
 __all__ = ["SPEC"]
 
 SPEC = MethodSpec(
-    name="step_diagonal",
     description=StepDiagonal,
     columns=lambda description: ("time", "setup", "repeat", "x", "y", "z", "displacement"),
-    enough=partial(enough_in_a_setup, needed=2),
-    magnitudes=diagonal_units,
-    nominal=nominal_diagonal,
-    held=held_diagonal,
-    suspicious=suspicious_diagonal,
+    checks=DiagonalChecks(),
     model="machine_tool_calibration.methods.step_diagonal.build",
-    map="machine_tool_calibration.methods.step_diagonal.map",
+    map="machine_tool_calibration.methods.step_diagonal.model",
     models={
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
         "functions, of a size that the readings determine as far as they can",
@@ -34,15 +25,10 @@ SPEC = MethodSpec(
     },
     setup_word="run",
     mounted=lambda description: "the mirror",
-    profiles=True,
-    ordered_moves=True,
+    states_runs=True,
     counts_from_run=True,
-    along="path",
-    shared="small_angles",
     steps="machine_tool_calibration.procedure.steps:diagonal_steps",
-    path_from_session=True,
     further_places="machine_tool_calibration.planning.diagonals:further_runs",
     planned="machine_tool_calibration.planning.forecast:along_diagonals",
     optics="machine_tool_calibration.nodes.optics:FlatMirror",
-    unneeded=("rotary_pointer", "probe"),
 )

@@ -87,17 +87,15 @@ def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
     if fit.solution.local_determined[fit.index][:, target].all():
         count = len(np.unique(model.observations.readings.setup))
         if count <= model.dimension:
-            return (
-                f"each target by itself needs {model.dimension + 1} stations, not {count}; the model rigid_body "
-                "(--model) may do with these"
-            )
-        return "a station that it needs is not determined"
+            return say("undetermined.more_stations", needed=model.dimension + 1, count=count)
+        return say("undetermined.station_missing")
     stations = np.unique(model.observations.readings.setup[model.point == target])
     if len(stations) >= model.dimension:
-        return "the directions from its stations lie too close to one line or plane"
+        return say("undetermined.narrow")
+    if not len(stations):
+        return say("undetermined.not_read", needed=model.dimension)
     names = ", ".join(model.description.setups[s].id for s in stations)
-    needed = f"{model.dimension} stations are needed"
-    return f"it was read from {names} only, and {needed}" if names else f"it was not read, and {needed}"
+    return say("undetermined.read_from", names=names, needed=model.dimension)
 
 
 def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:

@@ -66,9 +66,7 @@ class TrackingModel(MethodModel):
     @property
     def description(self) -> TrackingInterferometer:
         """What `session.yaml` says."""
-        description = self.observations.session.description
-        assert isinstance(description, TrackingInterferometer)
-        return description
+        return self.observations.session.description.as_a(TrackingInterferometer)
 
     @property
     def dimension(self) -> int:
@@ -173,8 +171,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         session: the measurement.
         model: `free` or `rigid_body`.
     """
-    description = session.description
-    assert isinstance(description, TrackingInterferometer)
+    description = session.description.as_a(TrackingInterferometer)
     d = description.dimension
     # A target whose readings were all lost is a target all the same: it keeps its place in the map.
     read = np.isfinite(session.readings.displacement)

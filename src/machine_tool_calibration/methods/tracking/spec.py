@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracking interferometer as a record."""
 
-from machine_tool_calibration.methods.tracking.nominal import held_tracking, nominal_tracking, suspicious_tracking
-from machine_tool_calibration.session.checks.enough import enough_tracking
+from machine_tool_calibration.methods.tracking.checks import TrackingChecks
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.method import MethodSpec
 
@@ -22,13 +21,9 @@ def _words(description: TrackingInterferometer) -> str:
 
 
 SPEC = MethodSpec(
-    name="tracking_interferometer",
     description=TrackingInterferometer,
     columns=_columns,
-    enough=enough_tracking,
-    nominal=nominal_tracking,
-    held=held_tracking,
-    suspicious=suspicious_tracking,
+    checks=TrackingChecks(),
     model="machine_tool_calibration.methods.tracking.model",
     map="machine_tool_calibration.methods.tracking.map",
     models={
@@ -41,11 +36,9 @@ SPEC = MethodSpec(
     setup_word="station",
     mounted=lambda description: "the instrument",
     turned_part=("the retroreflector", ("retroreflector_form",)),
-    beam_from_pointer=True,
     free_order=True,
-    shared="rigid_body",
+    tables="rigid_body",
     by_axes=("rigid_body",),
-    with_tables="rigid_body",
     no_tables="the model 'free' has none; identify with --model rigid_body",
     steps="machine_tool_calibration.procedure.steps:path_steps",
     further_places="machine_tool_calibration.planning.places:further_stations",

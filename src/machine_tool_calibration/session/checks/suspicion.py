@@ -23,12 +23,12 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """What is suspicious in sessions, in words.
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
-    another unit. Places off the machine's travel. An uncertainty that grows with a path which there is not. Fewer or
-    more repeats than stated. And what the method finds (`MethodSpec.suspicious`).
+    another unit. Places off the machine's travel. Fewer or more repeats than stated. And what the method finds
+    (`Checks.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _beside, _pathless, _repeated, _of_method)
+    checks = (_still, _beside, _repeated, _of_method)
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -60,12 +60,6 @@ def _beside(session: Session) -> Iterator[str]:
             yield say("suspicion.off_travel", n=len(off), count=len(values), **names, **ends)
 
 
-def _pathless(session: Session) -> Iterator[str]:
-    said = session.description.standard_uncertainty
-    if spec_of(session).probes_surface and any(entry.per_length for entry in (said, *said.setups.values())):
-        yield say("suspicion.no_path")
-
-
 def _repeated(session: Session) -> Iterator[str]:
     repeats = np.unique(session.readings.repeat)
     if len(repeats) != session.description.repeats:
@@ -75,4 +69,4 @@ def _repeated(session: Session) -> Iterator[str]:
 
 
 def _of_method(session: Session) -> Iterator[str]:
-    return spec_of(session).suspicious(session)
+    return spec_of(session).checks.suspicious(session)

@@ -10,19 +10,19 @@ import numpy as np
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
+from machine_tool_calibration.session.description import Place, StationSetup
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
-__all__ = ["check_sizes", "check_units", "diagonal_units", "direction_units", "probing_units"]
+__all__ = ["LARGEST_MACHINE", "LARGEST_TRAVEL", "MILLIMETRES", "check_sizes", "check_units"]
 
-_LARGEST_MACHINE = 50.0  # m
-_LARGEST_TRAVEL = 100.0  # m
+LARGEST_MACHINE = 50.0  # m
+LARGEST_TRAVEL = 100.0  # m
 _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
-_MILLIMETRES = "these look like millimetres; lengths are in metres"
+MILLIMETRES = "these look like millimetres; lengths are in metres"
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
 _TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
 # Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
@@ -37,7 +37,7 @@ def check_units(session: Session, place: Place) -> None:
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
-    spec_of(session).magnitudes(session, place)
+    spec_of(session).checks.magnitudes(session, place)
     if session.description.trust_units:
         return
     with suspected():
@@ -69,17 +69,17 @@ def check_sizes(session: Session, place: Place) -> None:
 def _travel(session: Session, place: Place) -> None:
     for name, (low, high) in session.description.machine.travel.items():
         reach = max(abs(low), abs(high))
-        if name.lower() in "xyz" and reach > _LARGEST_TRAVEL:
-            raise SessionError(f"{place.description}: machine.travel.{name} reaches {reach:g} m; {_MILLIMETRES}")
+        if name.lower() in "xyz" and reach > LARGEST_TRAVEL:
+            raise SessionError(f"{place.description}: machine.travel.{name} reaches {reach:g} m; {MILLIMETRES}")
 
 
 def _positions(session: Session, place: Place) -> None:
     for axis, value, where in _largest(session, place, "xyz"):
         travel, reach = _reach(session, axis), abs(value)
         if travel is not None and reach > _THOUSAND * travel:
-            raise SessionError(f"{where}: {axis} is {value:g} m and the travel ends at {travel:g} m; {_MILLIMETRES}")
-        if reach > (_LARGEST_MACHINE if travel is None else max(_LARGEST_MACHINE, 2 * travel)):
-            raise SessionError(f"{where}: {axis} is {value:g} m; {_MILLIMETRES}")
+            raise SessionError(f"{where}: {axis} is {value:g} m and the travel ends at {travel:g} m; {MILLIMETRES}")
+        if reach > (LARGEST_MACHINE if travel is None else max(LARGEST_MACHINE, 2 * travel)):
+            raise SessionError(f"{where}: {axis} is {value:g} m; {MILLIMETRES}")
 
 
 def _instrument(session: Session, place: Place) -> None:
@@ -88,61 +88,19 @@ def _instrument(session: Session, place: Place) -> None:
         if isinstance(setup, StationSetup) and max(map(abs, setup.position)) > _FARTHEST_STATION:
             where = f"{place.description}: setups[{index}].position"
             raise SessionError(
-                f"{where}: station {setup.id!r} is {max(map(abs, setup.position)):g} m away; {_MILLIMETRES}"
+                f"{where}: station {setup.id!r} is {max(map(abs, setup.position)):g} m away; {MILLIMETRES}"
             )
     for key in ("targets", "workpiece"):
         for index, entry in enumerate(getattr(description, key, ())):
             reach = max(map(abs, entry.position))
-            if reach > _LARGEST_MACHINE:
-                raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {_MILLIMETRES}")
+            if reach > LARGEST_MACHINE:
+                raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {MILLIMETRES}")
     sigma = description.standard_uncertainty.displacement
     if sigma > 1e-2:
         raise SessionError(
             f"{place.description}: standard_uncertainty.displacement is {sigma:g} m; "
             "this looks like another unit than metres"
         )
-
-
-def probing_units(session: Session, place: Place) -> None:
-    """Refuse normals that are none and a stylus that cannot be; errors as for `check_units`."""
-    description = session.description
-    assert isinstance(description, Probing)
-    for index, point in enumerate(description.workpiece):
-        length = float(np.hypot(*point.normal))
-        if abs(length - 1.0) > 0.01:
-            where = f"{place.description}: workpiece[{index}].normal"
-            raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
-    if description.probe is not None and description.probe.stylus_diameter > 0.1 and not description.trust_units:
-        diameter = description.probe.stylus_diameter
-        with suspected():
-            raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
-
-
-@suspected()
-def diagonal_units(session: Session, place: Place) -> None:
-    """Refuse starts and steps of runs that no machine has; errors as for `check_units`."""
-    description = session.description
-    assert isinstance(description, StepDiagonal)
-    if description.trust_units:
-        return
-    for index, run in enumerate(description.setups):
-        reach = max(map(abs, run.start))
-        if reach > _LARGEST_MACHINE:
-            raise SessionError(f"{place.description}: setups[{index}].start is {reach:g} m; {_MILLIMETRES}")
-    if max(description.step) * description.blocks > _LARGEST_TRAVEL:
-        raise SessionError(
-            f"{place.description}: step: {description.blocks} blocks of {max(description.step):g} m; {_MILLIMETRES}"
-        )
-
-
-def direction_units(session: Session, place: Place) -> None:
-    """Refuse directions gx, gy, gz that are not of length 1; errors as for `check_units`."""
-    columns = session.readings.columns
-    length = np.sqrt(columns["gx"] ** 2 + columns["gy"] ** 2 + columns["gz"] ** 2)
-    bad = first_true(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
-    if bad is not None:
-        where = place.row(session.readings.row[bad])
-        raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad]:g}, not 1")
 
 
 def _angles(session: Session, place: Place) -> None:
@@ -171,7 +129,7 @@ def _displacement(session: Session, place: Place) -> None:
     reach = abs(values[row])
     if reach > _FARTHEST_STATION:
         where = place.row(session.readings.row[row])
-        unit = _MILLIMETRES if reach < _MICROMETRES_FROM else _MILLIMETRES.replace("milli", "micro")
+        unit = MILLIMETRES if reach < _MICROMETRES_FROM else MILLIMETRES.replace("milli", "micro")
         raise SessionError(f"{where}: displacement is {values[row]:g} m; {unit}")
 
 

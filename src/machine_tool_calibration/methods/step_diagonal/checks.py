@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, exchanged_axes, scaled
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
@@ -18,12 +19,13 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     relative_misfit,
     typical_extent,
 )
+from machine_tool_calibration.session.checks.units import LARGEST_MACHINE, LARGEST_TRAVEL, MILLIMETRES
 from machine_tool_calibration.session.description import DiagonalSetup, Place, StepDiagonal
-from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.judgements import Checks, Held, Judgement
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["held_diagonal", "nominal_diagonal", "suspicious_diagonal"]
+__all__ = ["DiagonalChecks"]
 
 # A place may be outside its run by this share of the step (runs of unequal steps stay within), and off the halts by
 # this one where most others are on them.
@@ -38,19 +40,92 @@ _SCALE, _TILT, _ERROR = 2e-3, 0.03, 1e-3
 _ORDER = re.compile(r"[_.-]([xyz]{3})$", re.IGNORECASE)
 
 
-def nominal_diagonal(session: Session, place: Place) -> Iterator[Judgement]:
-    """Judgements of a step diagonal."""
-    mistakes = itertools.chain(scaled(session, *UNITS, *SENSES), exchanged_axes(session, 3))
-    yield judged_by_worst(_off_diagonal, itertools.chain(mistakes, badly_exchanged(session, _off_diagonal, "setup")))
-    yield judged_by_worst(_off_halts, badly_exchanged(session, _off_halts, "setup"))
+class DiagonalChecks(Checks):
+    """Of a step diagonal."""
+
+    needed = 2
+
+    @suspected()
+    def magnitudes(self, session: Session, place: Place) -> None:
+        """Refuse starts and steps of runs that no machine has."""
+        description = session.description.as_a(StepDiagonal)
+        if description.trust_units:
+            return
+        for index, run in enumerate(description.setups):
+            reach = max(map(abs, run.start))
+            if reach > LARGEST_MACHINE:
+                raise SessionError(f"{place.description}: setups[{index}].start is {reach:g} m; {MILLIMETRES}")
+        if max(description.step) * description.blocks > LARGEST_TRAVEL:
+            raise SessionError(
+                f"{place.description}: step: {description.blocks} blocks of {max(description.step):g} m; {MILLIMETRES}"
+            )
+
+    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
+        """Judgements of a step diagonal."""
+        mistakes = itertools.chain(scaled(session, *UNITS, *SENSES), exchanged_axes(session, 3))
+        yield judged_by_worst(
+            _off_diagonal, itertools.chain(mistakes, badly_exchanged(session, _off_diagonal, "setup"))
+        )
+        yield judged_by_worst(_off_halts, badly_exchanged(session, _off_halts, "setup"))
+
+    def held(self, session: Session) -> Iterator[Held]:
+        """Places against the runs as they are stated, and displacements against the places."""
+        description, readings = session.description.as_a(StepDiagonal), session.readings
+        path, across, outside = _along_run(session)
+        step = np.array(description.step)
+        off = (outside / step).max(axis=1)
+        for index in np.unique(readings.setup):
+            mine = np.flatnonzero(readings.setup == index)
+            if description.blocks > _MOST_BLOCKS:
+                continue
+            halts = _halts(description, index)
+            missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1) / step.min()
+            if np.mean(missed > _ON_HALT) < 0.5:
+                off[mine] = np.maximum(off[mine], np.where(missed > _ON_HALT, 1.0, 0.0))
+
+        yield Held(
+            "the place",
+            "the run that start, direction, step and blocks state",
+            np.where(off > _OUTSIDE, np.maximum(np.linalg.norm(outside, axis=1), 1e-9), 0.0),
+            np.zeros(len(off)),
+            share=0.0,
+            hint=lambda setup: _run_of_places(session, setup),
+        )
+        length = float(np.linalg.norm(step * description.blocks))
+        yield Held(
+            "displacement",
+            "the way along the beam to where it was read",
+            off_prediction(session, path, groups(readings.setup, readings.repeat)),
+            _ERROR + _SCALE * length + _TILT * across,
+        )
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """Runs that step and blocks make longer, or of other steps, than their places."""
+        description, places = session.description.as_a(StepDiagonal), session.readings.position()
+        moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
+        for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
+            halts = np.unique(np.round(place[moved], 9))
+            if len(halts) < 3:
+                continue
+            between = float(np.median(np.diff(halts)))
+            if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
+                yield say(
+                    "suspicion.steps",
+                    blocks=description.blocks,
+                    step=f"{1e3 * step:.4g}",
+                    axis=axis,
+                    count=len(halts),
+                    low=f"{1e3 * halts[0]:.6g}",
+                    high=f"{1e3 * halts[-1]:.6g}",
+                    between=f"{1e3 * between:.4g}",
+                )
+                return
 
 
 def _off_diagonal(session: Session) -> Array:
     """Displacements and positions against the runs' nominal lines."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
     path, _, outside = _along_run(session)
-    group = groups(readings.setup, readings.repeat)
+    group = groups(session.readings.setup, session.readings.repeat)
     return np.asarray(
         relative_misfit(session, path, group) + np.linalg.norm(outside, axis=1) / typical_extent(path, group)
     )
@@ -58,8 +133,7 @@ def _off_diagonal(session: Session) -> Array:
 
 def _along_run(session: Session) -> tuple[Array, Array, Array]:
     """Of each place: (n,) its path along the beam, (n,) its distance across, (n, 3) how far off the run, m."""
-    description, setup = session.description, session.readings.setup
-    assert isinstance(description, StepDiagonal)
+    description, setup = session.description.as_a(StepDiagonal), session.readings.setup
     start = np.array([run.start for run in description.setups])
     motion = np.array([run.direction for run in description.setups]) * description.step * description.blocks
     beam = motion / np.maximum(np.linalg.norm(motion, axis=1), 1e-300)[:, None]
@@ -70,43 +144,9 @@ def _along_run(session: Session) -> tuple[Array, Array, Array]:
     return path, np.linalg.norm(place - path[:, None] * beam[setup], axis=1), outside
 
 
-def held_diagonal(session: Session) -> Iterator[Held]:
-    """Places against the runs as they are stated, and displacements against the places."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
-    path, across, outside = _along_run(session)
-    step = np.array(description.step)
-    off = (outside / step).max(axis=1)
-    for index in np.unique(readings.setup):
-        mine = np.flatnonzero(readings.setup == index)
-        if description.blocks > _MOST_BLOCKS:
-            continue
-        halts = _halts(description, index)
-        missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1) / step.min()
-        if np.mean(missed > _ON_HALT) < 0.5:
-            off[mine] = np.maximum(off[mine], np.where(missed > _ON_HALT, 1.0, 0.0))
-
-    yield Held(
-        "the place",
-        "the run that start, direction, step and blocks state",
-        np.where(off > _OUTSIDE, np.maximum(np.linalg.norm(outside, axis=1), 1e-9), 0.0),
-        np.zeros(len(off)),
-        share=0.0,
-        hint=lambda setup: _run_of_places(session, setup),
-    )
-    length = float(np.linalg.norm(step * description.blocks))
-    yield Held(
-        "displacement",
-        "the way along the beam to where it was read",
-        off_prediction(session, path, groups(readings.setup, readings.repeat)),
-        _ERROR + _SCALE * length + _TILT * across,
-    )
-
-
 def _run_of_places(session: Session, setup: int) -> str:
     """Where the places of a setup run, if it is elsewhere than stated."""
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
+    description, readings = session.description.as_a(StepDiagonal), session.readings
     run, mine = description.setups[setup], readings.setup == setup
     places = readings.position()[mine & (readings.repeat == readings.repeat[mine][0])]
     moved = places[-1] - places[0]
@@ -130,8 +170,7 @@ def _off_halts(session: Session) -> Array:
     In shares of the step; each reading has the mean of its setup: the two thirds of the halts at which one order
     differs from another decide, not the middle one.
     """
-    description, readings = session.description, session.readings
-    assert isinstance(description, StepDiagonal)
+    description, readings = session.description.as_a(StepDiagonal), session.readings
     off, points = np.zeros(len(readings)), readings.position()
     for index in np.unique(readings.setup):
         mine = readings.setup == index
@@ -156,27 +195,3 @@ def _halts(description: StepDiagonal, index: int) -> Array:
         axis = "xyz".index(letter)
         moves[1 + place :: len(order), axis] = run.direction[axis] * description.step[axis]
     return np.asarray(np.asarray(run.start) + np.cumsum(moves, axis=0))
-
-
-def suspicious_diagonal(session: Session) -> Iterator[str]:
-    """Runs that step and blocks make longer, or of other steps, than their places."""
-    description, places = session.description, session.readings.position()
-    assert isinstance(description, StepDiagonal)
-    moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
-    for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
-        halts = np.unique(np.round(place[moved], 9))
-        if len(halts) < 3:
-            continue
-        between = float(np.median(np.diff(halts)))
-        if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
-            yield say(
-                "suspicion.steps",
-                blocks=description.blocks,
-                step=f"{1e3 * step:.4g}",
-                axis=axis,
-                count=len(halts),
-                low=f"{1e3 * halts[0]:.6g}",
-                high=f"{1e3 * halts[-1]:.6g}",
-                between=f"{1e3 * between:.4g}",
-            )
-            return

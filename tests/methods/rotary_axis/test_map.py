@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a fit of a rotary axis says, worked out again from the unknowns and their covariance."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.rotary_axis.map import average_line, line_names
+from machine_tool_calibration.model.result import Result
+
+RADIUS = 0.5
+SQUARE = np.array([[RADIUS, 0.0, 0.0], [0.0, RADIUS, 0.0], [-RADIUS, 0.0, 0.0], [0.0, -RADIUS, 0.0]])
+U = 2e-6
+
+
+def result(rotary: SimpleNamespace, **plan: Any) -> Result:
+    return identify(rotary.measured(3, **plan).session)
+
+
+def test_errors_of_an_axis_average_line_are_those_across_it() -> None:
+    assert line_names("C") == (("X0C", 0), ("Y0C", 1), ("A0C", 3), ("B0C", 4))
+    assert line_names("B") == (("X0B", 0), ("Z0B", 2), ("A0B", 3), ("C0B", 5))
+    assert line_names("A") == (("Y0A", 1), ("Z0A", 2), ("B0A", 4), ("C0A", 5))
+
+
+@pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (1e-3, -2e-3, 5e-3), (0.3, -0.2, 0.9)])
+def test_the_line_of_stations_that_were_moved_is_that_motion(vector: tuple[float, float, float]) -> None:
+    turn, shift = Rotation.from_rotvec(vector), np.array([0.4, -0.2, 0.1])
+    found = average_line(SQUARE, 1e-14 * np.eye(12), turn.apply(SQUARE) + shift, np.full(4, U))
+    assert found is not None
+    np.testing.assert_allclose(found[0], [*shift, *vector], atol=1e-11)
+
+
+def test_stations_on_a_square_place_the_line_as_well_as_their_mean_and_arms() -> None:
+    """Half as uncertain as one of four; turned about their plane's normal by all, about X and Y by two of them."""
+    found = average_line(SQUARE, np.zeros((12, 12)), SQUARE, np.full(4, U))
+    assert found is not None
+    arms = np.array([2.0, 2.0, 4.0]) * RADIUS**2
+    np.testing.assert_allclose(found[1], np.diag([*np.full(3, U**2 / 4), *(U**2 / arms)]), atol=1e-18)
+    # What they are known to in the axis's frame adds to what they are stated to.
+    more = average_line(SQUARE, 3.0 * U**2 * np.eye(12), SQUARE, np.full(4, U))
+    assert more is not None
+    np.testing.assert_allclose(more[1], 4.0 * found[1], rtol=1e-9, atol=1e-24)
+
+
+def test_a_station_that_is_stated_better_keeps_its_place_and_one_that_is_worse_follows() -> None:
+    off = SQUARE + 1e-5 * np.outer([0.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0])
+    found = average_line(SQUARE, np.zeros((12, 12)), off, U * np.array([1e-3, 1.0, 1e3, 1.0]))
+    assert found is not None
+    # The plane through the first and through the middle of the two beside it.
+    at = Rotation.from_rotvec(found[0][3:]).apply(SQUARE) + found[0][:3]
+    np.testing.assert_allclose(at[:, 2], [0.0, 1e-5, 2e-5, 1e-5], atol=1e-9)
+
+
+def test_two_stations_and_stations_on_a_line_place_no_axis() -> None:
+    line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    assert average_line(SQUARE[:2], np.zeros((6, 6)), SQUARE[:2], np.full(2, U)) is None
+    assert average_line(line, np.zeros((9, 9)), line, np.full(3, U)) is None
+
+
+@pytest.mark.parametrize("axis", ["A", "C"])
+def test_position_errors_are_the_motions_at_the_targets(rotary: SimpleNamespace, axis: str) -> None:
+    """e = delta + epsilon x arm, target after target at every angle, and its covariance."""
+    found = result(rotary, axis=axis, sign=-1)
+    model, content = found.fit.model, found.error_map.content
+    motions, _ = rotary.found(content, axis)
+    angles = content[axis.lower()]
+    place = [p.name for p in model.parameters]
+    nominal = np.array([target.position for target in model.observations.session.description.targets])
+    turns = Rotation.from_rotvec(-angles[:, None] * np.eye(3)["ABC".index(axis)])
+    for k in (0, 7, len(angles) - 1):
+        for t in range(len(nominal)):
+            row = k * len(nominal) + t
+            arm = turns[k].apply(model.targets[t])
+            np.testing.assert_allclose(found.error_map.points[row], arm, atol=1e-12)
+            expected = motions[:3, k] + np.cross(motions[3:, k], arm)
+            np.testing.assert_allclose(found.error_map.error[row], expected, atol=1e-15)
+            x, y, z = arm
+            slope = np.column_stack([np.eye(3), [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]])
+            own = [place.index(f"{name}({angles[k]:.6g})") for name in rotary.motions(axis)]
+            spread = slope @ found.fit.covariance[np.ix_(own, own)] @ slope.T
+            np.testing.assert_allclose(found.error_map.covariance[row], spread, rtol=1e-9, atol=1e-20)
+            np.testing.assert_allclose(found.error_map.uncertainty[row], np.sqrt(np.diag(spread)), rtol=1e-9)
+
+
+def test_error_motion_values_are_ranges_with_the_uncertainty_of_a_difference(rotary: SimpleNamespace) -> None:
+    found = result(rotary)
+    content, names = found.error_map.content, [p.name for p in found.fit.model.parameters]
+    kinds = {
+        "EXC": "radial",
+        "EYC": "radial",
+        "EZC": "axial",
+        "EAC": "tilt",
+        "EBC": "tilt",
+        "ECC": "angular positioning",
+    }
+    assert {one["motion"]: one["kind"] for one in content["iso230_7"]} == kinds
+    for one in content["iso230_7"]:
+        values = content[one["motion"]]
+        assert one["angles"] == len(values) == 18
+        assert one["value"] == pytest.approx(values.max() - values.min())
+        assert one["unit"] == ("rad" if one["motion"][1] in "ABC" else "m")
+        first = names.index(f"{one['motion']}({content['c'][0]:.6g})")
+        difference = np.zeros(len(names))
+        difference[first + np.argmax(values)], difference[first + np.argmin(values)] = 1.0, -1.0
+        assert one["U"] == pytest.approx(2.0 * np.sqrt(difference @ found.fit.covariance @ difference))
+
+
+def test_places_of_targets_and_stations_are_those_of_the_fit(rotary: SimpleNamespace) -> None:
+    found = result(rotary)
+    content, fit = found.error_map.content, found.fit
+    value = {p.name: (p.reference + v, u) for p, v, u in zip(
+        fit.model.parameters, fit.theta, np.sqrt(np.diag(fit.covariance)), strict=True)}  # fmt: skip
+    for kind in ("target", "station"):
+        for id_, place, u in zip(content[f"{kind}_ids"], content[f"{kind}s"], content[f"{kind}s_u"], strict=True):
+            expected = [value[f"{id_}.{axis}"] for axis in "xyz"]
+            np.testing.assert_allclose(place, [v for v, _ in expected], atol=1e-12)
+            np.testing.assert_allclose(u, [s for _, s in expected], rtol=1e-9)

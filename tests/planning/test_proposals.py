@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of several further measurements is proposed, from effects whose products are given by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.model.effect_sizes import smallest_signal
+from machine_tool_calibration.planning import what_to_measure
+from machine_tool_calibration.planning.advice import Advice, Separation, Visibility
+from machine_tool_calibration.planning.options import Option
+from machine_tool_calibration.planning.sensing import Sensed
+from machine_tool_calibration.planning.what_to_measure import _cheaper, _separation, visibilities
+
+PAIR = ("one", "other")
+
+
+def pair(cosine: float, norm: float = 100.0, names: tuple[str, ...] = PAIR) -> Sensed:
+    """Two effects of that norm outside the model, in standard uncertainties, at a signal of 2, and their cosine."""
+    gram = norm**2 * np.array([[1.0, cosine], [cosine, 1.0]])
+    place = {name: slice(k, k + 1) for k, name in enumerate(names)}
+    return Sensed(gram, 2.0 * np.diag(gram), place, {name: np.array([2.0]) for name in names})
+
+
+def option(kind: str, seconds: float, words: str = "") -> Option:
+    nothing: Any = None
+    return Option(kind, words or f"{kind}, {seconds:g} s", nothing, 0, seconds, f"besides {kind}")
+
+
+def test_of_measurements_that_separate_well_the_quickest_is_proposed() -> None:
+    tried = [
+        (option("backwards", 100.0), pair(0.30)),
+        (option("order", 20.0), pair(0.39)),
+        (option("again", 1.0), pair(0.99)),
+        (option("diagonal", 10.0), pair(0.41)),
+    ]
+    found = _separation(PAIR, pair(0.98), tried)
+    assert found is not None
+    assert (found.kind, found.measure, found.seconds, found.aside) == ("order", "order, 20 s", 20.0, "besides order")
+    assert found.effects == PAIR
+    assert (found.cosine_before, found.cosine_after) == pytest.approx((0.98, 0.39))
+    # What the other cannot reproduce of a signal of twice the norm.
+    assert found.apart_before == pytest.approx(200.0 * np.sqrt(1.0 - 0.98**2))
+    assert found.apart_after == pytest.approx(200.0 * np.sqrt(1.0 - 0.39**2))
+    assert found.separates
+
+
+def test_where_none_separates_well_those_near_the_best_are_equal() -> None:
+    tried = [
+        (option("backwards", 100.0), pair(0.60)),
+        (option("order", 20.0), pair(0.64)),
+        (option("again", 1.0), pair(0.7)),
+    ]
+    found = _separation(PAIR, pair(0.98), tried)
+    assert found is not None and found.kind == "order"
+    # Of the same effort the first.
+    alike = [(option("backwards", 20.0), pair(0.60)), (option("order", 20.0), pair(0.60))]
+    found = _separation(PAIR, pair(0.98), alike)
+    assert found is not None and found.kind == "backwards"
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.999, 0.95), (0.93, 0.89), (0.40, 0.38)])
+def test_what_leaves_them_alike_or_hardly_changes_it_is_no_proposal(before: float, after: float) -> None:
+    found = _separation(PAIR, pair(before), [(option("again", 1.0), pair(after))])
+    assert found is not None
+    assert found.kind is None and found.seconds is None and "none of the further measurements" in found.measure
+    assert (found.cosine_before, found.cosine_after) == pytest.approx((before, after))
+    assert not found.separates
+
+
+def test_effects_that_a_measurement_does_not_sense_are_not_judged_by_it() -> None:
+    alone = (option("again", 1.0), pair(0.0, names=("one", "third")))
+    found = _separation(PAIR, pair(0.98), [alone])
+    assert found is not None and found.kind is None and found.cosine_after == found.cosine_before
+    assert _separation(("one", "fourth"), pair(0.98), []) is None
+
+
+def test_the_first_of_a_group_counts_against_each_of_the_others() -> None:
+    gram = np.array([[1.0, 0.6, 0.1], [0.6, 1.0, 0.99], [0.1, 0.99, 1.0]])
+    names = ("a", "b", "c")
+    place = {name: slice(k, k + 1) for k, name in enumerate(names)}
+    three = Sensed(gram, np.ones(3), place, {name: np.ones(1) for name in names})
+    found = _separation(names, three, [])
+    assert found is not None
+    assert found.cosine_before == pytest.approx(0.6)
+    assert found.apart_before == pytest.approx(0.8)
+
+
+FOUND = Separation(PAIR, "swing", "everything again", 0.99, 0.3, 1.0, 50.0, 1000.0, "waiting")
+
+
+@pytest.mark.parametrize(
+    ("cosine", "kind", "measure"),
+    [(0.79, "swing", "one setup"), (0.81, "swing", "everything again"), (0.1, "backwards", "everything again")],
+)
+def test_one_setup_is_proposed_where_it_is_enough(
+    monkeypatch: pytest.MonkeyPatch, cosine: float, kind: str, measure: str
+) -> None:
+    asked: list[list[int]] = []
+
+    def further(session: object, setups: list[int]) -> list[Option]:
+        asked.append(setups)
+        return [option(kind, 30.0, "one setup")]
+
+    monkeypatch.setattr(what_to_measure, "further_options", further)
+    session: Any = SimpleNamespace(readings=SimpleNamespace(setup=np.array([4, 2, 2, 4])))
+    found = _cheaper(FOUND, session, [], lambda option: pair(cosine, 10.0))
+    assert asked == [[2]]
+    assert found.measure == measure
+    if measure == "one setup":
+        assert (found.seconds, found.aside) == (30.0, "besides swing")
+        assert found.cosine_after == pytest.approx(cosine)
+        assert found.apart_after == pytest.approx(20.0 * np.sqrt(1.0 - cosine**2))
+    else:
+        assert found == FOUND
+
+
+SMALLEST = 1e-6
+
+
+def seldom(
+    now: float, *seen: tuple[str, float], rank: int = 1, detectable: bool = True, count: int = 1
+) -> list[Visibility]:
+    """An effect of that information now, of 1e6 in all, and with further measurements; readings scatter twofold."""
+
+    def sensed(information: float) -> Sensed:
+        gram = information * np.eye(count)
+        return Sensed(gram, np.full(count, 1e6), {"play": slice(0, count)}, {"play": np.ones(count)})
+
+    coefficients = tuple(Coefficient(f"b{k}", "m", -5e-5, 2e-5) for k in range(count))
+    effect = SimpleNamespace(
+        why_not=lambda observations: None, coefficients_for=lambda observations, shape: coefficients
+    )
+    fit = SimpleNamespace(reduced_chi_square=4.0, assembly=SimpleNamespace(models=[SimpleNamespace(observations=None)]))
+    known = {"b0": SMALLEST} if detectable else {}
+    findings = [SimpleNamespace(name="play", rank=rank, detectable=known)]
+    diagnosis: Any = SimpleNamespace(fits=[fit], search=SimpleNamespace(findings=findings))
+    assumed: Any = {"play": SimpleNamespace(effect=effect, shape=())}
+    options = [(option("swing", 60.0, words), sensed(information)) for words, information in seen]
+    return visibilities(diagnosis, sensed(now), options, assumed)
+
+
+def test_what_shows_an_effect_shows_it_by_the_root_of_its_information() -> None:
+    (found,) = seldom(1e3, ("much", 1e5))
+    assert found == Visibility("play", "b0", "m", SMALLEST, found.after, "swing", "much", 60.0, "besides swing")
+    assert found.after == pytest.approx(0.1 * SMALLEST)
+
+
+def test_more_trouble_must_be_worth_it() -> None:
+    (found,) = seldom(1e3, ("simple", 1e5), ("a little better", 1.29e5))
+    assert found.measure == "simple"
+    (found,) = seldom(1e3, ("simple", 1e5), ("clearly better", 1.31e5))
+    assert found.measure == "clearly better"
+    assert found.after == pytest.approx(SMALLEST / np.sqrt(131.0))
+
+
+def test_an_effect_that_shows_already_or_hardly_better_gets_no_proposal() -> None:
+    assert seldom(1.02e4, ("much", 1e6)) == []  # a tenth of its norm is outside the model
+    assert seldom(9.8e3, ("much", 1e6)) != []
+    assert seldom(1e3, ("a little", 3.9e3)) == []  # half the size is worth it
+    assert seldom(1e3, ("a little", 4.1e3)) != []
+    assert seldom(1e3, ("much", 1e6), count=4) == []
+
+
+def test_an_absorbed_effect_is_promised_by_what_would_be_accepted() -> None:
+    """Its largest size is 50 um, half of it what is expected; the readings scatter by twice what was declared."""
+    information = 1e13
+    strength = np.array([information * 2.5e-5**2 / 4.0])
+    signal = smallest_signal(strength, float(strength[0]), -np.log(priors.EFFECT))
+    (found,) = seldom(0.0, ("both ways", information), rank=0, detectable=False)
+    assert found.before is None
+    assert found.after == pytest.approx(2.0 * signal / np.sqrt(information))
+    assert seldom(0.0, ("hardly", 1e4), rank=0, detectable=False) == []  # larger than any could be
+    assert seldom(0.0, ("not at all", 0.0), rank=0, detectable=False) == []
+
+
+def test_conclusions_go_on_where_the_search_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the whole time a tenth for what the candidates would change, and the rest for what to measure next."""
+    advice = Advice()
+
+    def asked(found: object, progress: Any) -> Advice:
+        for share in (0.0, 0.5, 1.0):
+            progress("further", share)
+        return advice
+
+    monkeypatch.setattr(what_to_measure, "consequences", lambda found: {"play": found})
+    monkeypatch.setattr(what_to_measure, "what_to_measure", asked)
+    told: list[float] = []
+    found: Any = "a diagnosis"
+    done = what_to_measure.conclude(found, progress=lambda what, share: told.append(share))
+    assert done.advice is advice and done.changes == {"play": found}
+    assert told == pytest.approx([0.7, 0.8, 0.9, 1.0])
