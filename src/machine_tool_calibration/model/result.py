@@ -252,11 +252,13 @@ class Result(Identified):
         fit: the fit.
         rejected: readings that were kept out.
         observations: number of readings recorded.
+        doubtful: places whose readings no others check and that stand out, in words.
     """
 
     fit: Fit
     rejected: tuple[Rejected, ...]
     observations: int
+    doubtful: tuple[str, ...] = ()
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -304,7 +306,11 @@ class Result(Identified):
             "rejected": [r.document() for r in self.rejected],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.fit.model.datum,
-            "suspicious": [*suspicions([session]), *(p.words for p in misplaced(session, self.error_map.content))],
+            "suspicious": [
+                *suspicions([session]),
+                *(p.words for p in misplaced(session, self.error_map.content)),
+                *self.doubtful,
+            ],
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }
