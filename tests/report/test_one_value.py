@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.budget.contributor import default_budget
+from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes import calculation
@@ -23,6 +23,7 @@ from machine_tool_calibration.report import sections as room
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.tables import TextTable
@@ -60,10 +61,18 @@ def no_pictures() -> Iterator[None]:
         yield
 
 
+# The same with a budget that the session states, so that its U is the complete one.
+RUN = "iso230_2 with laser_interferometer"
+WITH_BUDGET = (RUN, "rotary_axis with laser_tracker")
+
+
 @cache
 def session_of(kind: str) -> Session:
+    kind, _, instrument = kind.partition(" with ")
     effects = (FlawSpec(id="backlash_x", amplitude=2e-6),) if kind == "iso230_2" else ()
-    return simulate(SimulationSpec(plan=PRESETS[kind], seed=4, effects=effects)).session
+    session = simulate(SimulationSpec(plan=PRESETS[kind], seed=4, effects=effects)).session
+    lines = template_of(instrument) if instrument else ()
+    return replace(session, description=session.description.model_copy(update={"budget": lines}))
 
 
 def said(*arguments: str) -> str:
@@ -107,12 +116,13 @@ def without_origin(document: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in json.loads(json.dumps(document)).items() if key != "provenance"}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, *WITH_BUDGET])
 def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> None:
     session, folder = session_of(kind), tmp_path / "session"
     write_session(session, folder)
     found = evaluate(Measured((session,), FitRequest((session,))), diagnosis=False)
     of_report = without_origin(found.document)
+    assert of_report["uncertainty"] == ("budget" if kind in WITH_BUDGET else "identification")
     table = tmp_path / "found.csv"
     of_terminal = said("identify", str(folder), "--csv", str(table))
     shown = models.opened([folder], None, (), lambda *_: None).models[-1]
@@ -124,6 +134,7 @@ def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> 
         assert compared(of_report, without_origin(other)) > 20
     told = tables(found)
     lines = [re.sub(r"\s+", " ", line).strip() for line in of_terminal.splitlines()]
+    assert kind not in WITH_BUDGET or "without instrument and temperature" not in of_terminal
     assert all(f"{name} {value}" in lines for name, value in summary_rows({**of_report, "not_determined": []}))
     summary = next(block for block in room.sections(found, words("en"))[0].blocks if isinstance(block, TextTable))
     assert summary.rows == tuple(summary_rows({**of_report, "not_determined": []}))
@@ -138,13 +149,12 @@ def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> 
 @cache
 def whole() -> Evaluation:
     """All of a report of a run by ISO 230-2, with a budget."""
-    session = session_of("iso230_2")
-    measured, lines = Measured((session,), FitRequest((session,))), default_budget([session])
-    return evaluate(measured, contributors=lines, tolerances={"A": 20e-6, "EXX": 20e-6})
+    session = session_of(RUN)
+    return evaluate(Measured((session,), FitRequest((session,))), tolerances={"A": 20e-6, "EXX": 20e-6})
 
 
 def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind, folder, found = "iso230_2", tmp_path / "session", whole()
+    kind, folder, found = RUN, tmp_path / "session", whole()
     write_session(session_of(kind), folder)
     assert found.improvement is not None and found.conclusions is not None
     diagnosis, then = found.improvement.diagnosis, found.conclusions
@@ -166,6 +176,15 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch
     (told,) = document["candidates"][0]["parameters"]
     (own,) = then.changes["backlash_x"].parameters
     assert (told["value"], told["standard_uncertainty"]) == pytest.approx((own.value, own.standard_uncertainty))
+    # The size that the diagnosis tells is that of the model with it, on the way and as it is identified.
+    steps = improvement_document(found.improvement)
+    told_by_verb = json.loads(said("improve", str(folder), "--json", "-o", str(tmp_path / "pictures")))
+    assert compared(without_origin(steps), without_origin(told_by_verb)) > 20
+    best = models.improved(opened.subject, opened.models[-1], of_workbench[0], lambda *_: None)[-1]
+    of_model = [p for p in best.fit.document()["parameters"] if p["name"] == own.name]
+    for parameter in (*found.improvement.steps[-1].parameters, *best.step.parameters):
+        assert parameter.standard_uncertainty == pytest.approx(own.standard_uncertainty)
+    assert [p["standard_uncertainty"] for p in of_model] == pytest.approx([own.standard_uncertainty])
 
 
 def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:

@@ -42,9 +42,10 @@ def command(
     mtcal diagnose measurements/cube --json
     mtcal diagnose measurements/cube measurements/cube_again
     """
+    from machine_tool_calibration.budget.complete import conclude
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.interface.diagnosis import Diagnosis
-    from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
+    from machine_tool_calibration.planning.what_to_measure import SEARCH
 
     chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:

@@ -150,8 +150,8 @@ class _Found:
 
 
 def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str]) -> _Found:
+    from machine_tool_calibration.budget import complete
     from machine_tool_calibration.export.compensation import compensation
-    from machine_tool_calibration.methods.identify import identify_sessions
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.checks.suspicion import suspicions
 
@@ -165,7 +165,7 @@ def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str])
             note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
         model = wanted.model or (None if chosen.model == "free" else chosen.model)
         chosen = replace(chosen, model=model or spec_of(chosen.sessions[0]).with_tables)
-    result = identify_sessions(chosen)
+    result = complete.identify(chosen)
     said = [bad_fit(result.joint, result.error_map.content)]
     if isinstance(result, Result):
         models: tuple[str, ...] = (result.model_name,)

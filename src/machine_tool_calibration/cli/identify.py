@@ -69,7 +69,7 @@ def command(
     mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
     """
-    from machine_tool_calibration.methods.identify import identify_sessions
+    from machine_tool_calibration.budget import complete
 
     if formulation and (wanted.from_history or table):
         raise click.UsageError("--formulation is without --from-history and --csv.")
@@ -82,7 +82,7 @@ def command(
         if formulation is not None:
             document = plain(_by_formulation(chosen, formulation))
         else:
-            result = identify_sessions(replace(chosen, keep_all=keep_all or chosen.keep_all))
+            result = complete.identify(replace(chosen, keep_all=keep_all or chosen.keep_all))
             document = measured.document(result)
         if folder:
             progress("drawing")

@@ -82,7 +82,7 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     mtcal improve measurements/cube --effect backlash_y
     mtcal improve measurements/cube measurements/cube_again
     """
-    from machine_tool_calibration.diagnosis.improve import improve
+    from machine_tool_calibration.budget.complete import improve
     from machine_tool_calibration.plots.improve import save_improvement
     from machine_tool_calibration.reports.history_file import history_path, read_history
     from machine_tool_calibration.reports.improvement import improvement_document, show_improvement

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from machine_tool_calibration.budget.complete import conclude
 from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.compare import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.session import one_below_the_other
 from machine_tool_calibration.interface.show import Answer, chosen, notebook, printed
-from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
+from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.compare import draw_setups, figures
 from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
 from machine_tool_calibration.reports.comparison import comparison_document
@@ -187,7 +188,7 @@ class Diagnosis(Answer[Found]):
     @cached_property
     def conclusions(self) -> Conclusions:
         """What each candidate would change, and what to measure next; worked out when it is first asked for."""
-        return self.concluded or conclude(self.found, progress=lambda what, share: None)
+        return self.concluded or conclude(self.found)
 
     @property
     def headline(self) -> str:

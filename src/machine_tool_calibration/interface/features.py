@@ -92,7 +92,8 @@ class Features(Answer[Found]):
         draws = f"{100 * COVERAGE:.4g} % of {drawn.draws} draws, touches {drawn.distribution}" if drawn else ""
         heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
         title = "Features of the workpiece, ± U (k = 2)"
-        show_table(screen, TextTable(title, heads, tuple(rows), f"frame: {self.datum}"))
+        note = f"frame: {self.datum}; U is without instrument and temperature"
+        show_table(screen, TextTable(title, heads, tuple(rows), note))
         for name, why in self.found.left_out.items():
             screen.print(f"Not a feature: {name}: {why}.")
 

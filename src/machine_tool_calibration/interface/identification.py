@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
 from machine_tool_calibration.budget.propagate import propagate
@@ -31,7 +32,7 @@ from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Shown, chosen
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import compare_fits
 from machine_tool_calibration.methods.probing.propagation import Distribution, monte_carlo
 from machine_tool_calibration.model.result import Result
@@ -394,7 +395,7 @@ def identify(
 
 
 def _fitted(measurement: Measurement, asked: FitRequest) -> Fit:
-    return Fit(measurement, identify_sessions(asked), asked)
+    return Fit(measurement, complete.identify(asked), asked)
 
 
 def split_effects(

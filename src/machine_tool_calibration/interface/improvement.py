@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.improve import Improvement as Done
 from machine_tool_calibration.diagnosis.improve import Step, step_after
-from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -123,7 +123,7 @@ def improve(
     """
     measurement = load(session)
     ids, known = split_effects(effects, own)
-    return Improvement(improve_models(measurement.chosen(model, ids, known)), measurement)
+    return Improvement(complete.improve(measurement.chosen(model, ids, known)), measurement)
 
 
 def plot_improvement(fits: Sequence[Fit]) -> Figure:

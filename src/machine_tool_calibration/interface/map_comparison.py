@@ -135,7 +135,10 @@ def _differences(comparison: Compared) -> TextTable:
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
     order = np.flatnonzero(told.any(axis=1))
-    note = f"± U (k = 2); E_n is the difference over its U; 1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
+    note = (
+        "± U (k = 2), without instrument and temperature; E_n is the difference over its U; "
+        f"1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
+    )
     if len(order) > _MOST:
         worst = np.nanmax(np.abs(comparison.normalised[order]), axis=1)
         note += f"; the {_MOST} of {len(order)} points that differ most, all with --json"

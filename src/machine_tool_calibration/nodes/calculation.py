@@ -8,16 +8,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.improve import Improvement, improve
+from machine_tool_calibration.diagnosis.improve import Improvement
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.goals import Progress
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
+from machine_tool_calibration.planning.what_to_measure import SEARCH
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session
@@ -105,7 +106,7 @@ def identified(request: Request, progress: Progress) -> Identified:
         CalibrationError: the readings do not allow it.
     """
     progress("fitting the model", 0.0)
-    return _identified(identify_sessions(request.chosen()))
+    return _identified(complete.identify(request.chosen()))
 
 
 def compared(request: Request, progress: Progress) -> tuple[Mapping[str, Any], str]:
@@ -138,7 +139,7 @@ def improved(request: Request, progress: Progress) -> Improved:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    steps = _searched(improve, request, progress)
+    steps = _searched(complete.improve, request, progress)
     return Improved(
         steps=steps,
         diagnosed=_diagnosed(steps.diagnosis, progress),
@@ -157,7 +158,7 @@ def _identified(result: Result | JointResult) -> Identified:
 
 
 def _diagnosed(found: Diagnosis, progress: Progress) -> Diagnosed:
-    then = conclude(found, progress=progress)
+    then = complete.conclude(found, progress=progress)
     content = diagnosis_document(found, then.advice, then.changes)
     return Diagnosed(found, then.changes, then.advice, content, _json(content))
 

@@ -10,7 +10,6 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
-from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
 from machine_tool_calibration.reports.signs import negative_words
@@ -181,7 +180,7 @@ class DiagnosePage:
         ends = [float(np.nanmin(pattern)), float(np.nanmax(pattern))]
         self._line.data = {"x": ends, "y": ends}
         name = trial.step.change
-        sizes = sizes_in_words(effect_estimates(trial.fit.result.joint, [name]))
+        sizes = sizes_in_words(trial.fit.result.sizes([name]))
         moved = trial.step.map_change
         words = f"With {name}: {sizes} (k = 2); {residual_change(now.rms_residual, then.rms_residual)}"
         words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History
@@ -24,10 +25,9 @@ from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
-from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
@@ -135,7 +135,7 @@ class Subject:
         """
         measurement = self.without(aside, kept)
         chosen = replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True)
-        result = identify_sessions(chosen)
+        result = complete.identify(chosen)
         rows = tuple(self._rows(k, aside) for k in range(len(self.first)))
         step = step_after(before.step if before else None, words, chosen, result, rows)
         return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept)
@@ -257,7 +257,7 @@ def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagn
         progress: told what is being done.
     """
     found = diagnose(subject.chosen(model), progress=lambda what, share: progress(what, SEARCH * share))
-    return found, conclude(found, progress=progress)
+    return found, complete.conclude(found, progress=progress)
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
