@@ -14,6 +14,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -160,7 +161,7 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch
     diagnosis, then = found.improvement.diagnosis, found.conclusions
     document = json.loads(said("diagnose", str(folder), "--json"))
     assert document["accepted"] == ["backlash_x"]
-    monkeypatch.setattr(calculation, "diagnose", lambda *_, **__: diagnosis)
+    monkeypatch.setattr(complete, "look_for_effects", lambda *_, **__: diagnosis)
     of_node = calculation.diagnosed(received(kind, tmp_path), lambda *_: None).content
     assert compared(without_origin(document), without_origin(dict(of_node))) > 20
     opened = models.opened([folder], None, (), lambda *_: None)

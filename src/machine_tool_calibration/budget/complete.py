@@ -18,18 +18,19 @@ from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR, Quantity
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.diagnose import diagnose as look_for_effects
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.iso230_2 import of_diagonals
 from machine_tool_calibration.model.result import Identified, Result, map_rms
-from machine_tool_calibration.planning.what_to_measure import Conclusions
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.planning.what_to_measure import conclude as conclude_from
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["completed", "completed_steps", "conclude", "identify", "improve", "stated"]
+__all__ = ["completed", "completed_steps", "conclude", "diagnose", "identify", "improve", "stated"]
 
 Either = TypeVar("Either", bound=Identified)
 
@@ -59,6 +60,16 @@ def improve(
     """
     chosen = FitRequest.of(subject)
     return completed_steps(improve_models(chosen, progress=progress), stated(chosen.sessions))
+
+
+def diagnose(chosen: FitRequest, *, progress: Callable[[str, float], None]) -> tuple[Diagnosis, Conclusions]:
+    """Look for the effects that a model lacks, and draw the conclusions (`conclude`).
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    found = look_for_effects(chosen, progress=lambda what, share: progress(what, SEARCH * share))
+    return found, conclude(found, progress=progress)
 
 
 def conclude(

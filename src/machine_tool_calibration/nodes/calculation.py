@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.consequence import Consequence
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.improve import Improvement
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -18,7 +18,7 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.goals import Progress
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.what_to_measure import SEARCH
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session
@@ -33,9 +33,6 @@ __all__ = [
     "identified",
     "improved",
 ]
-
-
-Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -130,7 +127,7 @@ def diagnosed(request: Request, progress: Progress) -> Diagnosed:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    return _diagnosed(_searched(diagnose, request, progress), progress)
+    return _diagnosed(*complete.diagnose(request.chosen(), progress=progress))
 
 
 def improved(request: Request, progress: Progress) -> Improved:
@@ -139,17 +136,13 @@ def improved(request: Request, progress: Progress) -> Improved:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    steps = _searched(complete.improve, request, progress)
+    steps = complete.improve(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
     return Improved(
         steps=steps,
-        diagnosed=_diagnosed(steps.diagnosis, progress),
+        diagnosed=_diagnosed(steps.diagnosis, complete.conclude(steps.diagnosis, progress=progress)),
         identified=_identified(steps.steps[-1].result),
         document=_json(improvement_document(steps)),
     )
-
-
-def _searched(search: Callable[..., Found], request: Request, progress: Progress) -> Found:
-    return search(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
 
 
 def _identified(result: Result | JointResult) -> Identified:
@@ -157,8 +150,7 @@ def _identified(result: Result | JointResult) -> Identified:
     return Identified(result, _json(result.document()))
 
 
-def _diagnosed(found: Diagnosis, progress: Progress) -> Diagnosed:
-    then = complete.conclude(found, progress=progress)
+def _diagnosed(found: Diagnosis, then: Conclusions) -> Diagnosed:
     content = diagnosis_document(found, then.advice, then.changes)
     return Diagnosed(found, then.changes, then.advice, content, _json(content))
 

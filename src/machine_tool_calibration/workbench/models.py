@@ -16,7 +16,7 @@ import numpy as np
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of, step_after, words_set_aside
 from machine_tool_calibration.effects.effect import Effect
@@ -27,7 +27,7 @@ from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
+from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
@@ -249,15 +249,8 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
 
 
 def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagnosis, Conclusions]:
-    """Effects that a model lacks, and what would tell them apart.
-
-    Args:
-        subject: the measurement.
-        model: the model.
-        progress: told what is being done.
-    """
-    found = diagnose(subject.chosen(model), progress=lambda what, share: progress(what, SEARCH * share))
-    return found, complete.conclude(found, progress=progress)
+    """Effects that a model lacks, and what would tell them apart."""
+    return complete.diagnose(subject.chosen(model), progress=progress)
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
