@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 from weakref import WeakKeyDictionary, WeakMethod
 
+import numpy as np
 import panel as pn
 from bokeh.document.callbacks import invoke_with_curdoc
 from bokeh.models import HoverTool
@@ -26,6 +27,7 @@ __all__ = [
     "bar_button",
     "beside",
     "controls",
+    "draw_stations",
     "folded",
     "in_order",
     "legend_above",
@@ -33,6 +35,7 @@ __all__ = [
     "packed",
     "paragraphs",
     "setup_color",
+    "stations_of",
     "tables",
     "tell_faults",
     "text",
@@ -69,6 +72,22 @@ BUTTON = """
 def setup_color(index: int) -> str:
     """Of a setup, by its number."""
     return COLORS[index % len(COLORS)]
+
+
+def stations_of(setups: Sequence[Any], which: Iterable[int]) -> dict[str, Any]:
+    """Stations among setups, by their numbers, as columns of a plot: `id`, `x y z` (mm) and `color`."""
+    at = [(setups[k], setup_color(k)) for k in which if hasattr(setups[k], "position")]
+    place = 1e3 * np.array([one.position for one, _ in at]).reshape(-1, 3)
+    names, colors = [one.id for one, _ in at], [color for _, color in at]
+    return {"id": names, "color": colors, **dict(zip("xyz", place.T, strict=True))}
+
+
+def draw_stations(plot: Any, source: Any, across: str, upwards: str) -> list[Any]:
+    """Have a plot show the stations of a source with their names; what draws them."""
+    return [
+        plot.scatter(across, upwards, source=source, size=11, marker="triangle", color="color", line_color="black"),
+        plot.text(across, upwards, text="id", source=source, x_offset=9, text_baseline="middle", text_font_size="12px"),
+    ]
 
 
 def packed(color: str) -> int:
