@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from machine_tool_calibration.diagnosis import diagnose, improve
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.planning import what_to_measure
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -51,7 +50,8 @@ def _once(search: Callable[..., Any]) -> Callable[..., Any]:
     def found(subject: Any, *more: Any, progress: Callable[[str, float], None], **options: Any) -> Any:
         if isinstance(subject, FitRequest) and subject.own:
             return search(subject, *more, progress=progress, **options)
-        key = (search, _same(subject), repr(more), repr(sorted(options.items())))
+        told = sorted((name, value) for name, value in options.items() if not callable(value))
+        key = (search, _same(subject), repr(more), repr(told))
         if key not in _FOUND:
             _FOUND[key] = (search(subject, *more, progress=progress, **options), subject)
         return _FOUND[key][0]
@@ -74,9 +74,8 @@ def _same(subject: Any) -> object:
 def found_once() -> Iterator[None]:
     """Diagnoses and improvements of sessions that several tests of the commands look at are calculated once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(diagnose, "diagnose", _once(diagnose.diagnose))
-        patch.setattr(improve, "improve", _once(improve.improve))
-        patch.setattr(what_to_measure, "conclude", _once(what_to_measure.conclude))
+        for search in ("look_for_effects", "improve_models", "conclude_from"):
+            patch.setattr(complete, search, _once(getattr(complete, search)))
         yield
 
 

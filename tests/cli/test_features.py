@@ -86,7 +86,7 @@ def _points(file: Path) -> dict[str, list[str]]:
 
 
 def test_centres_and_walls_are_drawn_where_they_are_magnified(listed: Path) -> None:
-    found = mtcal.identify(CROSS).features(named=_points(listed)).found
+    found = mtcal.identify(CROSS).features(named=_points(listed))
     (panel,) = draw_features(found).axes
     label = next(text for text in panel.get_legend_handles_labels()[1] if "×" in text)
     scale = float(label.split("×")[1].replace(" ", ""))

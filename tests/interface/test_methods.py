@@ -183,10 +183,10 @@ def test_diagnose_and_improve_say_what_the_commands_say(
     assert diagnosis.effects == improvement.best.effects == ("backlash_x",)
     assert improvement.best.document() == improvement.document()["result"]
     # The texts of the same diagnosis and improvement, without searching again.
-    package = "machine_tool_calibration"
-    monkeypatch.setattr(f"{package}.diagnosis.diagnose.diagnose", lambda *a, **k: diagnosis.found)
-    monkeypatch.setattr(f"{package}.planning.what_to_measure.conclude", lambda *a, **k: diagnosis.conclusions)
-    monkeypatch.setattr(f"{package}.diagnosis.improve.improve", lambda *a, **k: improvement.found)
+    package = "machine_tool_calibration.budget.complete"
+    monkeypatch.setattr(f"{package}.look_for_effects", lambda *a, **k: diagnosis)
+    monkeypatch.setattr(f"{package}.conclude_from", lambda *a, **k: diagnosis.conclusions)
+    monkeypatch.setattr(f"{package}.improve_models", lambda *a, **k: improvement)
     assert diagnosis.report() == said(capsys, "diagnose", session)
     assert improvement.report() == said(capsys, "improve", session, "--no-history")
     assert improvement.plot().canvas.manager is None

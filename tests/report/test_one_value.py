@@ -198,7 +198,7 @@ def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
     assert 2 * max(motion) == pytest.approx(expanded)
     assert 2 * max(document["error_map"]["tables"]["EXX"]["value_u"]) == pytest.approx(expanded)
     (run_,) = document["error_map"]["iso230_2"]
-    accuracy = found.conformity.verdicts[0]
+    accuracy = found.conformity.each[0]
     assert run_["A_U"] == pytest.approx(2 * accuracy.u) == pytest.approx(found.budget.largest("A_X").expanded)  # type: ignore[union-attr]
     assert "note" not in run_  # that the instrument's comes on top
     told = tables(found)

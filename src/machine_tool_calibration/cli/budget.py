@@ -89,5 +89,5 @@ def command(
         fit = wanted.fit(measurements, progress)
         wanted.note_unused(fit, measurements)
         answer = fit.budget(budgets or None, quantities=names, draws=draws or 0, seed=seed, progress=progress)
-    save_picture(answer.plot, plot, answer.found.origin)
+    save_picture(answer.plot, plot, answer.origin)
     tell(answer, as_json)

@@ -47,13 +47,14 @@ def command(
 
     chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
-        answer = Diagnosis(*complete.diagnose(chosen, progress=progress))
+        found, then = complete.diagnose(chosen, progress=progress)
+    answer = Diagnosis.of(found, concluded=then)
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
         with progress_bar() as progress:
             progress("drawing")
-            drawn = save_diagnosis(answer.found, answer.conclusions.changes, output)
+            drawn = save_diagnosis(answer, answer.conclusions.changes, output)
         note_written(drawn)
     if as_json:
         write_json(answer.document())

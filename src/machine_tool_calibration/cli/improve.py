@@ -115,7 +115,8 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
             why = f"{error.filename or output}: cannot be written: {error.strerror}; -o names another folder"
             failed.insert(0, why)
     try:
-        tell(Improvement(done, Measurement(measured.recorded, tuple(session_labels(measurements)))), as_json)
+        measurement = Measurement(measured.recorded, tuple(session_labels(measurements)))
+        tell(Improvement.of(done, measurement=measurement), as_json)
     finally:
         note_written(written)
         if words:

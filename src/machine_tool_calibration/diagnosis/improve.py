@@ -159,8 +159,8 @@ def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) ->
         progress: called with what is being done and the share that is finished.
     """
     start = found.chosen
-    if found.outliers:
-        yield words_set_aside(len(found.outliers)), start
+    if found.gross_errors:
+        yield words_set_aside(len(found.gross_errors)), start
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
         yield name, start.adding(found.accepted[: k + 1])

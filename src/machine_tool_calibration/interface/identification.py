@@ -264,7 +264,7 @@ class Fit(Shown):
         fit = self.result.fit
         found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
         drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None
-        return Features(found, drawn, self.result.provenance)
+        return Features.of(found, drawn=drawn, origin=self.result.provenance)
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
@@ -293,7 +293,7 @@ class Fit(Shown):
         require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
         found = compare_fits(*pair, labels, seed=seed, progress=progress)
-        return MapComparison(found, tuple(one.provenance for one in pair))
+        return MapComparison.of(found, origins=tuple(one.provenance for one in pair))
 
     def diagnose(self) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
@@ -301,7 +301,7 @@ class Fit(Shown):
         Raises:
             ModelError: the data does not allow the model.
         """
-        return Diagnosis(diagnose(self.chosen))
+        return Diagnosis.of(diagnose(self.chosen))
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
         """The same measurement with further effects in the model.
@@ -343,7 +343,7 @@ class Fit(Shown):
         lines = contributors_of(contributors, self.measurement.sessions)
         names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
         check_names(own, names)
-        return Budget(propagate(own, lines, draws=draws, seed=seed, progress=progress), names)
+        return Budget.of(propagate(own, lines, draws=draws, seed=seed, progress=progress), names=names)
 
     def conformity(
         self,
@@ -378,8 +378,8 @@ class Fit(Shown):
         own = fitted_sessions(self.result)
         if budget is None and (lines := known_contributors(self.measurement.sessions)[0]):
             budget = self.budget(lines, seed=seed, progress=progress)
-        held = None if budget is None else budget.found
-        return Conformity(conformity(own, sizes, rule=rule, level=level, budget=held, seed=seed, progress=progress))
+        found = conformity(own, sizes, rule=rule, level=level, budget=budget, seed=seed, progress=progress)
+        return Conformity.of(found)
 
     @cached_property
     def _document(self) -> dict[str, Any]:

@@ -123,7 +123,8 @@ class DiagnosePage:
         self._forget()
         self._ranking.visible = state.diagnosis is not None
         self._effect.param.update(options=["", *addable(state)], value="")
-        self._all.disabled = state.diagnosis is None or not state.diagnosis[0].accepted + state.diagnosis[0].outliers
+        found = None if state.diagnosis is None else state.diagnosis[0]
+        self._all.disabled = found is None or not found.accepted + found.gross_errors
         if state.diagnosis is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
             self._words.object = paragraphs([said])

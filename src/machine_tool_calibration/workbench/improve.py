@@ -195,7 +195,7 @@ class ImprovePage:
 
         def take_and_add(found: tuple[Diagnosis, Conclusions]) -> None:
             job.take(found)
-            if found[0].accepted or found[0].outliers:
+            if found[0].accepted or found[0].gross_errors:
                 self._work.run("adding what was found", self._state.improved())
             else:
                 self._note.object = escape("Nothing was found that is missing: see Diagnose.")
