@@ -225,9 +225,8 @@ def command(
     seed: int | None,
     hide: str | None,
     output: Path | None,
-    domain_id: int | None,
-    namespace: str,
     as_json: bool,
+    **graph: Any,
 ) -> None:
     """Measure a simulated machine that hides a physical effect, find it out, add it, and watch the error fall.
 
@@ -242,8 +241,7 @@ def command(
     setting = Setting(
         output=free_folder("demo", output),
         site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()),
-        domain=domain_id,
-        namespace=namespace,
+        **graph,
     )
     with readings_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)

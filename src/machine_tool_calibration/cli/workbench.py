@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -28,12 +29,10 @@ __all__ = ["command"]
 def command(
     measurements: tuple[Path, ...],
     live: bool,
-    domain_id: int | None,
-    namespace: str,
     model: str | None,
     files: tuple[Path, ...],
-    port: int,
     browser: bool,
+    **place: Any,
 ) -> None:
     """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
 
@@ -74,4 +73,4 @@ def command(
 
             webbrowser.open(address)
 
-    serve(measurements, own, model, live=live, domain=domain_id, namespace=namespace, port=port, ready=ready)
+    serve(measurements, own, model, live=live, ready=ready, **place)
