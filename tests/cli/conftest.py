@@ -82,7 +82,16 @@ def found_once() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With backlash that is hidden in it; to be copied, not changed."""
-    folder = tmp_path_factory.mktemp("improve") / "cube"
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
+    return _with_backlash(tmp_path_factory.mktemp("improve") / "cube", 77, 1.5e-6)
+
+
+@pytest.fixture(scope="session")
+def backlash(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With more backlash of Y; to be copied, not changed."""
+    return _with_backlash(tmp_path_factory.mktemp("backlash") / "plane", 4, 2e-6)
+
+
+def _with_backlash(folder: Path, seed: int, size: float) -> Path:
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed, effects=(FlawSpec(id="backlash_y", size=size),))
     write_session(simulate(spec).session, folder)
     return folder

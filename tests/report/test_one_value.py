@@ -4,10 +4,8 @@
 import json
 import re
 from collections.abc import Iterator
-from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from functools import cache
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,6 @@ import pytest
 
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.contributor import template_of
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes import calculation
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
@@ -33,6 +30,8 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import words
 from machine_tool_calibration.workbench import models
+
+from ..told import Verb
 
 # One of each method, and of each kind where a method has several.
 KINDS = (
@@ -76,14 +75,6 @@ def session_of(kind: str) -> Session:
     return replace(session, description=session.description.model_copy(update={"budget": lines}))
 
 
-def said(*arguments: str) -> str:
-    """What a verb prints."""
-    out = StringIO()
-    with redirect_stdout(out):
-        assert run(list(arguments)) == 0
-    return out.getvalue()
-
-
 def received(kind: str, folder: Path) -> Received:
     session_to_bag(session_of(kind), folder / "bag")
     return Received("", [], None, (), (), session_from_bag(folder / "bag"))
@@ -118,17 +109,17 @@ def without_origin(document: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", [*KINDS, *WITH_BUDGET])
-def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> None:
+def test_a_result_is_the_same_wherever_it_is_told(kind: str, verb: Verb, tmp_path: Path) -> None:
     session, folder = session_of(kind), tmp_path / "session"
     write_session(session, folder)
     found = evaluate(Measured((session,), FitRequest((session,))), diagnosis=False)
     of_report = without_origin(found.document)
     assert of_report["uncertainty"] == ("budget" if kind in WITH_BUDGET else "identification")
     table = tmp_path / "found.csv"
-    of_terminal = said("identify", str(folder), "--csv", str(table))
+    of_terminal = verb("identify", folder, "--csv", table).out
     shown = models.opened([folder], None, (), lambda *_: None).models[-1]
     for other in (
-        json.loads(said("identify", str(folder), "--json")),
+        verb("identify", folder, "--json").document,
         json.loads(calculation.identified(received(kind, tmp_path), lambda *_: None).document),
         shown.fit.document(),
     ):
@@ -154,12 +145,14 @@ def whole() -> Evaluation:
     return evaluate(Measured((session,), FitRequest((session,))), tolerances={"A": 20e-6, "EXX": 20e-6})
 
 
-def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diagnosis_is_the_same_wherever_it_is_told(
+    verb: Verb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     kind, folder, found = RUN, tmp_path / "session", whole()
     write_session(session_of(kind), folder)
     assert found.improvement is not None and found.conclusions is not None
     diagnosis, then = found.improvement.diagnosis, found.conclusions
-    document = json.loads(said("diagnose", str(folder), "--json"))
+    document = verb("diagnose", folder, "--json").document
     assert document["accepted"] == ["backlash_x"]
     monkeypatch.setattr(complete, "look_for_effects", lambda *_, **__: diagnosis)
     of_node = calculation.diagnosed(received(kind, tmp_path), lambda *_: None).content
@@ -179,7 +172,7 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch
     assert (told["value"], told["standard_uncertainty"]) == pytest.approx((own.value, own.standard_uncertainty))
     # The size that the diagnosis tells is that of the model with it, on the way and as it is identified.
     steps = improvement_document(found.improvement)
-    told_by_verb = json.loads(said("improve", str(folder), "--json", "-o", str(tmp_path / "pictures")))
+    told_by_verb = verb("improve", folder, "--json", "-o", tmp_path / "pictures").document
     assert compared(without_origin(steps), without_origin(told_by_verb)) > 20
     best = models.improved(opened.subject, opened.models[-1], of_workbench[0], lambda *_: None)[-1]
     of_model = [p for p in best.fit.document()["parameters"] if p["name"] == own.name]

@@ -2,7 +2,6 @@
 """What the pages show of a diagnosis and of an effect of the user's own."""
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +10,6 @@ from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
-
-
-@pytest.fixture
-def state(hidden: Path) -> State:
-    made = State()
-    made.opened(hidden)()
-    return made
 
 
 def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None:
