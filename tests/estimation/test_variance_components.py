@@ -117,3 +117,16 @@ def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
             value = found.quantile(family, p)
             assert found.weights[column < value / step].sum() <= p
             assert found.weights[column <= value * step].sum() >= p
+
+
+@pytest.mark.parametrize("large", range(4))
+def test_of_four_families_the_one_that_does_not_reproduce_is_found(large: int) -> None:
+    rng, count, each = np.random.default_rng(large), 400, 20
+    place = np.repeat(np.arange(4), each)
+    spread = np.concatenate([np.eye(each)[rng.integers(each, size=count)] for _ in range(4)], axis=1)
+    sizes = np.where(np.arange(4) == large, 3.0, 0.0)
+    readings = rng.normal(size=count) + spread @ (sizes[place] * rng.normal(size=len(place)))
+    found = components(projected(np.ones((count, 1)), spread, place, readings))
+    assert found.probability(large) > 0.999
+    assert found.quantile(large, 0.025) < 3.0 < found.quantile(large, 0.975)
+    assert max(found.quantile(other, 0.5) for other in range(4) if other != large) < 0.4

@@ -1,14 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Probing live: the probe node with the axis simulator and the procedure, in simulated and in real time."""
 
+import json
+
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes.executed import executed_message
 from machine_tool_calibration.nodes.graph import Program
+from machine_tool_calibration.nodes.ros.messages import COMMAND, LATCHED, STATE, joint_state
 from machine_tool_calibration.session.collect import Collector
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import parse_description
@@ -155,6 +165,60 @@ def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish
     np.testing.assert_allclose(session.readings.displacement.reshape(2, 2), np.tile(form, (2, 1)), atol=1e-9)
     # 4 mm there at 40 mm/s, and as much back
     assert np.all(np.diff(session.readings.columns["time"]) > 0.2)
+
+
+class PlayedAxes:
+    """Axes that stand in front of the part's first point, and do nothing but note what they are told."""
+
+    def __init__(self, operator, content):
+        node, stamp = operator._node, round(ORIGIN * 1e9)
+        described = json.dumps({"format": "mtcal-session/1", **content["session"]})
+        description = parse_description(described, "session")
+        c = description.setups[0].c
+        touch = Part(description).touch(0, c, 0.004)
+        self.place = {**touch.at(0.004), "z": -0.01, "c": c}
+        self.commands, self.executed = [], executed_message(stamp, [(stamp, self.place)])
+        session = node.create_publisher(String, "session", LATCHED)
+        states = node.create_publisher(JointState, "joint_states", STATE)
+        executed = node.create_publisher(JointTrajectory, "axes/executed", STATE)
+        node.create_subscription(JointTrajectory, "axes/joint_trajectory", self.commands.append, COMMAND)
+        session.publish(String(data=described))
+
+        def tell():
+            executed.publish(self.executed)
+            states.publish(joint_state(stamp, self.place))
+
+        node.create_timer(0.05, tell)
+
+
+def played(bench):
+    _, operator = start(bench, procedure(), site(), names=("probe",), simulated=False)
+    axes = PlayedAxes(operator, procedure())
+    client = operator._node.create_client(Trigger, "instrument/capture")
+    assert operator.wait(client.service_is_ready, PATIENCE)
+    asked = []
+
+    def touching():
+        if not asked or asked[-1].done():  # refused: the probe has not heard of the axes yet
+            asked.append(client.call_async(Trigger.Request()))
+        return bool(axes.commands)
+
+    assert operator.wait(touching, PATIENCE)
+    return operator, axes, asked[-1]
+
+
+def test_a_command_that_the_axes_did_not_hear_is_sent_again(bench):
+    operator, axes, _ = played(bench)
+    assert operator.wait(lambda: len(axes.commands) > 1, PATIENCE)
+    assert axes.commands[0] == axes.commands[1]
+
+
+def test_axes_that_were_started_anew_end_the_touch(bench):
+    operator, axes, asked = played(bench)
+    assert not asked.done()
+    axes.executed = executed_message(round(ORIGIN * 1e9) + 5, ())
+    assert operator.wait(asked.done, PATIENCE)
+    assert "started anew" in asked.result().message
 
 
 def refused_in_front_of_nothing(operator):

@@ -9,10 +9,9 @@ variance of the noise is integrated out, with what was declared as knowledge wor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from scipy.linalg import lapack
@@ -26,11 +25,13 @@ __all__ = ["NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
 NOTHING = 1e-12
 """Share of the data's squares that is at least left of them: less is rounding."""
 
-# Sizes tried at first, in units of the noise, where there are one, two, or three families: the smallest, the factor
-# from each to the next, and how many.
-_LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4)}
-# A grid grows while its largest size has more than this share of the probability; more steps are rounding.
+# Sizes tried at first, in units of the noise, by the number of families: the smallest, the factor from each to the
+# next, and how many. Several sessions together may have four or five families, of which all combinations are tried.
+_LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4), 4: (0.4, 4.0, 3), 5: (0.6, 6.0, 2)}
+# A lattice goes on while its last size has more than this share of the evidence; more steps are rounding.
 _EDGE, _MOST_STEPS = 1e-3, 40
+# Share of the likeliest sizes' evidence from which sizes count in an average.
+_SHARE = 1e-5
 
 
 def _log_prior(lattice: Array) -> Array:
@@ -158,40 +159,90 @@ class Marginal:
         )
 
 
-def size_grid(gram: Gram) -> list[tuple[tuple[float, ...], float, float]]:
-    """Sizes of what does not reproduce: every combination on grids that grow until their ends have no probability.
+LogEvidence = Callable[[tuple[float, ...], float], float]
+"""Logarithm of the evidence at sizes of all families, given these and the logarithm of their prior."""
+
+
+def size_grid(
+    gram: Gram, log_evidence: LogEvidence | None = None, share: float = _SHARE
+) -> list[tuple[tuple[float, ...], float, float]]:
+    """Sizes of what does not reproduce that have a share of the evidence: combinations of one lattice for each family.
+
+    From each of several peaks as far as the evidence reaches; the lattices end where they have no evidence left.
+
+    Args:
+        gram: inner products.
+        log_evidence: of sizes; that without any candidate if absent.
+        share: of the likeliest sizes' evidence, below which sizes are left out.
 
     Returns:
-        The sizes of all families, the logarithm of their prior, and that of the evidence without any candidate.
+        The sizes of all families, the logarithm of their prior, and that of the evidence.
     """
     spread = gram.of_spread
-    families = int(gram.family.max(initial=-1)) + 1 - len(gram.sizes)
-    further = list(product(*(own.items() for own in gram.sizes)))
-    first, factor, count = _LATTICES[min(max(families + bool(gram.sizes), 1), 3)]
-    lattice = first * factor ** np.arange(float(_MOST_STEPS))
-    values, prior = np.append(0.0, lattice), _log_prior(lattice)
-    reach = [count] * families
-    found: dict[tuple[int, ...], list[tuple[tuple[float, ...], float, float]]] = {}
-    while True:
-        for at in product(*(range(n + 1) for n in reach)):
-            if at not in found:
-                known = tuple(float(values[k]) for k in at), float(prior[list(at)].sum())
-                found[at] = [_at_sizes(spread, *known, own) for own in further]
-        logs = {at: float(np.logaddexp.reduce([log for _, _, log in own])) for at, own in found.items()}
-        whole = float(np.logaddexp.reduce(list(logs.values())))
-        edge = [np.logaddexp.reduce([v for at, v in logs.items() if at[f] == n]) for f, n in enumerate(reach)]
-        grown = [n + int(e - whole > np.log(_EDGE) and n < _MOST_STEPS) for n, e in zip(reach, edge, strict=True)]
-        if grown == reach:
-            return [one for at in sorted(found) for one in found[at]]
-        reach = grown
+    given = log_evidence or (lambda ratio, prior: marginal_at(spread, ratio, prior).log_null)
+    return _Sizes(gram, given).with_share(share)
 
 
-def _at_sizes(
-    spread: Gram, ratio: tuple[float, ...], prior: float, further: Sequence[tuple[float, float]]
-) -> tuple[tuple[float, ...], float, float]:
-    whole = (*ratio, *(size for size, _ in further))
-    prior += float(sum(np.log(p) for _, p in further))
-    return whole, prior, marginal_at(spread, whole, prior).log_null
+class _Sizes:
+    """Combinations of sizes by their places on the lattices: one lattice for each family, zero first."""
+
+    def __init__(self, gram: Gram, log_evidence: LogEvidence) -> None:
+        families = int(gram.family.max(initial=-1)) + 1 - len(gram.sizes)
+        several = max(families, min(families + bool(gram.sizes), 3), 1)
+        first, factor, count = _LATTICES[min(several, max(_LATTICES))]
+        lattice = first * factor ** np.arange(float(_MOST_STEPS))
+        known = [(list(own), [float(np.log(p)) for p in own.values()]) for own in gram.sizes]
+        self.values = [[0.0, *lattice.tolist()]] * families + [sizes for sizes, _ in known]
+        self.priors = [_log_prior(lattice).tolist()] * families + [logs for _, logs in known]
+        self.first = [count + 1] * families + [len(sizes) for sizes, _ in known]
+        self.log_evidence = log_evidence
+        self.found: dict[tuple[int, ...], tuple[tuple[float, ...], float, float]] = {}
+        self.top = -np.inf
+
+    def log(self, place: tuple[int, ...]) -> float:
+        """Logarithm of the evidence."""
+        if place not in self.found:
+            ratio = tuple(values[k] for values, k in zip(self.values, place, strict=True))
+            prior = sum(logs[k] for logs, k in zip(self.priors, place, strict=True))
+            self.found[place] = ratio, prior, self.log_evidence(ratio, prior)
+            self.top = max(self.top, self.found[place][2])
+        return self.found[place][2]
+
+    def with_share(self, share: float) -> list[tuple[tuple[float, ...], float, float]]:
+        """Those with a share of the likeliest's evidence, and what lies between these."""
+        ready = {self.peak(axis) for axis in range(len(self.values))} or {()}
+        reached = set(ready)
+        while ready:
+            place = ready.pop()
+            if self.log(place) > self.top + np.log(share):
+                near = {_with(place, axis, at) for axis, k in enumerate(place) for at in self.beside(axis, k)} - reached
+                ready |= near
+                reached |= near
+        return [self.found[place] for place in sorted(self.found) if self.log(place) > self.top + np.log(share)]
+
+    def beside(self, axis: int, place: int) -> set[int]:
+        """Places on a lattice next to one; zero, which has half of the prior, is next to all."""
+        return {0, max(place - 1, 0), min(place + 1, len(self.values[axis]) - 1)}
+
+    def peak(self, first: int) -> tuple[int, ...]:
+        """The likeliest sizes, reached from zero along one lattice after the other."""
+        place, last = (0,) * len(self.values), None
+        while place != last:
+            last = place
+            for axis in [first, *(k for k in range(len(place)) if k != first)]:
+                place = max(self.along(place, axis), key=self.log)
+        return place
+
+    def along(self, place: tuple[int, ...], axis: int) -> list[tuple[int, ...]]:
+        """Places along one lattice, which ends where it has no evidence left."""
+        line = [_with(place, axis, k) for k in range(self.first[axis])]
+        while len(line) < len(self.values[axis]) and self.log(line[-1]) > max(map(self.log, line)) + np.log(_EDGE):
+            line.append(_with(place, axis, len(line)))
+        return line
+
+
+def _with(place: tuple[int, ...], axis: int, at: int) -> tuple[int, ...]:
+    return (*place[:axis], at, *place[axis + 1 :])
 
 
 def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Marginal:

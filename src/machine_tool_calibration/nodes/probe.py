@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from time import monotonic
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -116,6 +117,7 @@ class SimulatedPart:
 
 
 _CHECK = 0.1  # s of the wall clock
+_AGAIN = 1.0  # s of the wall clock after which a command that the axes do not tell of is sent again
 _WAY = 2  # points of a touch's trajectory: there and back
 
 
@@ -126,7 +128,9 @@ class _Cycle:
     Attributes:
         touch: as planned.
         position: where it began, by axis.
-        command: stamp of the command to the axes.
+        command: to the axes; its stamp names it.
+        epoch: of the axes as it began; empty if it is not known.
+        sent: when the command was sent last, s of a clock that only goes on.
         displacement: where the probe triggers, m; NaN where it does not.
         problem: why the touch does not count; empty if it does.
         attempt: from 1.
@@ -136,7 +140,9 @@ class _Cycle:
 
     touch: NominalTouch
     position: dict[str, float]
-    command: int
+    command: JointTrajectory
+    epoch: str
+    sent: float
     displacement: float
     problem: str
     attempt: int
@@ -160,7 +166,7 @@ class Probe(ManagedNode):
         self._setups: dict[float, int] = {}
         self._axes: dict[str, float] | None = None
         self._axes_stamp = self._held = 0
-        self._executions = Executions()
+        self._executions, self._epoch, self._told = Executions(), "", 0
         self._answers: list[Answer] = []
         self._cycle: _Cycle | None = None
         self._touches = self._missed = self._early = 0
@@ -256,7 +262,7 @@ class Probe(ManagedNode):
 
     def _axes_status(self, message: DiagnosticArray) -> None:
         entries, cycle = values(message), self._cycle
-        if entries.get("state") == "refused" and cycle and stamp_among(entries, "command") == cycle.command:
+        if entries.get("state") == "refused" and cycle and stamp_among(entries, "command") == _stamp(cycle):
             self._cycle = None
             self._refuse(f"axes: {message.status[0].message}")
 
@@ -265,9 +271,16 @@ class Probe(ManagedNode):
         if not executed.places:  # the axes started anew, and simulated time with them
             self._held = self._floor = 0
         held = self._held = max((self._held, executed.began, *executed.reached))
-        if cycle is not None and executed.command == cycle.command and len(executed.reached) == _WAY:
-            self._floor = max(self._floor, held)
-            self._finish(cycle, held)
+        self._epoch, self._told = executed.epoch, executed.command
+        if cycle is None:
+            return
+        if executed.command == _stamp(cycle):
+            if len(executed.reached) == _WAY:
+                self._floor = max(self._floor, held)
+                self._finish(cycle, held)
+        elif cycle.epoch and executed.epoch != cycle.epoch:
+            self._cycle = None
+            self._refuse("the axes were started anew, or moved otherwise")
 
     # --- a touch
 
@@ -319,8 +332,10 @@ class Probe(ManagedNode):
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
         command = self._floor = max(begin, self._floor + 1)
         deepest = {**position, **touch.at(turn)}
-        self._cycle = _Cycle(touch, position, command, displacement, problem, attempt, begin, moment)
-        self._commands.publish(trajectory(command, ((deepest, travel), (position, 2.0 * travel))))
+        way = trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
+        sent = monotonic()
+        self._cycle = _Cycle(touch, position, way, self._epoch, sent, displacement, problem, attempt, begin, moment)
+        self._commands.publish(way)
 
     def _finish(self, cycle: _Cycle, held: int) -> None:
         """The axes are back where the touch began."""
@@ -376,6 +391,11 @@ class Probe(ManagedNode):
 
     def _check(self) -> None:
         self._show()
+        cycle, present = self._cycle, monotonic()
+        if cycle is not None and self._told != _stamp(cycle) and present > cycle.sent + _AGAIN:
+            # Axes and probe find each other at different times: what was sent before the axes listen is lost.
+            cycle.sent = present
+            self._commands.publish(cycle.command)
         if not self._simulated_time:
             self._environment.tell(now(self))
 
@@ -394,6 +414,10 @@ class Probe(ManagedNode):
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
         self._status.show(level, text, {"state": state, "datum": "", **counters})
+
+
+def _stamp(cycle: _Cycle) -> int:
+    return from_message(cycle.command.header.stamp)
 
 
 def _refusal(reason: str) -> str:

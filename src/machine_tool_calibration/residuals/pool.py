@@ -100,14 +100,13 @@ class Pool:
         size 1, in their unit.
         """
         every = [reproducibility(o) for o in self.observations]
-        names = tuple(dict.fromkeys(family.name for own in every for family in own))[:3]
+        names = tuple(dict.fromkeys(family.name for own in every for family in own))
         columns, place = [np.zeros((0, len(self)))], [np.zeros(0, dtype=np.int64)]
         for own, piece in zip(every, self.pieces, strict=True):
             for family in own:
-                if family.name in names:
-                    mine = family.columns()
-                    columns.append(self.only(mine * self.sigma[piece], piece))
-                    place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
+                mine = family.columns()
+                columns.append(self.only(mine * self.sigma[piece], piece))
+                place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
         if self._imperfect is not None:
             columns.append(self._imperfect)
             place.append(np.full(len(self._imperfect), len(names), dtype=np.int64))

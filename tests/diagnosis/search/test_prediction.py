@@ -14,6 +14,7 @@ from machine_tool_calibration.diagnosis.search.candidates import effect_candidat
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.residuals.pool import Pool
@@ -111,3 +112,21 @@ def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:
     assert Prediction("setups", (0.2 * squares, 0.3 * squares), 10).gain == pytest.approx(0.75)
     assert Prediction("setups", (0.0, 0.0), 10).gain == 0.0
     assert Prediction("setups", (-2.0, -3.0), 10).gain == pytest.approx(-1.0)
+
+
+def test_parts_without_which_there_is_no_model_are_counted() -> None:
+    session = with_effect(None)
+    fit = fit_of([session])
+    candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
+    look = replace(search_effects(fit, candidates, [], side_by_side=False), accepted=(EFFECT,))
+
+    def without_the_first_setup(left):
+        if 0 not in left[0].readings.setup:
+            raise ModelError("too little")
+        return fit_of(left)
+
+    found = {each.what: each for each in predictions([session], look, without_the_first_setup)[EFFECT]}
+    whole = {each.what: each for each in predicted(session)}
+    assert found["setups"].needed == 1 and whole["setups"].needed == 0
+    assert found["setups"].log_gains == whole["setups"].log_gains[1:]
+    assert found["cycles"] == whole["cycles"]

@@ -221,16 +221,7 @@ def alias_groups(
     left, groups = [f for f in findings if f.name in places], []
     while left:
         head, *left = left
-        alike = [
-            f
-            for f in left
-            if (
-                head.name not in f.candidate.contains
-                and max(cosine(head, f.name), cosine(f, head.name)) >= priors.ALIKE
-            )
-            or (head.probability > priors.LIKELY and found.exchanges(index[head.name], index[f.name]))
-        ]
-        names = [f.name for f in alike]
+        names = [f.name for f in left if is_alike(head, f)]
         if names:
             groups.append((head.name, *names))
         left = [f for f in left if f.name not in names]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
@@ -223,26 +223,27 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
 
     The best are those where all reproduces, and those beside what is most probable without any.
     """
-    grid = size_grid(gram)
-    likeliest = max(range(len(grid)), key=lambda k: grid[k][2])
-    least = min(range(len(grid)), key=lambda k: grid[k][0])
+    grid = size_grid(gram, share=_COUNTS)
+    likeliest, log_prior, _ = max(grid, key=lambda one: one[2])
     alone: set[Point] = set()
-    for ratio, prior, _ in (grid[k] for k in {likeliest, least}):
-        found = table(blocks, [marginal_at(gram, ratio, prior)], len(log_odds))
+    for ratio in {likeliest, (0.0,) * len(likeliest)}:
+        found = table(blocks, [marginal_at(gram, ratio, log_prior)], len(log_odds))
         ranked = sorted(found.best, key=lambda k: -float(found.log_evidence[k] + log_odds[k]))[:_GROWN]
         alone |= {found.best[k] for k in ranked}
     # The columns of these and of the spread alone.
     used = np.append(columns_of(blocks[point.block] for point in alone), gram.spread)
     few = replace(gram, inner=gram.inner[np.ix_(used, used)], data=gram.data[used])
-    tried = [marginal_at(few, ratio, prior) for ratio, prior, _ in grid]
-    keep, first = np.array([log for _, _, log in grid]) > max(log for _, _, log in grid) + np.log(_COUNTS), 0
+    at, prior, first = cache(lambda *known: marginal_at(few, *known)), {ratio: log for ratio, log, _ in grid}, 0
     for point in alone:
         scale = blocks[point.block].unit * point.scale
         own = np.arange(first, first + len(scale))
         first += len(scale)
-        values = np.array([marginal.log_null_with(own, scale) for marginal in tried])
-        keep |= values > values.max() + np.log(_COUNTS)
-    return [marginal_at(gram, ratio, prior) for (ratio, prior, _), good in zip(grid, keep, strict=True) if good]
+
+        def log_evidence(ratio: tuple[float, ...], log: float, own: IntArray = own, scale: Array = scale) -> float:
+            return at(ratio, log).log_null_with(own, scale)
+
+        prior |= {ratio: log for ratio, log, _ in size_grid(few, log_evidence, _COUNTS)}
+    return [marginal_at(gram, ratio, prior[ratio]) for ratio in sorted(prior)]
 
 
 def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tuple[int, int]]:

@@ -45,13 +45,15 @@ class Prediction:
     Attributes:
         what: setups, blocks of places, or cycles.
         log_gains: for each part, by how much the effect, as determined by the others, raises the logarithm of its
-            likelihood.
-        readings: in all parts.
+            likelihood; of the parts that could be left out.
+        readings: in these parts.
+        needed: parts that could not be left out, as the others do not determine the model.
     """
 
     what: str
     log_gains: tuple[float, ...]
     readings: int
+    needed: int = 0
 
     @property
     def gain(self) -> float:
@@ -97,18 +99,19 @@ def predictions(
     whole = _log_factors(search.fit, effects, search)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
-        gains, readings = [], 0
+        gains, readings, needed = [], 0, 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
                 gains.append(whole - _log_factors(fit_of(left), effects, search))
             except (CalibrationError, np.linalg.LinAlgError):
+                needed += 1
                 continue
             readings += sum(int((part == k).sum()) for part in parts)
         if len(gains) < 2:
             continue
         for name, own in zip(names, np.array(gains).T, strict=True):
-            out[name].append(Prediction(what, tuple(own.tolist()), readings))
+            out[name].append(Prediction(what, tuple(own.tolist()), readings, needed))
     return {name: tuple(own) for name, own in out.items() if own}
 
 
