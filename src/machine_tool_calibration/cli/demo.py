@@ -220,13 +220,7 @@ class _Demonstration:
 @graph_options
 @json_option
 def command(
-    method: str,
-    dimension: str,
-    seed: int | None,
-    hide: str | None,
-    output: Path | None,
-    as_json: bool,
-    **graph: Any,
+    method: str, dimension: str, seed: int | None, hide: str | None, output: Path | None, as_json: bool, **graph: Any
 ) -> None:
     """Measure a simulated machine that hides a physical effect, find it out, add it, and watch the error fall.
 
@@ -239,9 +233,7 @@ def command(
     hidden = _hidden(method, number, hide)
     procedure = _PROCEDURES.get(method, f"tracking_{dimension}d")
     setting = Setting(
-        output=free_folder("demo", output),
-        site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()),
-        **graph,
+        output=free_folder("demo", output), site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()), **graph
     )
     with readings_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)

@@ -27,12 +27,7 @@ __all__ = ["command"]
 )
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser, or print its address only.")
 def command(
-    measurements: tuple[Path, ...],
-    live: bool,
-    model: str | None,
-    files: tuple[Path, ...],
-    browser: bool,
-    **place: Any,
+    measurements: tuple[Path, ...], live: bool, model: str | None, files: tuple[Path, ...], browser: bool, **place: Any
 ) -> None:
     """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
 

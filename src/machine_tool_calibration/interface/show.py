@@ -76,13 +76,7 @@ def printed(show: Callable[[Console], None]) -> str:
     text = io.StringIO()
     # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
     kind = Console(
-        file=text,
-        width=_WIDTH,
-        highlight=False,
-        markup=False,
-        force_terminal=False,
-        force_jupyter=False,
-        no_color=True,
+        file=text, width=_WIDTH, highlight=False, markup=False, force_terminal=False, force_jupyter=False, no_color=True
     )
     show(kind)
     return text.getvalue()

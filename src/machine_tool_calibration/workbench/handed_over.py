@@ -54,9 +54,7 @@ def reported(
         The files.
     """
     measured = Measured(
-        subject.without((), model.kept).sessions,
-        subject.chosen(model),
-        tuple(history) if len(history) > 1 else (),
+        subject.without((), model.kept).sessions, subject.chosen(model), tuple(history) if len(history) > 1 else ()
     )
     found = evaluate(measured, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
     progress("drawing", 0.9)

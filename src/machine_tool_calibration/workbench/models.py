@@ -114,12 +114,7 @@ class Subject:
         return replace(model.fit.chosen, own=self.own)
 
     def tried(
-        self,
-        before: Model | None,
-        words: str,
-        chosen: FitRequest,
-        aside: frozenset[int],
-        kept: frozenset[int],
+        self, before: Model | None, words: str, chosen: FitRequest, aside: frozenset[int], kept: frozenset[int]
     ) -> Model:
         """A model, fitted.
 

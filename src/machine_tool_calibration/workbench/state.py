@@ -18,15 +18,7 @@ from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.reports.history_file import history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.workbench.models import (
-    Model,
-    Opened,
-    Progress,
-    Subject,
-    diagnosed,
-    improved,
-    opened,
-)
+from machine_tool_calibration.workbench.models import Model, Opened, Progress, Subject, diagnosed, improved, opened
 
 __all__ = ["Job", "State", "measurements_in"]
 
