@@ -64,8 +64,9 @@ class Estimate:
 
     def with_variance(self, added: Mapping[str, float]) -> Estimate:
         """With what a budget adds to the variance of unknowns, by name."""
-        u = float(np.sqrt(self.standard_uncertainty**2 + added.get(self.name, 0.0)))
-        return replace(self, standard_uncertainty=u)
+        if self.name not in added:
+            return self
+        return replace(self, standard_uncertainty=float(np.sqrt(self.standard_uncertainty**2 + added[self.name])))
 
     def document(self) -> dict[str, Any]:
         """As an entry of a document."""

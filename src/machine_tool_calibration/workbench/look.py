@@ -29,6 +29,7 @@ __all__ = [
     "controls",
     "draw_stations",
     "folded",
+    "html_table",
     "in_order",
     "legend_above",
     "new_figure",
@@ -126,16 +127,23 @@ def tables(every: Iterable[TextTable]) -> str:
 
 def _table(table: TextTable) -> str:
     used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
-    head = "".join(f"<th>{escape(table.columns[k])}</th>" for k in used)
-    body = "".join("<tr>" + "".join(_cell(row[k]) for k in used) + "</tr>" for row in table.rows)
+    rows = [[escape(row[k]) for k in used] for row in table.rows]
     note = paragraphs([table.note]).replace("<p>", '<p class="note">') if table.note else ""
-    return f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{note}"
+    return html_table(table.title, [table.columns[k] for k in used], rows) + note
 
 
-def _cell(words: str) -> str:
+def html_table(title: str, heads: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are HTML already, under a title if that is not empty."""
+    head = "".join(f"<th>{escape(one)}</th>" for one in heads)
+    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+    named = f"<h3>{escape(title)}</h3>" if title else ""
+    return f"{named}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(html: str) -> str:
     """A number keeps its unit beside it."""
-    short = ' class="short"' if len(words) <= _SHORT else ""
-    return f"<td{short}>{escape(words)}</td>"
+    short = ' class="short"' if len(re.sub("<[^>]*>|&[a-z0-9#]+;", ".", html)) <= _SHORT else ""
+    return f"<td{short}>{html}</td>"
 
 
 def new_figure(

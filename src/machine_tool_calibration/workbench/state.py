@@ -48,6 +48,15 @@ class Job:
     work: Callable[[Progress], Any]
     take: Callable[[Any], None]
 
+    def then(self, act: Callable[[], object]) -> Job:
+        """The same, with something done after the outcome has been shown."""
+
+        def take(found: Any) -> None:
+            self.take(found)
+            act()
+
+        return replace(self, take=take)
+
     def __call__(self) -> None:
         """Do it here and now."""
         self.take(self.work(lambda what, share: None))
