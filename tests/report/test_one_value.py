@@ -160,7 +160,7 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(
     opened = models.opened([folder], None, (), lambda *_: None)
     of_workbench = models.diagnosed(opened.subject, opened.models[-1], lambda *_: None)
     report = diagnosis_report(diagnosis, then.advice, then.changes)
-    assert report == diagnosis_report(of_workbench[0], of_workbench[1].advice, of_workbench[1].changes)
+    assert report == diagnosis_report(of_workbench, of_workbench.conclusions.advice, of_workbench.conclusions.changes)
     (section,) = (one for one in room.sections(found, words("en")) if one.id == "diagnosis")
     assert tuple(block for block in section.blocks if isinstance(block, str)) == report.words
     written = [block for block in section.blocks if isinstance(block, TextTable)]
@@ -174,7 +174,7 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(
     steps = improvement_document(found.improvement)
     told_by_verb = verb("improve", folder, "--json", "-o", tmp_path / "pictures").document
     assert compared(without_origin(steps), without_origin(told_by_verb)) > 20
-    best = models.improved(opened.subject, opened.models[-1], of_workbench[0], lambda *_: None)[-1]
+    best = models.improved(opened.subject, opened.models[-1], of_workbench, lambda *_: None)[-1]
     of_model = [p for p in best.fit.document()["parameters"] if p["name"] == own.name]
     for parameter in (*found.improvement.steps[-1].parameters, *best.step.parameters):
         assert parameter.standard_uncertainty == pytest.approx(own.standard_uncertainty)

@@ -19,7 +19,7 @@ def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None
     # As it goes to another process and comes back.
     job = pickle.loads(pickle.dumps(state.diagnosed().work))
     state.diagnosed().take(pickle.loads(pickle.dumps(job(lambda what, share: told.append(share)))))
-    assert state.diagnosis is not None and state.diagnosis[0].accepted == ("backlash_y",)
+    assert state.diagnosis is not None and state.diagnosis.accepted == ("backlash_y",)
     assert told == sorted(told) and told[-1] <= 1.0
     first = state.model.fit.rms_residual
     state.improved()()

@@ -121,17 +121,17 @@ class DiagnosePage:
             self._against.param.update(options=options, value=self._readings.ranked[0])
         self._draw_against()
         self._forget()
-        self._ranking.visible = state.diagnosis is not None
         self._effect.param.update(options=["", *addable(state)], value="")
-        found = None if state.diagnosis is None else state.diagnosis[0]
+        found = state.diagnosis
+        self._ranking.visible = found is not None
         self._all.disabled = found is None or not found.accepted + found.gross_errors
-        if state.diagnosis is None:
+        if found is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
             self._words.object = paragraphs([said])
             self._more.object = self._tables.object = ""
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
-        found, then = state.diagnosis
+        then = found.conclusions
         report = diagnosis_report(found, then.advice, then.changes)
         self._words.object = f"<b>{paragraphs(report.words[:1])}</b>"
         self._more.object = paragraphs((*report.words[1:], *report.forecast))

@@ -191,7 +191,7 @@ class ImprovePage:
 
         def add() -> None:
             found = self._state.diagnosis
-            if found is not None and (found[0].accepted or found[0].gross_errors):
+            if found is not None and (found.accepted or found.gross_errors):
                 self._work.run("adding what was found", self._state.improved())
             else:
                 self._note.object = escape("Nothing was found that is missing: see Diagnose.")

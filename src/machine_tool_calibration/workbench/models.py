@@ -16,21 +16,21 @@ import numpy as np
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of, step_after, words_set_aside
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
-from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+from machine_tool_calibration.residuals.gross_errors import Outlier
 
 __all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "looked_ahead", "opened", "planned"]
 
@@ -92,6 +92,11 @@ class Subject:
     def numbers(self, session: int, rows: IntArray) -> IntArray:
         """Numbers of rows of a session's recording."""
         return np.asarray(rows + self.first[session])
+
+    def deviations(self, outliers: Iterable[Iterable[Outlier]]) -> dict[int, float]:
+        """What the readings of each session that stand out deviate by, m, by their number."""
+        every = zip(self.first, outliers, strict=True)
+        return {first + outlier.row: outlier.deviation for first, own in every for outlier in own}
 
     def name(self, number: int) -> str:
         """Of a reading: its row, of several sessions with the session's name, as `--keep` takes it."""
@@ -224,11 +229,8 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     if entry is not None and entry.data != fingerprint(*sessions):
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
-    found = {}
     first = measurement.chosen(variant, (), tuple(own))
-    for k, sifted in enumerate(gross_errors(first)):
-        for outlier in sifted.outliers:
-            found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
+    found = subject.deviations([sifted.outliers for sifted in gross_errors(first)])
     progress("fitting", 0.5)
     models: list[Model] = []
     if entry is not None:
@@ -243,9 +245,10 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     return Opened(subject, prints, models, found, history, remark)
 
 
-def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagnosis, Conclusions]:
+def diagnosed(subject: Subject, model: Model, progress: Progress) -> Diagnosis:
     """Effects that a model lacks, and what would tell them apart."""
-    return complete.diagnose(subject.chosen(model), progress=progress)
+    found, then = complete.diagnose(subject.chosen(model), progress=progress)
+    return Diagnosis.of(found, concluded=then)
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
@@ -260,8 +263,7 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     Returns:
         The models, each made from the one before.
     """
-    more = {int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own}
-    aside = model.aside | more
+    aside = model.aside | subject.deviations(found.set_aside).keys()
     models = [model]
     for change, chosen in accepted_models(found, progress):
         models.append(subject.tried(models[-1], change, chosen, aside, model.kept))
