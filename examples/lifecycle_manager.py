@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes managed nodes up in an order, looks after them, and takes them down again: a lifecycle manager in 60 lines.
+"""Takes managed nodes up in an order, looks after them, and takes them down again: a lifecycle manager in 80 lines.
 
     ros2 launch machine_tool_calibration graph.launch.py autostart:=false
     python examples/lifecycle_manager.py recorder axis_simulator rotary_pointer instrument estimator procedure
 
-A node that was started anew is unconfigured: it is taken up again. Ctrl-C deactivates them, the last one first.
+A node that was started anew is unconfigured: it is taken up again. Ctrl-C deactivates them and cleans them up, the last
+one first; with --shutdown before the names it ends their processes, too.
 """
 
 import sys
@@ -24,6 +25,7 @@ DOWN = {
     State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_CLEANUP,
 }
+END = {State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_UNCONFIGURED_SHUTDOWN}
 
 
 class Manager:
@@ -57,19 +59,23 @@ class Manager:
             )
             if changed is None or not changed.success:
                 return False
+            if request.transition.id == Transition.TRANSITION_UNCONFIGURED_SHUTDOWN:
+                return True  # its process ends
 
 
 def main() -> None:
     """Take the nodes up that are named on the command line, and look after them."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is this program's own
-    manager = Manager(sys.argv[1:])
+    names = [name for name in sys.argv[1:] if name != "--shutdown"]
+    down = {**DOWN, **(END if "--shutdown" in sys.argv else {})}
+    manager = Manager(names)
     try:
         while all([manager.bring(name, UP) for name in manager.names]):
             rclpy.spin_once(manager.node, timeout_sec=1.0)
         print("a node cannot be taken up", file=sys.stderr)
     except KeyboardInterrupt:
         for name in reversed(manager.names):
-            manager.bring(name, DOWN)
+            manager.bring(name, down)
 
 
 if __name__ == "__main__":

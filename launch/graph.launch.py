@@ -9,7 +9,6 @@ ros2 service call /estimator/identify std_srvs/srv/Trigger
 launch ends with the first node that the measurement cannot do without, with status 1 if that node failed.
 """
 
-import time
 from pathlib import Path
 
 import yaml
@@ -20,7 +19,7 @@ from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.launching import managed_nodes, refuse_unknown, switches
+from machine_tool_calibration.nodes.graph import graph_parameters, managed_nodes, refuse_unknown, switches
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.procedure import read_procedure
@@ -68,19 +67,11 @@ def nodes(context):
     # the machine's chain and travel are the procedure's; what was simulated stays with the logs of the launch
     site = Path(launch_config.log_dir, "site.yaml")
     site.write_text(yaml.safe_dump(site_document(measured, read_site(given["site"])), sort_keys=False))
-    common = {"use_sim_time": is_true["use_sim_time"]}
-    world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
-    # a controller such as ros2_control's has joint_states, but no axes/executed
-    arrival = {} if is_true["axes"] else {"arrival": "joint_states"}
-    parameters = {
-        "axis_simulator": world,
-        "rotary_pointer": world,
-        "instrument": {**world, "driver": given["driver"]},
-        "probe": world,
-        "estimator": common,
-        "procedure": {**common, "procedure": str(procedure), **arrival},
-        "recorder": {**common, "folder": given["bag"]},
-    }
+    parameters = graph_parameters(
+        procedure, site, simulated_time=is_true["use_sim_time"], driver=given["driver"], bag=given["bag"]
+    )
+    if not is_true["axes"]:  # a controller such as ros2_control's has joint_states, but no axes/executed
+        parameters["procedure"]["arrival"] = "joint_states"
     left_out = {
         name
         for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))

@@ -14,7 +14,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
-from machine_tool_calibration.nodes.launching import managed_nodes, refuse_unknown, switches
+from machine_tool_calibration.nodes.graph import managed_nodes, refuse_unknown, switches
 
 CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
 ARGUMENTS = {

@@ -9,8 +9,8 @@ import yaml
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import Graph, Program
-from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.session.session import Session
 
 from .forked import ForkedGraph
@@ -100,9 +100,9 @@ class Bench:
         folder = self.folder / f"log{self.count}"
         return self.stack.enter_context(ForkedGraph(programs, folder, self.domain, namespace))
 
-    def operator(self, graph: Graph | None = None, namespace: str = "") -> Operator:
+    def operator(self, graph: Graph | None = None, namespace: str = "") -> Client:
         space = graph.namespace if graph is not None else namespace
-        return self.stack.enter_context(Operator(self.domain, space))
+        return self.stack.enter_context(Client(self.domain, space))
 
 
 @pytest.fixture
@@ -113,10 +113,10 @@ def bench(tmp_path: Path, ros_domain: int) -> Iterator[Bench]:
 
 
 @pytest.fixture
-def finish() -> Callable[[Operator], None]:
+def finish() -> Callable[[Client], None]:
     """Start the procedure as soon as it is ready and wait for its end."""
 
-    def run(operator: Operator) -> None:
+    def run(operator: Client) -> None:
         begin(operator)
         ended(operator)
         total = operator.procedure.number("total")
@@ -125,7 +125,7 @@ def finish() -> Callable[[Operator], None]:
     return run
 
 
-def begin(operator: Operator) -> None:
+def begin(operator: Client) -> None:
     assert operator.wait(
         lambda: operator.procedure.entries.get("state") == "idle" and not operator.procedure.entries["waiting_for"],
         PATIENCE,
@@ -134,19 +134,18 @@ def begin(operator: Operator) -> None:
     assert operator.wait(lambda: operator.procedure.entries["state"] != "idle", PATIENCE)
 
 
-def ended(operator: Operator) -> None:
+def ended(operator: Client) -> None:
     """Wait until the procedure ends, which must be as it should."""
     assert operator.wait(lambda: operator.procedure.entries["state"] != "running", WHOLE), operator.procedure
     assert operator.procedure.entries["state"] == "finished", operator.procedure
 
 
-def ask(operator: Operator, kind: Any, service: str, request: Any) -> Any:
+def ask(operator: Client, kind: Any, service: str, request: Any) -> Any:
     """A service's response, asked for again until it comes; only for requests that may be repeated.
 
     An answer is lost where the server does not know its client yet.
     """
-    client = operator._clients.get(service) or operator._node.create_client(kind, service)
-    operator._clients[service] = client  # the server may know it the next time
+    client = operator.client(service, kind)  # kept: the server may know it the next time
     assert operator.wait(client.service_is_ready, PATIENCE), service
     answered: list[Any] = []
 
@@ -160,13 +159,13 @@ def ask(operator: Operator, kind: Any, service: str, request: Any) -> Any:
     return answered[0]
 
 
-def feed(operator: Operator, session: Session, start: int = round(ORIGIN * 1e9)) -> None:
+def feed(operator: Client, session: Session, start: int = round(ORIGIN * 1e9)) -> None:
     """Publish a session as the procedure does, latched, and wait until the estimator has it."""
-    publish(operator._node, session, start)
+    publish(operator.node, session, start)
     collected(operator, len(session.readings))
 
 
-def collected(operator: Operator, count: int) -> None:
+def collected(operator: Client, count: int) -> None:
     """Wait until the estimator has so many readings, and the description, which may come later than they."""
 
     def there() -> bool:

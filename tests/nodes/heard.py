@@ -6,7 +6,7 @@ from importlib import import_module
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from machine_tool_calibration.nodes.usage import topics
+from machine_tool_calibration.nodes.shared import topics
 
 from .conftest import PATIENCE
 from .pages import PAGES, rows, sections
@@ -39,7 +39,7 @@ def check_topics(node):
 
 def check_ends(operator, names):
     """Whether the table says of each of these nodes what it publishes, and what it listens to."""
-    node = operator._node
+    node = operator.node
     # Who is there is discovered in its own time.
     assert operator.wait(lambda: set(names) <= set(node.get_node_names()), PATIENCE), node.get_node_names()
     for name in names:
@@ -66,7 +66,7 @@ def hear(operator):
         package, _, kind = row.type.split("/")
         latched = "transient local" in row.qos
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        operator._node.create_subscription(
+        operator.node.create_subscription(
             getattr(import_module(f"{package}.msg"), kind),
             name,
             lambda message, name=name: heard.__setitem__(name, message),
@@ -97,6 +97,6 @@ def check_services(operator, names):
     text = "\n".join(PAGES.values())
     assert operator.wait(lambda: all(operator.has_node(name) for name in names), PATIENCE)
     for name in names:
-        for service, types in operator._node.get_service_names_and_types_by_node(name, "/"):
+        for service, types in operator.node.get_service_names_and_types_by_node(name, "/"):
             if types == ["std_srvs/srv/Trigger"]:
                 assert f"`{service[1:]}`" in text, service

@@ -7,7 +7,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from machine_tool_calibration.nodes.executed import Executions
+from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
@@ -26,7 +26,7 @@ class Axes:
     def __init__(self, operator):
         self.operator = operator
         self.states, self.reports, self.truth, self.executed = [], [], [], []
-        node, executions = operator._node, Executions()
+        node, executions = operator.node, Executions()
         node.create_subscription(JointState, "joint_states", self.states.append, STATE)
         node.create_subscription(DiagnosticArray, "axes/status", self.reports.append, STATE)
         node.create_subscription(
@@ -90,7 +90,7 @@ def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     assert at[held_until] == {"x": 0.2, "y": 0.0, "z": 0.0, "c": 0.0}
     # the command said nothing of the table: who comes to measure it hears where it stands all the same
     table = []
-    axes.operator._node.create_subscription(PoseStamped, "truth/table", table.append, STATE)
+    axes.operator.node.create_subscription(PoseStamped, "truth/table", table.append, STATE)
     assert axes.operator.wait(lambda: table, PATIENCE)
     assert from_message(table[-1].header.stamp) == held_until
     # the true point is off the encoders by the machine's errors: micrometres

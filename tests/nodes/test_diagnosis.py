@@ -57,7 +57,7 @@ class Heard:
     def __init__(self, operator, **topics):
         self.operator, self.messages = operator, {}
         for name, kind in topics.items():
-            operator._node.create_subscription(kind, name.replace("__", "/"), self._keep(name), LATCHED)
+            operator.node.create_subscription(kind, name.replace("__", "/"), self._keep(name), LATCHED)
 
     def _keep(self, name):
         return lambda message: self.messages.__setitem__(name, message)
@@ -77,10 +77,10 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     names = {"diagnosis": DiagnosticArray, "diagnosis__result": String, "comparison__result": String}
     names["estimator__status"] = DiagnosticArray
 
-    compared = operator.calculate("compare", PATIENCE)
+    compared = operator.outcome("estimator/compare", PATIENCE)
     assert float(compared["reduced_chi_square"]) > 2.0
-    assert operator.outcome.message.startswith("compared: The readings scatter")
-    diagnosed = operator.calculate("diagnose", PATIENCE)
+    assert operator.heard.outcome("estimator").message.startswith("compared: The readings scatter")
+    diagnosed = operator.outcome("estimator/diagnose", PATIENCE)
     assert diagnosed["verdict"] == "missing_effect" and diagnosed["accepted"] == "backlash_y"
     assert float(diagnosed["rms_after"]) < 0.5 * float(diagnosed["rms_before"])
     heard = Heard(operator, **names)  # latched: they come after the fact
@@ -101,19 +101,19 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     assert [status.name for status in others] == [entry["effect"] for entry in document["candidates"][1:]]
     assert {status.level for status in others} == {b"\x00"}
 
-    improved = operator.calculate("improve", PATIENCE)
+    improved = operator.outcome("estimator/improve", PATIENCE)
     assert improved["effects"] == "backlash_y"
     assert float(improved["rms_after"]) < 0.5 * float(improved["rms_before"])
     assert operator.wait(lambda: "µm RMS residual" in heard["estimator__status"].status[0].message, PATIENCE)
-    assert operator.wait(lambda: bool(operator.document), PATIENCE)
+    assert operator.wait(lambda: bool(operator.heard.published.document), PATIENCE)
     way = json.loads(Heard(operator, improvement__result=String)["improvement__result"].data)
     assert way == printed("improve", folder, "--no-history", "-o", bench.folder / "improve")
     assert [step["effects"] for step in way["steps"]] == [[], ["backlash_y"]]
-    assert json.loads(operator.document) == way["result"]
+    assert json.loads(operator.heard.published.document) == way["result"]
     # the effect stays in the model
     found = ask(operator, GetParameters, "estimator/get_parameters", GetParameters.Request(names=["effects"]))
     assert list(parameter_value_to_python(found.values[0])) == ["backlash_y"]
-    again = operator.calculate("diagnose", PATIENCE)
+    again = operator.outcome("estimator/diagnose", PATIENCE)
     assert again["verdict"] == "adequate" and again["accepted"] == ""
 
 
@@ -134,7 +134,7 @@ def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, 
     operator = bench.operator(graph)
     session = open_measurement(folder)
     feed(operator, session)
-    client = operator._node.create_client(Trigger, "estimator/diagnose")
+    client = operator.node.create_client(Trigger, "estimator/diagnose")
     assert operator.wait(client.service_is_ready, PATIENCE)
     client.call_async(Trigger.Request())
     assert operator.wait(lambda: operator.estimator.entries["busy"] == "True", PATIENCE)
@@ -177,17 +177,17 @@ def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
 
     assert put("effects_files", Parameter.Type.STRING_ARRAY, [own])
     assert put("effects", Parameter.Type.STRING_ARRAY, ["my_reversal"])
-    assert float(operator.calculate("identify", PATIENCE)["reduced_chi_square"]) < 1.5
+    assert float(operator.outcome("estimator/identify", PATIENCE)["reduced_chi_square"]) < 1.5
     # refused at once, and what was set before stays
     assert not put("effects", Parameter.Type.STRING_ARRAY, ["no_such"])
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, ["/nowhere.yaml"])
     assert not put("effects_files", Parameter.Type.STRING_ARRAY, [""])  # an effect in use comes from there
-    assert float(operator.calculate("compare", PATIENCE)["reduced_chi_square"]) < 1.5
+    assert float(operator.outcome("estimator/compare", PATIENCE)["reduced_chi_square"]) < 1.5
 
 
 def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_requests_are_answered(bench, folder):
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
-    client = operator._node.create_client(Trigger, "estimator/reset")
+    client = operator.node.create_client(Trigger, "estimator/reset")
     assert operator.wait(client.service_is_ready, PATIENCE)
     operator.wait(lambda: bool(operator.estimator.entries), PATIENCE)  # then it knows its clients
     asked = [client.call_async(Trigger.Request()) for _ in range(200)]
@@ -205,8 +205,9 @@ def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_req
     assert cancel("f" * 32).return_code == CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
     (cancelled,) = cancel(goal).goals_canceling
     assert bytes(cancelled.goal_id.uuid).hex() == goal
-    assert operator.wait(lambda: operator.outcome.device == goal, PATIENCE)
-    assert (operator.outcome.level, operator.outcome.message) == (1, "cancelled: diagnosing from 200 readings")
+    assert operator.wait(lambda: operator.heard.outcome("estimator").device == goal, PATIENCE)
+    ended = operator.heard.outcome("estimator")
+    assert (ended.level, ended.message) == (1, "cancelled: diagnosing from 200 readings")
     (last,) = Heard(operator, estimator__goals=GoalStatusArray)["estimator__goals"].status_list
     assert last.status == GoalStatus.STATUS_CANCELED
     assert cancel(goal).return_code == CancelGoal.Response.ERROR_GOAL_TERMINATED
@@ -217,4 +218,4 @@ def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_req
     assert not add("").success and "no effect is named, and none has been found" in add("").message
     assert not add("no_such").success
     assert add("backlash_y").message == "effects in the model: backlash_y"
-    assert float(operator.calculate("identify", PATIENCE)["reduced_chi_square"]) < 1.5
+    assert float(operator.outcome("estimator/identify", PATIENCE)["reduced_chi_square"]) < 1.5

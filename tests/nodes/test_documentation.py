@@ -88,7 +88,7 @@ def test_topics_of_the_probe_and_the_player(bench):
     operator = bench.operator(graph)
     heard = hear(operator)
     assert operator.wait(lambda: {"instrument/status", "player/status", "truth/table"} <= set(heard), PATIENCE)
-    check_topics(operator._node)
+    check_topics(operator.node)
     check_services(operator, ("probe", "player"))
     check_ends(operator, ("axis_simulator", "probe"))
     check_content("player/status", heard["player/status"])
@@ -111,7 +111,7 @@ def test_every_parameter_has_its_row(name):
 
 def test_the_program_on_the_page_hears_a_map_that_was_latched_before(bench):
     operator = bench.operator()
-    sender = operator._node.create_publisher(PointCloud2, "error_map", LATCHED)
+    sender = operator.node.create_publisher(PointCloud2, "error_map", LATCHED)
     sender.publish(message_of("sensor_msgs/msg/PointCloud2", sections()["error_map"][0].examples[0]))
     program = re.findall(r"^```python\n(.*?)^```", PAGES["subscribing"], re.M | re.S)[0]
     process = subprocess.Popen(

@@ -57,7 +57,7 @@ def test_logs_stay_where_ros_puts_them(monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_a_node_starts_without_a_home(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ros_domain: int) -> None:
     monkeypatch.setenv("HOME", os.devnull)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    code = f"from machine_tool_calibration.nodes.operator import Operator; Operator({ros_domain}).__exit__()"
+    code = f"from machine_tool_calibration.nodes.client import Client; Client({ros_domain}).close()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
     assert list(tmp_path.glob("ros-log-*/*.log"))

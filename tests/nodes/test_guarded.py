@@ -25,13 +25,14 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.axis_simulator import AxisSimulator
 from machine_tool_calibration.nodes.estimator import Estimator
-from machine_tool_calibration.nodes.heard import NodeState
+from machine_tool_calibration.nodes.heard import Heard, NodeState
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros import process
-from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
+from machine_tool_calibration.nodes.ros.messages import READINGS, Level, dated, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post
-from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.services import Reply, goal_sentence
+from machine_tool_calibration.procedure.events import CaptureFailed
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
@@ -277,7 +278,7 @@ def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
     entry = comes_and_goes(reading(0, reading_index=0.0))
     assert entry.level == b"\0" and not entry.message.endswith(words)
     assert comes_and_goes().message.endswith(words), "another one"
-    node._reset(Answer())
+    node._reset(Reply())
     assert shown(node).level == b"\0"
     executor.shutdown()
 
@@ -286,7 +287,7 @@ def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
     node = made(Estimator)
     for index in range(4):
         hear(node, "reading", reading(index, reading_index=float(index)))
-    answer = Answer()
+    answer = Reply()
     node._reset(answer)
     assert asyncio.run(answer.into(Trigger.Response())).message == "4 readings forgotten"
     hear(node, "reading", reading(4, reading_index=4.0))
@@ -355,7 +356,7 @@ def test_services_that_move_axes_can_be_refused(made):
 
 def test_a_touch_can_be_refused(made):
     node = made(Probe, services_move_axes="false")
-    answer = Answer()
+    answer = Reply()
     node._requested(answer)
     response = asyncio.run(answer.into(Trigger.Response()))
     assert not response.success and "services_move_axes is false" in response.message
@@ -381,14 +382,45 @@ def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
     node._abort()
 
 
+@pytest.mark.parametrize("first", ["answer", "outcome"])
+def test_a_reading_counts_whichever_of_answer_and_outcome_comes_first(made, first):
+    node, events = made(ProcedureNode), []
+    node._hear = events.append
+
+    def outcome(goal, displacement):
+        found = {"datum": "d-1", "start": START, "end": START + 9, "displacement": displacement}
+        said = status("capture", Level.OK, "", found, goal)
+        hear(node, "instrument/outcome", dated(DiagnosticArray(status=[said]), START + 5))
+
+    def answer(token, message, success=True):
+        node._answered(token, Trigger.Response(success=success, message=message))
+
+    own, of_another = "a" * 32, "b" * 32
+    ways = [lambda: answer(7, goal_sentence(own, "done")), lambda: outcome(own, 0.25)]
+    outcome(of_another, 0.5)  # whom nobody here has asked
+    for way in ways if first == "answer" else reversed(ways):
+        assert not events
+        way()
+    (event,) = events
+    assert (event.token, event.displacement, event.stamp) == (7, 0.25, START + 5)
+    answer(8, "the node has failed", success=False)
+    assert events[1:] == [CaptureFailed(8, "other", "the node has failed")]
+
+
 # --- mtcal run
 
 
 class Gone:
-    """An operator that hears no procedure any more."""
+    """A client that hears no procedure any more."""
 
-    procedure = NodeState("procedure", "procedure", message="measuring", entries={"state": "running", "captured": "40"})
-    readings = ()
+    def __init__(self, message="measuring", **entries):
+        self.state, self.heard = NodeState("", "", message=message, entries=entries), Heard()
+
+    @property
+    def procedure(self):
+        return self.state
+
+    estimator = procedure
 
     def call(self, service, timeout):
         return ""
@@ -405,7 +437,7 @@ class Gone:
 def test_a_run_whose_procedure_has_gone_ends(monkeypatch):
     monkeypatch.setattr(measurement, "_GONE", 0.01)
     with pytest.raises(CalibrationError, match="the procedure has ended in the middle"):
-        measurement._run(Gone(), 128, lambda text, done, total: None)
+        measurement._run(Gone(state="running", captured="40"), 128, lambda text, done, total: None)
 
 
 def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
@@ -414,7 +446,7 @@ def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
 
     def wait(until, timeout):
         for state in states:
-            operator.procedure = NodeState("procedure", "procedure", entries={"state": state})
+            operator.state = NodeState("", "", entries={"state": state})
             assert not until()
 
     operator.wait = wait
@@ -423,10 +455,7 @@ def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
 
 
 def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():
-    operator = Gone()
-    operator.estimator = NodeState(
-        "estimator", "estimator", entries={"readings": "28", "missing": "100", "resets": "1", "session": "described"}
-    )
+    operator = Gone(readings="28", missing="100", resets="1", session="described")
     with pytest.raises(CalibrationError, match="100 of 128 readings are lost to the estimator"):
         measurement._identify(operator, None, 128, lambda text, done, total: None)
 

@@ -108,7 +108,7 @@ def a_large_message_costs_no_lasting_memory(operator, graph):
         status = Path("/proc", str(graph.process_id("procedure")), "status").read_text()
         return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1000
 
-    publisher = operator._node.create_publisher(JointState, "joint_states", _qos(1, latched=False))
+    publisher = operator.node.create_publisher(JointState, "joint_states", _qos(1, latched=False))
     assert operator.wait(publisher.get_subscription_count, PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "", PATIENCE), operator.procedure
     before = resident()
@@ -116,7 +116,7 @@ def a_large_message_costs_no_lasting_memory(operator, graph):
     while not operator.procedure.number("ignored"):  # the first ones come before the subscription is matched
         publisher.publish(large)
         operator.wait(lambda: operator.procedure.number("ignored") > 0, 2.0)
-    operator._node.destroy_publisher(publisher)
+    operator.node.destroy_publisher(publisher)
     assert "it has 50000036 bytes" in operator.procedure.entries["ignored_last"]
     assert operator.wait(lambda: resident() < before + 25.0, PATIENCE)  # MB: half of one
 
@@ -124,7 +124,7 @@ def a_large_message_costs_no_lasting_memory(operator, graph):
 def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
     graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"))
     operator = bench.operator(graph)
-    node = operator._node
+    node = operator.node
     spoilt = []
     for topic, row in rows().items():
         for example in examples(topic):
@@ -154,6 +154,7 @@ def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
     table = readings(operator)
     assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, SITE)).max() < 1e-9
     assert operator.wait(
-        lambda: operator.procedure.number("ignored") > 50 < operator.estimator.number("ignored"), PATIENCE
+        lambda: operator.procedure.number("ignored") > 50 < operator.estimator.number("ignored"),
+        PATIENCE,
     )
     graph.check()  # all are alive

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The instrument by itself: the stream, stable readings, a broken beam, a real instrument's driver."""
 
-import json
 import socket
 import threading
 import time
@@ -14,7 +13,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, SLOW, STATE
+from machine_tool_calibration.nodes.ros.messages import LATCHED, SLOW, STATE, from_message
 
 from .conftest import PATIENCE, SITE
 
@@ -32,7 +31,7 @@ def test_ten_kilohertz_stream_is_recorded_without_loss(bench):
     graph = bench.graph(names, simulated_time=False, site=noisy, more={"instrument": {"sample_noise": 2e-8}})
     operator = bench.operator(graph)
     told = []
-    operator._node.create_subscription(DiagnosticArray, "recorder/status", told.append, LATCHED)
+    operator.node.create_subscription(DiagnosticArray, "recorder/status", told.append, LATCHED)
 
     def batches():
         """How many the recorder has."""
@@ -42,7 +41,7 @@ def test_ten_kilohertz_stream_is_recorded_without_loss(bench):
 
     assert operator.wait(lambda: batches() > 0, PATIENCE)
     seen = []
-    operator._node.create_subscription(Float64MultiArray, "instrument/displacement", seen.append, STATE)
+    operator.node.create_subscription(Float64MultiArray, "instrument/displacement", seen.append, STATE)
     assert operator.wait(lambda: sum(len(rows(message)) for message in seen) > 40_000, PATIENCE)
     count = len(seen)
     assert operator.wait(lambda: batches() > count, PATIENCE)  # it has been listening for longer
@@ -65,19 +64,26 @@ def test_datum_capture_and_environment_in_real_time(bench):
     names = ("axis_simulator", "rotary_pointer", "instrument")
     graph = bench.graph(names, simulated_time=False, more={"instrument": {"averaging": 0.2}})
     operator = bench.operator(graph)
-    temperatures = []
-    operator._node.create_subscription(Temperature, "environment/temperature_air", temperatures.append, SLOW)
+    temperatures, stamps = [], []
+    operator.node.create_subscription(
+        DiagnosticArray,
+        "instrument/outcome",
+        lambda message: stamps.append(from_message(message.header.stamp)),
+        LATCHED,
+    )
+    operator.node.create_subscription(Temperature, "environment/temperature_air", temperatures.append, SLOW)
     assert operator.wait(lambda: operator.has_node("instrument"), PATIENCE)
     with pytest.raises(CalibrationError, match="no datum"):
         operator.call("instrument/capture", PATIENCE)
     zeroed, taken = zero_and_read(operator)
     assert taken["datum"] == zeroed["datum"]
-    assert taken["displacement"] == 0.0  # nothing moved, and the site is without noise
-    assert taken["end"] - taken["start"] == pytest.approx(0.2e9, rel=1e-3)
-    assert taken["stamp"] == (taken["start"] + taken["end"]) // 2
-    assert taken["samples"] == 2001
+    assert float(taken["displacement"]) == 0.0  # nothing moved, and the site is without noise
+    start, end = int(taken["start"]), int(taken["end"])
+    assert end - start == pytest.approx(0.2e9, rel=1e-3)
+    assert stamps[-1] == (start + end) // 2
+    assert taken["samples"] == "2001"
     assert operator.wait(lambda: bool(temperatures), PATIENCE)
-    assert temperatures[-1].temperature == pytest.approx(taken["environment"]["temperature_air"], abs=0.01)
+    assert temperatures[-1].temperature == pytest.approx(float(taken["temperature_air"]), abs=0.01)
 
 
 def zero_and_read(operator):
@@ -85,9 +91,9 @@ def zero_and_read(operator):
     read = []
 
     def done():
-        zeroed = json.loads(operator.call("instrument/datum", PATIENCE))
+        zeroed = operator.outcome("instrument/datum", PATIENCE)
         try:
-            read.append((zeroed, json.loads(operator.call("instrument/capture", PATIENCE))))
+            read.append((zeroed, operator.outcome("instrument/capture", PATIENCE)))
         except CalibrationError as error:
             assert "was not known for a while" in str(error)
         return bool(read)
@@ -128,17 +134,17 @@ def test_a_real_instruments_driver_takes_the_simulators_place(bench):
     graph = bench.graph(("instrument",), simulated_time=False, more={"instrument": {"driver": str(driver)}})
     operator = bench.operator(graph)
     stream = []
-    operator._node.create_subscription(Float64MultiArray, "instrument/displacement", stream.append, STATE)
+    operator.node.create_subscription(Float64MultiArray, "instrument/displacement", stream.append, STATE)
     try:
         operator.call("instrument/datum", PATIENCE)
         peer.value = 1.5  # mm
         assert operator.wait(
             lambda: bool(stream) and rows(stream[-1])[-1, 1] == pytest.approx(5e-4, abs=1e-12), PATIENCE
         )
-        taken = json.loads(operator.call("instrument/capture", PATIENCE))
-        assert taken["displacement"] == pytest.approx(5e-4, abs=1e-12)
-        assert taken["environment"] == {}
-        assert abs(taken["stamp"] * 1e-9 - time.time()) < PATIENCE
+        taken = operator.outcome("instrument/capture", PATIENCE)
+        assert float(taken["displacement"]) == pytest.approx(5e-4, abs=1e-12)
+        assert taken.keys() == {"datum", "start", "end", "displacement", "standard_deviation", "samples"}
+        assert abs(int(taken["end"]) * 1e-9 - time.time()) < PATIENCE
         peer.beam = 0
         assert operator.wait(lambda: np.isnan(rows(stream[-1])[-1, 1]), PATIENCE)
         peer.beam = 1

@@ -9,8 +9,8 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.heard import Heard
-from machine_tool_calibration.nodes.listener import Listener
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, SLOW, to_message
 
 from .conftest import ORIGIN, PATIENCE
@@ -18,15 +18,19 @@ from .conftest import ORIGIN, PATIENCE
 START = round(ORIGIN * 1e9)
 
 
+def _beside(heard, bench, namespace=""):
+    return closing(Client(bench.domain, namespace, heard).listen())
+
+
 def test_messages_that_mean_nothing_are_ignored_and_the_next_are_heard(bench):
     heard, operator = Heard(), bench.operator()
-    node = operator._node
+    node = operator.node
     readings = node.create_publisher(JointState, "reading", READINGS)
     sessions = node.create_publisher(String, "session", LATCHED)
     maps = node.create_publisher(PointCloud2, "error_map", LATCHED)
     diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", SLOW)
-    with closing(Listener(heard, bench.domain)):
-        assert operator.wait(lambda: node.count_subscribers("/diagnostics") == 1, PATIENCE)
+    with _beside(heard, bench):
+        assert operator.wait(lambda: node.count_subscribers("/diagnostics") == 2, PATIENCE)  # both clients
         sessions.publish(String(data="method: {"))
         maps.publish(PointCloud2(width=7))
         for names, values in ((["time"], []), (["x", "x"], [0.0, 0.0]), (["reading_index"], [-3.0])):
@@ -51,7 +55,7 @@ def test_services_that_move_axes_are_offered_only_where_the_node_allows_it(bench
     bench.graph(("procedure",), namespace="cell_2")
     strict, willing = Heard(), Heard()
     operator = bench.operator()
-    with closing(Listener(strict, bench.domain, "cell_1")), closing(Listener(willing, bench.domain, "/cell_2/")):
+    with _beside(strict, bench, "cell_1"), _beside(willing, bench, "/cell_2/"):
         assert operator.wait(lambda: bool(strict.refusing) and len(willing.offers) == 4, PATIENCE)
         assert {offer.verb for offer in strict.offers} == {"pause", "abort"}
         assert {offer.verb for offer in willing.offers if offer.moves_axes} == {"start", "resume"}
@@ -61,5 +65,5 @@ def test_services_that_move_axes_are_offered_only_where_the_node_allows_it(bench
 
 def test_a_namespace_that_is_none_is_refused_in_one_line(bench):
     with pytest.raises(CalibrationError, match=r"^'a b' is no namespace \(.*must not contain") as refused:
-        Listener(Heard(), bench.domain, "a b")
+        Client(bench.domain, "a b")
     assert "\n" not in str(refused.value)

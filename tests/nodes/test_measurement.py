@@ -10,13 +10,13 @@ from .reference import reference
 
 
 def readings(operator):
-    names = list(operator.readings[0].name)
-    table = np.array([list(message.position) for message in operator.readings])
+    names = list(operator.readings[0].names)
+    table = np.array([list(message.values) for message in operator.readings])
     return {name: table[:, index] for index, name in enumerate(names)}
 
 
 def since_first(operator, displacement):
-    setups = [message.position[list(message.name).index("setup_index")] for message in operator.readings]
+    setups = [message.values[list(message.names).index("setup_index")] for message in operator.readings]
     first = {}
     for setup, value in zip(setups, displacement, strict=True):
         first.setdefault(setup, value)

@@ -14,6 +14,7 @@ from machine_tool_calibration.methods.tracking.pointer_alignment import rotation
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -95,7 +96,7 @@ def test_readings_are_those_of_the_simulator(bench, finish, case):
     graph = bench.graph((*names, "rotary_pointer") if case is rotary else names, procedure=procedure, site=site)
     operator = bench.operator(graph)
     finish(operator)
-    measured = _session(operator)
+    measured = live_session(*operator.heard.session())
     live = keyed(measured, measured.readings.displacement)
     expected = {}
     for plan in plans:
@@ -121,17 +122,6 @@ def the_demonstration_holds_the_map_against_the_truth(bench, session):
     assert found.before > 1e-6 > 1000 * found.rms
 
 
-def _session(operator):
-    from machine_tool_calibration.session.collect import Collector
-    from machine_tool_calibration.session.description import Place
-    from machine_tool_calibration.session.parse import parse_description
-
-    collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
-    for message in operator.readings:
-        collector.add(list(message.name), list(message.position))
-    return collector.session("live", check=True)
-
-
 def test_a_pointer_turns_about_a_target_that_stands_still(bench, finish):
     procedure = load("pointer_centre")
     procedure["session"]["repeats"] = 1
@@ -141,7 +131,7 @@ def test_a_pointer_turns_about_a_target_that_stands_still(bench, finish):
     site = {**FREE, "station_uncertainty": None, "machine": {**MACHINE, **procedure["session"]["machine"]}}
     operator = bench.operator(bench.graph(procedure=procedure, site=site))
     finish(operator)
-    columns = [dict(zip(message.name, message.position, strict=True)) for message in operator.readings]
+    columns = [dict(zip(message.names, message.values, strict=True)) for message in operator.readings]
     azimuth, displacement = (np.array([row[name] for row in columns]) for name in ("azimuth", "displacement"))
     true = Site(SiteSpec.model_validate(site))
     place = {axis: columns[0][axis] for axis in "xyz"}

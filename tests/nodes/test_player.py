@@ -17,13 +17,14 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import Program
-from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.nodes.ros.messages import LATCHED as LATCHED_QOS
-from machine_tool_calibration.nodes.ros.messages import columns, from_message
+from machine_tool_calibration.nodes.ros.messages import from_message
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
 from machine_tool_calibration.recording.metadata import LATCHED, RELIABLE
 from machine_tool_calibration.recording.open import open_measurement
@@ -38,10 +39,10 @@ START = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
-def play(tmp_path: Path, bench) -> Callable[..., Operator]:
+def play(tmp_path: Path, bench) -> Callable[..., Client]:
     """Starts a player, and whatever else is named, in a namespace of its own; gives an operator that hears it."""
 
-    def start(bag: Path, *more: str, **parameters: object) -> Operator:
+    def start(bag: Path, *more: str, **parameters: object) -> Client:
         programs = [Program(name) for name in more] + [Program("player", {"bag": str(bag), **parameters})]
         graph = bench.stack.enter_context(ForkedGraph(programs, tmp_path / "log", bench.domain))
         operator = bench.operator(graph)
@@ -66,20 +67,25 @@ def ticks(path: Path, count: int = 20, step: int = 50_000_000) -> Path:
 class Heard:
     """Positions of `joint_states` and times of `/clock`."""
 
-    def __init__(self, operator: Operator) -> None:
+    def __init__(self, operator: Client) -> None:
         self.values: list[float] = []
         self.clock: list[int] = []
-        operator._node.create_subscription(JointState, "/joint_states", self._take, 1000)
-        operator._node.create_subscription(Clock, "/clock", lambda m: self.clock.append(from_message(m.clock)), 1000)
+        operator.node.create_subscription(JointState, "/joint_states", self._take, 1000)
+        self.session = ""
+        operator.node.create_subscription(String, "/session", self._describe, LATCHED_QOS)
+        operator.node.create_subscription(Clock, "/clock", lambda m: self.clock.append(from_message(m.clock)), 1000)
+
+    def _describe(self, message: String) -> None:
+        self.session = message.data
 
     def _take(self, message: JointState) -> None:
         self.values.append(message.position[0])
 
 
-def ready(operator: Operator) -> Heard:
+def ready(operator: Client) -> Heard:
     """Heard by both sides: a clock that stands still has come."""
     heard = Heard(operator)
-    assert operator.wait(lambda: bool(heard.clock) and operator._node.count_publishers("/joint_states") == 1, PATIENCE)
+    assert operator.wait(lambda: bool(heard.clock) and operator.node.count_publishers("/joint_states") == 1, PATIENCE)
     return heard
 
 
@@ -93,26 +99,28 @@ def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, pla
         PATIENCE,
     ), operator.estimator
     drawn: list[MarkerArray] = []
-    operator._node.create_subscription(MarkerArray, "/error_map/arrows", drawn.append, LATCHED_QOS)
-    operator.calculate("identify", PATIENCE)
-    assert operator.wait(lambda: operator.error_map is not None and operator.document and drawn, PATIENCE)
-    assert len(drawn[0].markers) == operator.error_map.width + 2
+    operator.node.create_subscription(MarkerArray, "/error_map/arrows", drawn.append, LATCHED_QOS)
+    operator.outcome("estimator/identify", PATIENCE)
+    assert operator.wait(
+        lambda: operator.heard.published.error_map and operator.heard.published.document and drawn, PATIENCE
+    )
+    assert len(drawn[0].markers) == len(operator.heard.published.error_map["x"]) + 2
     direct = identify(open_measurement(bag))
-    heard = columns(operator.error_map)
+    heard = operator.heard.published.error_map
     for names, values in (("xyz", direct.error_map.points), ("e", direct.error_map.error)):
         fields = list(names) if names == "xyz" else ["ex", "ey", "ez"]
         for j, name in enumerate(fields):
             assert np.array_equal(heard[name], values[:, j], equal_nan=True)
-    assert operator.document == json.dumps(direct.document(), allow_nan=False)
+    assert operator.heard.published.document == json.dumps(direct.document(), allow_nan=False)
 
 
 def test_pause_step_and_go_on(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag"), paused=True)
     heard = ready(operator)
     assert heard.values == [] and set(heard.clock) == {START}
-    assert operator.session == ""  # what is at the beginning itself has not been played yet
+    assert heard.session == ""  # what is at the beginning itself has not been played yet
     assert operator.call("player/step", PATIENCE) == "/session"
-    assert operator.wait(lambda: operator.session == "latched", PATIENCE)
+    assert operator.wait(lambda: heard.session == "latched", PATIENCE)
     for expected in ([0.0], [0.0, 1.0]):
         assert operator.call("player/step", PATIENCE) == "/joint_states"
         assert operator.wait(lambda expected=expected: heard.values == expected, PATIENCE)
@@ -127,9 +135,9 @@ def test_pause_step_and_go_on(tmp_path: Path, play) -> None:
 def test_nothing_is_sent_before_the_delay_is_over(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag"), rate=0.0, delay=10 * PATIENCE)
     heard = Heard(operator)
-    assert operator.wait(lambda: operator._node.count_publishers("/joint_states") == 1, PATIENCE)
+    assert operator.wait(lambda: operator.node.count_publishers("/joint_states") == 1, PATIENCE)
     operator.call("player/pause", PATIENCE)
-    assert heard.values == [] and heard.clock == [] and operator.session == ""
+    assert heard.values == [] and heard.clock == [] and heard.session == ""
     assert operator.call("player/step", PATIENCE) == "/session"  # who asks for a message is there
     operator.call("player/resume", PATIENCE)
     assert operator.wait(lambda: len(heard.values) == 20, PATIENCE)
@@ -149,7 +157,7 @@ def test_the_rate_is_kept(tmp_path: Path, play) -> None:
 def test_from_an_offset_in_a_loop_with_what_was_latched(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag", 10), rate=2.0, offset=0.375, loop=True, paused=True)
     heard = ready(operator)
-    assert operator.wait(lambda: operator.session == "latched", PATIENCE)  # it stands before the offset
+    assert operator.wait(lambda: heard.session == "latched", PATIENCE)  # it stands before the offset
     operator.call("player/resume", PATIENCE)
     assert operator.wait(lambda: len(heard.values) >= 6, PATIENCE)
     operator.call("player/pause", PATIENCE)

@@ -2,6 +2,10 @@
 """Probing live: the probe node with the axis simulator and the procedure, in simulated and in real time."""
 
 import json
+import os
+import re
+import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +20,12 @@ from trajectory_msgs.msg import JointTrajectory
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.nodes.executed import executed_message
+from machine_tool_calibration.nodes import measurement
+from machine_tool_calibration.nodes.commanded import executed_message
 from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.nodes.ros.messages import COMMAND, LATCHED, STATE, joint_state
-from machine_tool_calibration.session.collect import Collector
-from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.collect import live_session
+from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.probing_run import cam
 
@@ -79,13 +84,6 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
     return graph, bench.operator(graph)
 
 
-def session_of(operator):
-    collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
-    for message in operator.readings:
-        collector.add(list(message.name), np.asarray(message.position))
-    return collector.session("live")
-
-
 def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
     exx = {"nodes": NODES, "values": [2e-6, -1e-6, 0.0, 3e-6, 4e-6], "interpolation": "linear"}
     ecc = {"nodes": [0.0, 2.0, 6.0], "values": [0.0, 1.2e-5, -4e-6], "interpolation": "linear"}
@@ -93,7 +91,7 @@ def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
     known = {"EXX": {"position": 0.066, "value": 3e-6, "standard_uncertainty": 1e-9}}
     _, operator = start(bench, procedure(known=known), world)
     finish(operator)
-    session = session_of(operator)
+    session = live_session(*operator.heard.session())
     readings = session.readings
     count = 24 + 16
     assert len(readings) == 5 * count
@@ -130,7 +128,7 @@ def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
     form = 1.5e-3 * np.random.default_rng([SEED, 41]).normal(size=40)
     bad = np.abs(form) > 1e-3
     assert bad.any() and not bad.all()
-    session = session_of(operator)
+    session = live_session(*operator.heard.session())
     given = np.isfinite(session.readings.displacement).reshape(5, 40)
     assert np.array_equal(given, np.tile(~bad, (5, 1)))
     log = (bench.folder / "log" / "probe.log").read_text()
@@ -148,7 +146,7 @@ def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     )
     refused_in_front_of_nothing(operator)
     finish(operator)
-    session = session_of(operator)
+    session = live_session(*operator.heard.session())
     angle = np.array([np.arctan2(*p.normal[::-1]) for p in points])
     lobes = -2e-6 * np.cos(3 * (angle[None, :] - np.array([0.0, 1.0, 2.3])[:, None]))
     np.testing.assert_allclose(session.readings.displacement.reshape(3, 12), lobes, atol=1e-12)
@@ -160,18 +158,66 @@ def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish
     content["motion"] = {"speed": {"x": 0.5, "y": 0.5, "z": 0.5, "c": 2.0}, "dwell": 0.1, "approach": 0.004}
     _, operator = start(bench, content, site(), simulated=False, speed=0.04)
     finish(operator)
-    session = session_of(operator)
+    session = live_session(*operator.heard.session())
     form = FORM * np.random.default_rng([SEED, 41]).normal(size=2)
     np.testing.assert_allclose(session.readings.displacement.reshape(2, 2), np.tile(form, (2, 1)), atol=1e-9)
     # 4 mm there at 40 mm/s, and as much back
     assert np.all(np.diff(session.readings.columns["time"]) > 0.2)
 
 
+def test_a_run_whose_probe_dies_says_so_and_keeps_its_readings(bench, monkeypatch):
+    graphs = []
+
+    class Watched(ForkedGraph):
+        def __enter__(self):
+            graphs.append(self)
+            return super().__enter__()
+
+    def progress(text, done, total):
+        if done >= 30 and not graphs[0].ended():
+            os.kill(graphs[0].process_id("probe"), signal.SIGKILL)
+
+    monkeypatch.setattr(measurement, "Graph", Watched)
+    output = bench.folder / "run"
+    setting = measurement.Setting(output, domain=bench.domain, record=False)
+    with pytest.raises(
+        CalibrationError, match=r"^probe ended with status -9: .*; \d+ of 200 readings are kept in "
+    ) as dead:
+        measurement.measure(Path(bench.write("probing.yaml", procedure())), setting, progress)
+    count = int(re.search(r"(\d+) of 200", str(dead.value))[1])
+    assert 30 <= count < 200
+    assert len(read_session(output / "session", check=False).readings) == count
+
+
+def test_a_procedure_whose_probe_dies_says_so_and_goes_on_with_the_next(bench):
+    file, place = bench.write("procedure.yaml", procedure(angles=(0.0, 0.9))), bench.write("site.yaml", site())
+    common = {"use_sim_time": True, "site": place, "time_origin": ORIGIN}
+    impatient = {"use_sim_time": True, "procedure": file, "answer": 0.5, "patience": 2.0}
+    programs = [Program("axis_simulator", common), Program("probe", common), Program("procedure", impatient)]
+    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
+    operator = bench.operator(graph)
+    begin(operator)
+    assert operator.wait(lambda: operator.heard.count[1] >= 10, WHOLE)
+    graph.kill("probe")
+    assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
+    assert re.fullmatch(r"no answer from instrument for \d+ s", operator.procedure.message)
+    assert operator.procedure.level == 2
+    kept = operator.procedure.number("captured")
+    late = bench.operator(graph)
+    assert late.wait(lambda: late.heard.count[1] == kept >= 10, PATIENCE), "readings are latched"
+    graph.start("probe")
+    assert operator.wait(lambda: {"instrument/capture"} <= operator.services("probe"), PATIENCE)
+    operator.call("procedure/resume", PATIENCE)
+    assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
+    ended(operator)
+    assert operator.wait(lambda: operator.heard.count[1] == 80, PATIENCE)
+
+
 class PlayedAxes:
     """Axes that stand in front of the part's first point, and do nothing but note what they are told."""
 
     def __init__(self, operator, content):
-        node, stamp = operator._node, round(ORIGIN * 1e9)
+        node, stamp = operator.node, round(ORIGIN * 1e9)
         described = json.dumps({"format": "mtcal-session/1", **content["session"]})
         description = parse_description(described, "session")
         c = description.setups[0].c
@@ -194,7 +240,7 @@ class PlayedAxes:
 def played(bench):
     _, operator = start(bench, procedure(), site(), names=("probe",), simulated=False)
     axes = PlayedAxes(operator, procedure())
-    client = operator._node.create_client(Trigger, "instrument/capture")
+    client = operator.node.create_client(Trigger, "instrument/capture")
     assert operator.wait(client.service_is_ready, PATIENCE)
     asked = []
 
@@ -238,7 +284,7 @@ def test_a_probe_that_is_restarted_pairs_nothing_wrongly(bench):
         graph.start("probe")
     ended(operator)
     assert operator.wait(lambda: len(operator.readings) >= 200, PATIENCE)
-    session = session_of(operator)
+    session = live_session(*operator.heard.session())
     form = FORM * np.random.default_rng([SEED, 41]).normal(size=40)
     # the machine is perfect: a touch shows the form of the very point that its row names
     np.testing.assert_allclose(session.readings.displacement, np.tile(form, 5), atol=2e-9)

@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.procedure import event_of
-from machine_tool_calibration.nodes.ros.messages import stamp_among
+from machine_tool_calibration.nodes.ros.messages import Level, dated, stamp_among, status
 from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.procedure.events import Captured, CaptureFailed, DatumSet
 
@@ -87,37 +87,40 @@ def test_what_a_status_says_is_no_time(text):
     assert stamp_among({"held": "1700000000000000001"}, "held") == 1_700_000_000_000_000_001
 
 
-GOOD = '"datum": "d-1", "inputs": {"beam": 4}, "start": 3, "end": 7, "stamp": 5'
-READING = f'{{{GOOD}, "displacement": 0.5, "environment": {{"temperature_air": 20}}}}'
+ZEROED = {"datum": "d-1", "start": 3, "end": 7, "input_beam": 4}
+READING = {**ZEROED, "displacement": 0.5, "samples": 8, "temperature_air": 20}
 
 
-def asked(message, *, success=True, is_datum=False):
-    return event_of(9, success, message, is_datum=is_datum, sensed=lambda stamp: {"temperature_x": float(stamp)})
+def told(found, verb="capture", level=Level.OK):
+    message = DiagnosticArray(status=[status(verb, level, "broken", found)])
+    return event_of(9, dated(message, 5), lambda stamp: {"temperature_x": float(stamp)})
 
 
-def test_answers_of_an_instrument_are_events():
-    assert asked(f"{{{GOOD}}}", is_datum=True) == DatumSet(9, "d-1", 3, {"beam": 4})
+def test_outcomes_of_an_instrument_are_events():
+    assert told(ZEROED, "datum") == DatumSet(9, "d-1", 3, {"beam": 4})
     columns = {"temperature_x": 5.0, "temperature_air": 20.0}
-    assert asked(READING) == Captured(9, 5, 3, 7, 0.5, "d-1", columns, {"beam": 4})
-    assert asked('{"kind": "beam", "reason": "broken"}', success=False) == CaptureFailed(9, "beam", "broken")
+    assert told(READING) == Captured(9, 5, 3, 7, 0.5, "d-1", columns, {"beam": 4})
+    assert told({"kind": "beam"}, level=Level.ERROR) == CaptureFailed(9, "beam", "broken")
+    assert told({}, level=Level.WARN) == CaptureFailed(9, "other", "broken")
 
 
 @pytest.mark.parametrize(
-    ("part", "wrong"),
+    ("name", "wrong"),
     [
-        ('"stamp": 5', '"stamp": "soon"'),
-        ('"stamp": 5', '"stamp": 1e308'),
-        ('"stamp": 5', f'"stamp": {10**30}'),
-        ('"end": 7', '"end": -1'),
-        ('"displacement": 0.5', '"displacement": 1e999'),
-        ('"displacement": 0.5', '"displacement": [1]'),
-        ('"temperature_air": 20', '"temperature_air": "warm"'),
-        ('{"beam": 4}', "4"),
-        (READING, "[" * 100_000),
-        (READING, "null"),
+        ("start", "soon"),
+        ("start", "1e308"),
+        ("start", 10**30),
+        ("end", -1),
+        ("end", None),
+        ("displacement", "1e999"),
+        ("displacement", "[1]"),
+        ("displacement", None),
+        ("temperature_air", "warm"),
+        ("temperature_air", "-inf"),
+        ("input_beam", "4.0"),
+        ("datum", None),
     ],
 )
-def test_an_answer_that_makes_no_sense_is_a_failure(part, wrong):
-    assert part in READING
-    event = asked(READING.replace(part, wrong))
-    assert isinstance(event, CaptureFailed) and event.reason.startswith("not an answer of an instrument")
+def test_an_outcome_that_makes_no_sense_is_a_failure(name, wrong):
+    event = told({**READING, name: wrong} if wrong is not None else {k: v for k, v in READING.items() if k != name})
+    assert isinstance(event, CaptureFailed) and event.reason.startswith("not an outcome of an instrument")

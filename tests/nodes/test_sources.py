@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, is_steady
 from machine_tool_calibration.nodes.environment import interpolate
 from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.samples import SimulatedSource
+from machine_tool_calibration.nodes.samples import Batch, NotYet, Recent, SimulatedSource, is_steady
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, SiteSpec
 from machine_tool_calibration.procedure import read_procedure

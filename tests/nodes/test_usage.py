@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.nodes.__main__ import main
-from machine_tool_calibration.nodes.usage import topics
+from machine_tool_calibration.nodes.shared import topics
 
 from .pages import PAGES, rows
 

@@ -10,10 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.heard import SERVICES, Heard
-from machine_tool_calibration.nodes.listener import Listener
+from machine_tool_calibration.nodes.ros.messages import READINGS, from_message
 from machine_tool_calibration.recording.cdr import JointStateReader
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.reader import BagReader
@@ -65,26 +67,32 @@ def whole(tmp_path_factory, ros_domain):
         graph.stop(["estimator"])
         operator = bench.operator(graph)
         heard = hear(operator)
+        stamps = []
+        operator.node.create_subscription(
+            JointState, "reading", lambda message: stamps.append(from_message(message.header.stamp) * 1e-9), READINGS
+        )
         beside = Heard()
-        listener = bench.stack.enter_context(closing(Listener(beside, ros_domain)))
+        listener = bench.stack.enter_context(closing(Client(ros_domain, heard=beside).listen()))
         assert operator.wait(lambda: operator.recorder.message == "recording", PATIENCE)
         begin(operator)
         ended(operator)
         assert operator.wait(lambda: len(operator.readings) >= 128, PATIENCE)
         graph.start("estimator")  # one that comes late gets every reading
         collected(operator, 128)
-        identified = operator.calculate("identify", PATIENCE)
-        assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, PATIENCE)
-        first = operator.document
+        identified = operator.outcome("estimator/identify", PATIENCE)
+        assert operator.wait(
+            lambda: bool(operator.heard.published.document) and operator.heard.published.error_map, PATIENCE
+        )
+        first = operator.heard.published.document
         printed = subprocess.run(
             [sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=900, check=True
         )
-        operator.calculate("compare", PATIENCE)
-        improved = operator.calculate("improve", PATIENCE)
-        assert operator.wait(lambda: operator.document != first, PATIENCE)
+        operator.outcome("estimator/compare", PATIENCE)
+        improved = operator.outcome("estimator/improve", PATIENCE)
+        assert operator.wait(lambda: operator.heard.published.document != first, PATIENCE)
         yield SimpleNamespace(
             graph=graph, operator=operator, heard=heard, identified=identified, document=json.loads(first),
-            beside=beside, listener=listener,
+            beside=beside, listener=listener, stamps=stamps,
             second_program=json.loads(printed.stdout), improved=improved,
             bag=bench.folder / "bag1", logs=bench.folder / "log1",
         )  # fmt: skip
@@ -99,8 +107,7 @@ def test_readings_are_those_of_the_simulator(whole):
     assert set(table["dir_x"]) == {-1.0, 1.0}
     assert operator.procedure.number("recoveries") == 0
     assert all(np.diff(table["time"]) > 0)
-    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in operator.readings]
-    assert np.allclose(np.diff(stamps), np.diff(table["time"]), atol=1e-6)
+    assert np.allclose(np.diff(whole.stamps), np.diff(table["time"]), atol=1e-6)
     assert {"temperature_air", "temperature_work", "air_pressure", "relative_humidity"} <= set(table)
 
 
@@ -116,7 +123,7 @@ def test_the_map_reaches_a_second_program(whole):
 
 def test_topics_services_and_contents_are_those_of_the_documents(whole):
     operator, heard = whole.operator, whole.heard
-    node = operator._node
+    node = operator.node
     wanted = {f"/{name.strip('/')}" for name in rows()}
     assert operator.wait(lambda: wanted <= {name for name, _ in node.get_topic_names_and_types()}, PATIENCE)
     # this program's own subscriptions make topics too; those of the other nodes are looked at by themselves
@@ -136,7 +143,7 @@ def test_diagnostics_name_every_node_and_its_device(whole):
     def keep(message):
         told.update((status.name, status) for status in message.status)
 
-    whole.operator._node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    whole.operator.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     names = {f"{name}: {name}" for name in NODES if name not in ("axis_simulator", "rotary_pointer")}
     names |= {"axis_simulator: axes", "rotary_pointer: pointer"}
     assert whole.operator.wait(lambda: names <= set(told), PATIENCE), names - set(told)
@@ -149,13 +156,13 @@ def test_diagnostics_name_every_node_and_its_device(whole):
 
 def test_a_listener_hears_the_readings_the_nodes_and_the_map_and_asks(whole):
     beside, operator = whole.beside, whole.operator
-    assert operator.wait(lambda: beside.published.document == operator.document, PATIENCE)
+    assert operator.wait(lambda: beside.published.document == operator.heard.published.document, PATIENCE)
     _, _, rows = beside.rows(-1, 0)
     table = readings(operator)
     assert rows == list(zip(table["setup_index"].astype(int).tolist(), table["displacement"].tolist(), strict=True))
     assert len(live_session(*beside.session()).readings) == 128 and beside.missing == 0
     columns = {name: values.tolist() for name, values in beside.published.error_map.items()}
-    heard = json.loads(operator.document)["error_map"]
+    heard = json.loads(operator.heard.published.document)["error_map"]
     assert list(zip(columns["ex"], columns["ey"], strict=True)) == [tuple(row[:2]) for row in heard["position_error"]]
     assert len(beside.published.residuals["residual"]) == 128
     assert operator.wait(lambda: {one.node for one in beside.nodes()} == set(NODES), PATIENCE), beside.nodes()
@@ -199,4 +206,4 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     session = session_from_bag(whole.bag)
     effects = whole.improved["effects"].split()
     assert "backlash_x" in effects
-    assert json.loads(whole.operator.document) == identify(session, effects=effects).document()
+    assert json.loads(whole.operator.heard.published.document) == identify(session, effects=effects).document()

@@ -188,13 +188,13 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
 
 def beside_a_graph(page: "playwright.Page", hidden: Path, domain: int) -> None:
     """Readings that come are drawn, become a map, and are opened in the other pages."""
-    from machine_tool_calibration.nodes.ros.guest import Guest
+    from machine_tool_calibration.nodes.client import Client
 
     from ..nodes.publishing import publish
 
     page.get_by_role("button", name="Live", exact=True).click()
     page.get_by_text(f"Nothing is heard in ROS domain {domain} yet").wait_for()
-    with closing(Guest("procedure_of_the_test", domain)) as guest:
+    with closing(Client(domain)) as guest:
         kept = publish(guest.node, mtcal.load(hidden).sessions[0], START)
         page.get_by_text("The map, calculated here from 288 readings").wait_for()
         assert kept

@@ -282,7 +282,7 @@ def test_the_graphs_own_recording_is_opened_where_it_is_finished_and_whole(
 
 def test_without_ros_the_page_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "diagnostic_msgs.msg", None)
-    monkeypatch.delitem(sys.modules, "machine_tool_calibration.nodes.listener", raising=False)
+    monkeypatch.delitem(sys.modules, "machine_tool_calibration.nodes.client", raising=False)
     feed = Feed()
     feed.look(0.0)
     feed.close()

@@ -61,7 +61,7 @@ def console() -> int:
 
 
 def _help(name: str, about: str) -> int:
-    from machine_tool_calibration.nodes.usage import usage
+    from machine_tool_calibration.nodes.shared import usage
 
     try:
         print(usage(name, about), flush=True)

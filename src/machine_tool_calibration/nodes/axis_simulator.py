@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.executed import executed_message
+from machine_tool_calibration.nodes.commanded import executed_message
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
@@ -31,8 +31,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 
@@ -45,9 +44,6 @@ _FARTHEST = 10 * _DAY  # a motion that ends later is a mistake, and simulated ti
 
 class AxisSimulator(ManagedNode):
     """See the module; parameters are described where they are declared."""
-
-    def __init__(self) -> None:
-        super().__init__("axis_simulator")
 
     def configure(self) -> None:
         """See `ManagedNode`."""
@@ -97,23 +93,21 @@ class AxisSimulator(ManagedNode):
             self, "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
         )
         simulated = self.lives_in_simulated_time
-        self._jumping: bool = self.declare(
+        self._jumping = self.declare(
             "publish_clock",
             simulated,
             "own the simulated clock (/clock) and jump it to the end of each trajectory; needs use_sim_time",
         )
         if self._jumping and not simulated:
             raise CalibrationError("parameter publish_clock needs use_sim_time: true")
-        self._rate: float = self.declare(
-            "state_rate", 100.0, "rate of joint_states in real time", unit="Hz", low=1.0, high=1000.0
-        )
+        self._rate = self.declare("state_rate", 100.0, "rate of joint_states in real time", "Hz", (1.0, 1000.0))
         self._linear_limits = AxisLimits(
-            self.declare("speed", 0.5, "greatest speed of a linear axis", unit="m/s", low=1e-6, high=10.0),
-            self.declare("acceleration", 2.0, "its greatest acceleration", unit="m/s^2", low=1e-6, high=100.0),
+            self.declare("speed", 0.5, "greatest speed of a linear axis", "m/s", (1e-6, 10.0)),
+            self.declare("acceleration", 2.0, "its greatest acceleration", "m/s^2", (1e-6, 100.0)),
         )
         self._rotary_limits = AxisLimits(
-            self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", unit="rad/s", low=1e-6, high=1e3),
-            self.declare("rotary_acceleration", 10.0, "its greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5),
+            self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", "rad/s", (1e-6, 1e3)),
+            self.declare("rotary_acceleration", 10.0, "its greatest acceleration", "rad/s^2", (1e-6, 1e5)),
         )
 
     def _now(self) -> int:

@@ -30,9 +30,7 @@ _KEPT = 100
 def declare_period(node: GuardedNode) -> float:
     """Declare the parameter of how often a node publishes the environment, s."""
     usual = 60.0 if node.lives_in_simulated_time else 1.0
-    period: float = node.declare(
-        "environment_period", usual, "time between publications of the environment", unit="s", low=0.01, high=1e5
-    )
+    period = node.declare("environment_period", usual, "time between publications of the environment", "s", (0.01, 1e5))
     return period
 
 

@@ -32,11 +32,9 @@ from machine_tool_calibration.nodes.calculation import (
 )
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.publications import Publications, in_words
-from machine_tool_calibration.nodes.ros.goals import Goals, Progress
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.services import Goals, Progress, Reply, offer
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.session.collect import Reading, Received
 
@@ -50,9 +48,7 @@ _PERIOD = 0.2  # s between publications of the count of readings
 class Estimator(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        self._text = ""
-        super().__init__("estimator")
+    _text = ""
 
     def activate(self) -> None:
         """See `ManagedNode`."""
@@ -100,7 +96,7 @@ class Estimator(ManagedNode):
             "ids of physical effects in the model; estimator/improve adds those that it finds",
             read_only=False,
         )
-        self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False)
+        self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", "1", (0.0, None), read_only=False)
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`: the effects must exist, and a method must have the model."""
@@ -134,7 +130,7 @@ class Estimator(ManagedNode):
             # Not when one comes: its first readings may have been heard before this is told.
             self._heard, self._unheard = False, not self._heard
 
-    def _reset(self, answer: Answer) -> None:
+    def _reset(self, answer: Reply) -> None:
         answer.send(True, f"{len(self._received)} readings forgotten")
         self._received.forget()
         self._unheard = False

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the graph's processes, watches them and ends them: what `ros2 launch` does where it is not installed."""
+"""What starts a graph: processes that are watched and ended where there is no `ros2 launch`, and what its files share.
+
+Launch files need parameters of the nodes, arguments that are checked before anything is started, and managed nodes.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.process import default_environment
 
-__all__ = ["Graph", "Program", "end_with_parent"]
+__all__ = ["Graph", "Program", "end_with_parent", "graph_parameters", "managed_nodes", "refuse_unknown", "switches"]
 
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 _POLL = 0.02  # s
@@ -167,3 +170,105 @@ class Graph:
 def end_with_parent() -> None:
     """In the child: end when the starter is killed, so that nothing stays behind."""
     ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGTERM)
+
+
+_WORDS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
+
+
+def switches(given: Mapping[str, str], names: Collection[str]) -> dict[str, bool]:
+    """Arguments that are true or false.
+
+    Args:
+        given: text of each argument by name.
+        names: of those that are wanted.
+
+    Raises:
+        CalibrationError: one is neither.
+    """
+    for name in names:
+        if given[name].lower() not in _WORDS:
+            raise CalibrationError(f"{name}:={given[name]} is neither true nor false")
+    return {name: _WORDS[given[name].lower()] for name in names}
+
+
+def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) -> None:
+    """Refuse an argument that nobody reads, which `ros2 launch` passes over without a word.
+
+    Where another launch file includes this one its own arguments are there too: then nothing is refused.
+
+    Args:
+        file: name of the launch file.
+        given: names of the arguments.
+        known: names of those that it has.
+
+    Raises:
+        CalibrationError: there is one.
+    """
+    unknown = sorted(set(given) - set(known))
+    if unknown and any(word.endswith(file) for word in sys.argv):
+        name = unknown[0]
+        raise CalibrationError(f"there is no argument {name!r}{did_you_mean(name, known)}; {file} --show-args has them")
+
+
+def graph_parameters(
+    procedure: Path | str, site: Path | str, *, simulated_time: bool, driver: str, bag: Path | str
+) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes of a graph, by their names.
+
+    Args:
+        procedure: file.
+        site: file of what is true in the simulated workshop.
+        simulated_time: whether they live by `/clock`.
+        driver: of the instrument.
+        bag: folder of the recording; empty: one named by the date.
+    """
+    common = {"use_sim_time": simulated_time}
+    # one origin for all simulating nodes, whole seconds so that it is exact
+    world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
+    return {
+        "axis_simulator": world,
+        "rotary_pointer": world,
+        "instrument": {**world, "driver": driver},
+        "probe": world,
+        "estimator": {**common},
+        "procedure": {**common, "procedure": str(procedure)},
+        "recorder": {**common, "folder": str(bag)},
+    }
+
+
+def managed_nodes(
+    parameters: Mapping[str, Mapping[str, Any]],
+    namespace: str,
+    file: str,
+    on_exit: Callable[..., Any],
+    *,
+    autostart: bool,
+) -> list[Any]:
+    """The actions that start nodes of this package.
+
+    That they go to their active state is told them by a parameter: a transition that `launch` asks for by a service is
+    lost, now and then, where the node has not discovered `launch` yet.
+
+    Args:
+        parameters: of each node, by its name; they count more than those of the file.
+        namespace: of all; `/clock` is remapped into it, as it is absolute and two graphs would share it.
+        file: of ROS parameters.
+        on_exit: called when one ends.
+        autostart: whether they are configured and activated; else a lifecycle manager does it.
+    """
+    from launch_ros.actions import LifecycleNode
+
+    space = namespace.strip("/")
+    return [
+        LifecycleNode(
+            package="machine_tool_calibration",
+            executable=name,
+            name=name,
+            namespace=space,
+            parameters=[file, {**values, "autostart": autostart}],
+            remappings=[("/clock", f"/{space}/clock")] if space else [],
+            output="screen",
+            on_exit=on_exit,
+        )
+        for name, values in parameters.items()
+    ]

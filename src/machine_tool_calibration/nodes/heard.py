@@ -122,6 +122,7 @@ class Heard:
         description: of the session.
         setups: ids of its setups.
         published: what the estimator published last.
+        outcomes: what requests gave, the last one by node.
         offers: services that may be asked for.
         refusing: nodes that do not allow their services to move axes.
     """
@@ -140,6 +141,7 @@ class Heard:
         self.description = ""
         self.setups: tuple[str, ...] = ()
         self.published = Published()
+        self.outcomes: dict[str, NodeState] = {}
         self.offers: tuple[Offer, ...] = ()
         self.refusing: tuple[str, ...] = ()
 
@@ -285,6 +287,15 @@ class Heard:
             else:
                 out += speaking
         return sorted(out, key=lambda one: one.node)
+
+    def said(self, node: str) -> NodeState:
+        """What a node said last on the topic of its own, such as `procedure/status`."""
+        with self._lock:
+            return next((one for one in self._said.values() if one.node == node), NodeState(node, node))
+
+    def outcome(self, node: str) -> NodeState:
+        """What a node's last request gave; `device` is the goal, empty if there was none."""
+        return self.outcomes.get(node, NodeState(node, ""))
 
     def newest(self, kind: str) -> NodeState | None:
         """What was said last of what is of a kind, such as `procedure`; None if nothing was."""

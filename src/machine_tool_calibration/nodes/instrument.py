@@ -9,7 +9,6 @@ readings; each reading publishes the samples that it averaged.
 
 from __future__ import annotations
 
-import json
 import time
 import uuid
 from array import array
@@ -26,7 +25,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
-from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
+from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
 from machine_tool_calibration.nodes.optics import make_optics
@@ -40,11 +39,9 @@ from machine_tool_calibration.nodes.ros.messages import (
     rotation_of,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
-from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
+from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, SimulatedSource, Window
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
 __all__ = ["Instrument"]
@@ -54,7 +51,7 @@ _GRACE = 0.5  # s of the wall clock: messages about the axes and the beam may ar
 
 @dataclass
 class _Request:
-    answer: Answer
+    answer: Reply
     is_datum: bool
     since: float
 
@@ -62,9 +59,7 @@ class _Request:
 class Instrument(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        self._simulated: SimulatedSource | None = None
-        super().__init__("instrument")
+    _simulated: SimulatedSource | None = None
 
     def configure(self) -> None:
         """See `ManagedNode`."""
@@ -85,12 +80,12 @@ class Instrument(ManagedNode):
         self._requests: list[_Request] = []
         self._recent = Recent(2.0 * self._averaging)
         self._setups: list[str] = []
-        self._waiting: Target | None = None
+        self._waiting: PointerCommand | None = None
         self._pairs = Pairs()
 
         self._stream = self.create_publisher(Float64MultiArray, "~/displacement", STATE)
         self._environment = EnvironmentTopics(self, self._period, self._sensed)
-        self.source: Source
+        self.source: DriverSource | SimulatedSource
         if self._is_simulated:
             self._simulated = self.source = SimulatedSource(
                 self._site,
@@ -112,6 +107,7 @@ class Instrument(ManagedNode):
             self.source = DriverSource(load_driver(Path(self._driver)), now(self) - time.monotonic_ns())
         hardware_id = self.source.hardware_id or Path(self._driver).stem
         self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
+        self._outcomes = Outcomes(self)
         offer(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
         offer(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
@@ -122,58 +118,40 @@ class Instrument(ManagedNode):
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        self._driver: str = self.declare(
+        self._driver = self.declare(
             "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
         )
         self._file, self._origin = declare_site(self)
         self._period = declare_period(self)
-        self._rate: float = self.declare(
-            "rate",
-            1000.0 if self._simulated_time else 10000.0,
-            "samples of the simulated stream",
-            unit="Hz",
-            low=1.0,
-            high=1e6,
+        self._rate = self.declare(
+            "rate", 1000.0 if self._simulated_time else 10000.0, "samples of the simulated stream", "Hz", (1.0, 1e6)
         )
-        self._batch_rate: float = self.declare(
-            "batch_rate", 50.0, "batches of the stream in real time", unit="Hz", low=1.0, high=1000.0
-        )
-        self._averaging: float = self.declare(
-            "averaging", 0.1, "time over which a reading is averaged", unit="s", low=1e-3, high=1000.0
-        )
-        self._tolerance: float = self.declare(
+        self._batch_rate = self.declare("batch_rate", 50.0, "batches of the stream in real time", "Hz", (1.0, 1000.0))
+        self._averaging = self.declare("averaging", 0.1, "time over which a reading is averaged", "s", (1e-3, 1000.0))
+        self._tolerance = self.declare(
             "stable_tolerance",
             1e-6,
             "a reading is stable when the means of its quarters agree within this",
-            unit="m",
-            low=1e-12,
-            high=1.0,
+            "m",
+            (1e-12, 1.0),
         )
-        self._timeout: float = self.declare(
+        self._timeout = self.declare(
             "capture_timeout",
             3.0,
             "a reading that is not stable within this is refused (wall clock)",
-            unit="s",
-            low=0.01,
-            high=1000.0,
+            "s",
+            (0.01, 1000.0),
         )
-        self._sample_noise: float = self.declare(
-            "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", unit="m", low=0.0, high=1.0
+        self._sample_noise = self.declare(
+            "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", "m", (0.0, 1.0)
         )
-        self._beam_radius: float = self.declare(
-            "beam_radius",
-            2e-3,
-            "farther beside the beam the retroreflector does not return it",
-            unit="m",
-            low=1e-6,
-            high=1.0,
+        self._beam_radius = self.declare(
+            "beam_radius", 2e-3, "farther beside the beam the retroreflector does not return it", "m", (1e-6, 1.0)
         )
-        self._noise_seed: int = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
+        self._noise_seed = self.declare(
+            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
-        self._blocked: bool = self.declare(
-            "beam_blocked", False, "something stands in the simulated beam", read_only=False
-        )
+        self._blocked = self.declare("beam_blocked", False, "something stands in the simulated beam", read_only=False)
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
         """See `GuardedNode`; the simulated beam is blocked at once."""
@@ -225,7 +203,7 @@ class Instrument(ManagedNode):
         beam = Beam(place_of(truth.pose.position), rotation_of(truth.pose.orientation)[:, 0])
         self._stand(stamp, setup, beam)
 
-    def _commanded(self, target: Target) -> None:
+    def _commanded(self, target: PointerCommand) -> None:
         """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
         self._world.expect(target.stamp)
         setup = target.setup(self._setups)
@@ -246,10 +224,10 @@ class Instrument(ManagedNode):
 
     # --- requests
 
-    def _requested(self, answer: Answer, *, is_datum: bool) -> None:
+    def _requested(self, answer: Reply, *, is_datum: bool) -> None:
         self._note_loss()
         if not is_datum and not self._datum:
-            _refuse(answer, "datum", f"no datum: {self._reason}; call instrument/datum")
+            self._refuse_without_datum(answer)
             return
         self._requests.append(_Request(answer, is_datum, time.monotonic()))
         if self._simulated_time:
@@ -287,37 +265,40 @@ class Instrument(ManagedNode):
             return
         if reason.kind == "beam":
             self._lose_datum(str(reason))
-        _refuse(request.answer, reason.kind, str(reason))
+        verb = "datum" if request.is_datum else "capture"
+        self._outcomes.answer([request.answer], verb, now(self), str(reason), {}, reason.kind)
 
-    def _set_datum(self, answer: Answer, window: Window) -> None:
+    def _refuse_without_datum(self, answer: Reply) -> None:
+        text = f"no datum: {self._reason}; call instrument/datum"
+        self._outcomes.answer([answer], "capture", now(self), text, {}, "datum")
+
+    def _set_datum(self, answer: Reply, window: Window) -> None:
         self._datums += 1
         self._datum, self._zero, self._reason = f"{self._epoch}-{self._datums}", window.path, ""
         self._show()
-        answer.send(True, json.dumps(self._described_window(window)))
+        text = f"the path is zero from here: datum {self._datum}"
+        self._outcomes.answer([answer], "datum", window.stamp, text, self._taken(window))
 
-    def _reading(self, answer: Answer, window: Window) -> None:
+    def _reading(self, answer: Reply, window: Window) -> None:
         if not self._datum:
-            _refuse(answer, "datum", f"no datum: {self._reason}; call instrument/datum")
+            self._refuse_without_datum(answer)
             return
-        document = self._described_window(window)
-        document |= {
-            "displacement": window.path - self._zero,
+        displacement = window.path - self._zero
+        found = {
+            **self._taken(window),
+            "displacement": displacement,
             "standard_deviation": window.spread,
             "samples": window.samples,
-            "environment": self._sensed(window.stamp),
+            **self._sensed(window.stamp),
         }
-        answer.send(True, json.dumps(document))
+        text = f"{1e3 * displacement:.6f} mm from the datum"
+        self._outcomes.answer([answer], "capture", window.stamp, text, found)
         if self._simulated_time and self._simulated is not None:
             self._publish_stream(self._simulated.stream())
 
-    def _described_window(self, window: Window) -> dict[str, object]:
-        return {
-            "datum": self._datum,
-            "stamp": window.stamp,
-            "start": window.start,
-            "end": window.end,
-            "inputs": window.inputs,
-        }
+    def _taken(self, window: Window) -> dict[str, object]:
+        inputs = {f"{INPUT}{name}": stamp for name, stamp in window.inputs.items()}
+        return {"datum": self._datum, "start": window.start, "end": window.end, **inputs}
 
     # --- the stream, the state, the environment
 
@@ -376,7 +357,3 @@ class Instrument(ManagedNode):
     def deactivate(self) -> None:
         """Stop what runs beside the node's own thread."""
         self.source.close()
-
-
-def _refuse(answer: Answer, kind: str, reason: str) -> None:
-    answer.send(False, json.dumps({"kind": kind, "reason": reason}))

@@ -14,13 +14,13 @@ from typing import Any
 import yaml
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.graph import Graph, Program
-from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.client import Client
+from machine_tool_calibration.nodes.graph import Graph, Program, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.collect import Reading, live_session
+from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 
@@ -111,7 +111,7 @@ class _Listeners:
 
     def __init__(self, graph: Graph, output: Path) -> None:
         self._graph, self._output = graph, output
-        self.operator: Operator | None = None
+        self.client: Client | None = None
         self.remarks: list[str] = []
 
     def watch(self) -> None:
@@ -121,14 +121,14 @@ class _Listeners:
             CalibrationError: one has ended that the measurement cannot do without.
         """
         for name, why in self._graph.ended().items():
-            if name not in _LISTENERS or self.operator is None:
+            if name not in _LISTENERS or self.client is None:
                 raise CalibrationError(why)
             again = sum(name in remark for remark in self.remarks) + 2
             if again > _STARTS:
                 self.remarks.append(f"{why}; it is not started again")
                 self._graph.kill(name)
                 continue
-            count = len(self.operator.readings)
+            count = self.client.heard.count[1]
             if name == "recorder":
                 bag = self._output / f"bag_{again}"
                 self.remarks.append(
@@ -185,16 +185,16 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         graph = Graph(programs, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
-        with graph, Operator(domain, graph.namespace, listeners.watch) as operator:
+        with graph, Client(domain, graph.namespace, watch=listeners.watch) as client:
             try:
-                _await_ready(operator, [program.name for program in programs])
-                listeners.operator = operator
+                _await_ready(client, [program.name for program in programs])
+                listeners.client = client
                 started = time.monotonic()
-                _run(operator, total, progress)
+                _run(client, total, progress)
                 measured = time.monotonic() - started
-                document = _identify(operator, listeners, total, progress) if setting.identify else None
+                document = _identify(client, listeners, total, progress) if setting.identify else None
             except (KeyboardInterrupt, CalibrationError) as error:
-                kept = _save(operator, output)
+                kept = _save(client, output)
                 if kept is None:
                     raise
                 why = str(error) or "interrupted"
@@ -202,11 +202,11 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 raise type(error)(f"{why}; {where}") from error
             progress("closing the recording", total, total)
             graph.stop(["recorder"])
-            session = _save(operator, output)
+            session = _save(client, output)
             if session is None:
                 raise CalibrationError("the procedure ended without a reading")
             counters = {
-                name: operator.procedure.number(name)
+                name: client.procedure.number(name)
                 for name in ("resent", "stale", "unstable", "recoveries", "restarts")
             }
     result_file = None
@@ -243,18 +243,14 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
 
 
 def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> list[Program]:
-    common: dict[str, Any] = {"use_sim_time": setting.simulated_time}
-    # one origin for all simulating nodes, whole seconds so that it is exact
-    world = {**common, "site": str(site.resolve()), "time_origin": float(int(time.time()))}
-    parameters: dict[str, dict[str, Any]] = {
-        "axis_simulator": world,
-        "rotary_pointer": world,
-        "instrument": {**world, "driver": setting.driver},
-        "probe": world,
-        "procedure": {**common, "procedure": str(procedure.resolve())},
-        "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
-        "recorder": {**common, "folder": str((setting.output / "bag").resolve())},
-    }
+    parameters = graph_parameters(
+        procedure.resolve(),
+        site.resolve(),
+        simulated_time=setting.simulated_time,
+        driver=setting.driver,
+        bag=(setting.output / "bag").resolve(),
+    )
+    parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
     without = method_spec(method).unneeded
     nodes = tuple(name for name in NODES if name not in without)
     for name in setting.external:
@@ -272,36 +268,36 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
     ]
 
 
-def _await_ready(operator: Operator, names: Sequence[str]) -> None:
+def _await_ready(client: Client, names: Sequence[str]) -> None:
     def ready() -> bool:
-        status = operator.procedure
+        status = client.procedure
         return status.entries.get("state") == "idle" and not status.entries.get("waiting_for", "?")
 
     def records() -> bool:
         """Whether the recorder hears all it needs, in simulated time the clock too: later it would miss the start."""
-        return "recorder" not in names or operator.recorder.entries.get("state") == "recording"
+        return "recorder" not in names or client.recorder.entries.get("state") == "recording"
 
     def all_there() -> bool:
-        return ready() and records() and all(operator.has_node(name) for name in names)
+        return ready() and records() and all(client.has_node(name) for name in names)
 
-    if not operator.wait(all_there, _START):
-        missing = [name for name in names if not operator.has_node(name)]
-        waiting = ", ".join(missing) or operator.procedure.entries.get("waiting_for")
+    if not client.wait(all_there, _START):
+        missing = [name for name in names if not client.has_node(name)]
+        waiting = ", ".join(missing) or client.procedure.entries.get("waiting_for")
         waiting = waiting or ("the procedure" if records() else "the recorder")
         raise CalibrationError(f"the graph is not complete after {_START:g} s: no sign of {waiting}")
 
 
-def _run(operator: Operator, total: int, progress: Progress) -> None:
-    operator.call("procedure/start", _COLLECT)
+def _run(client: Client, total: int, progress: Progress) -> None:
+    client.call("procedure/start", _COLLECT)
     seen, begun = time.monotonic(), False
 
     def over() -> bool:
         nonlocal seen, begun
-        if operator.has_node("procedure"):
+        if client.has_node("procedure"):
             seen = time.monotonic()
         elif time.monotonic() - seen > _GONE:  # started elsewhere: its process cannot be watched
             raise CalibrationError("the procedure has ended in the middle of the measurement")
-        status = operator.procedure
+        status = client.procedure
         state = status.entries.get("state")
         if begun and state == "idle":
             again = "the datum is lost with it, so what is missing cannot be added: run the procedure again"
@@ -311,21 +307,22 @@ def _run(operator: Operator, total: int, progress: Progress) -> None:
         return state in ("finished", "error", "aborted")
 
     try:
-        operator.wait(over, float("inf"))
+        client.wait(over, float("inf"))
     except KeyboardInterrupt:
-        operator.call("procedure/abort", 2.0)
+        client.call("procedure/abort", 2.0)
         raise
-    if operator.procedure.entries["state"] != "finished":
-        raise CalibrationError(f"the procedure ended: {operator.procedure.message}")
-    if not operator.wait(lambda: len(operator.readings) >= total, _COLLECT):
-        raise CalibrationError(f"only {len(operator.readings)} of {total} readings were received")
+    status = client.procedure
+    if status.entries["state"] != "finished":
+        raise CalibrationError(f"the procedure ended: {status.message}")
+    if not client.wait(lambda: client.heard.count[1] >= total, _COLLECT):
+        raise CalibrationError(f"only {client.heard.count[1]} of {total} readings were received")
 
 
-def _identify(operator: Operator, listeners: _Listeners, total: int, progress: Progress) -> dict[str, Any]:
+def _identify(client: Client, listeners: _Listeners, total: int, progress: Progress) -> dict[str, Any]:
     progress("identifying", total, total)
 
     def collected() -> bool:  # the description may come later than the readings
-        status = operator.estimator
+        status = client.estimator
         has = status.number("readings")
         if status.number("resets") and has < total and (not has or has + status.number("missing") >= total):
             lost = f"{total - has} of {total} readings are lost"
@@ -333,27 +330,28 @@ def _identify(operator: Operator, listeners: _Listeners, total: int, progress: P
         return has >= total and status.entries.get("session") == "described"
 
     while True:
-        if not operator.wait(collected, _COLLECT):
-            raise CalibrationError(f"the estimator has {operator.estimator.number('readings')} of {total} readings")
-        if _is_identified(operator, listeners):
+        if not client.wait(collected, _COLLECT):
+            has = client.estimator.number("readings")
+            raise CalibrationError(f"the estimator has {has} of {total} readings")
+        if _is_identified(client, listeners):
             break
-    if not operator.wait(lambda: bool(operator.document), _COLLECT):
+    if not client.wait(lambda: bool(client.heard.published.document), _COLLECT):
         raise CalibrationError("the estimator's result did not arrive")
-    document: dict[str, Any] = json.loads(operator.document)
+    document: dict[str, Any] = json.loads(client.heard.published.document)
     return document
 
 
-def _is_identified(operator: Operator, listeners: _Listeners) -> bool:
+def _is_identified(client: Client, listeners: _Listeners) -> bool:
     """Have the machine's errors identified; false where the estimator was started again meanwhile."""
     before = len(listeners.remarks)
-    return bool(operator.calculate("identify", _IDENTIFY, lambda: len(listeners.remarks) != before))
+    return bool(client.outcome("estimator/identify", _IDENTIFY, lambda: len(listeners.remarks) != before))
 
 
-def _save(operator: Operator, output: Path) -> Session | None:
+def _save(client: Client, output: Path) -> Session | None:
     """Write the readings received so far as a session folder; None if there are none."""
-    if not operator.readings or not operator.session:
+    description, readings = client.heard.session()
+    if not readings or not description:
         return None
-    readings = (Reading(message.name, message.position) for message in operator.readings)
-    session = live_session(operator.session, readings, check=False)
+    session = live_session(description, readings, check=False)
     write_session(session, output / "session")
     return session

@@ -16,15 +16,13 @@ from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, to_message
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.ros.taps import message_class
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.services import Reply, offer
+from machine_tool_calibration.nodes.ros.taps import message_class, qos_profile
 from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
@@ -106,22 +104,20 @@ class _Outlet:
 class Player(ManagedNode):
     """See the module; says on `player/status` where it stands."""
 
-    def __init__(self) -> None:
-        self.sent, self.trouble = 0, ""
-        super().__init__("player")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._path = self.declare("bag", "", "the recording: a rosbag2 folder or an .mcap file")
-        self._rate = self.declare("rate", 1.0, "seconds of the bag per second; 0: as fast as possible", low=0.0)
-        self._offset = self.declare("offset", 0.0, "where in the bag to begin", unit="s", low=0.0)
+        self._rate = self.declare(
+            "rate", 1.0, "seconds of the bag per second; 0: as fast as possible", within=(0.0, None)
+        )
+        self._offset = self.declare("offset", 0.0, "where in the bag to begin", "s", (0.0, None))
         self._loop = self.declare("loop", False, "begin again at the end")
         self._paused = self.declare("paused", False, "wait for the service player/resume")
-        self._frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
+        self._frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", "Hz", (0.0, 10000.0))
         self._wanted = self.declare("topics", [""], "names of the topics to play; all if there are none")
         self._ends = self.declare("exit_at_end", False, "end the node when the bag has been played")
         self._delay = self.declare(
-            "delay", 0.0, "before the first message, so that subscribers are found", unit="s", low=0.0
+            "delay", 0.0, "before the first message, so that subscribers are found", "s", (0.0, None)
         )
 
     def configure(self) -> None:
@@ -182,7 +178,7 @@ class Player(ManagedNode):
                 continue
             offered = _offered(topic)
             outlets[name] = _Outlet(
-                self.create_publisher(kind, name, _profile(offered)),
+                self.create_publisher(kind, name, qos_profile(offered)),
                 offered.depth,
                 offered.reliability == "reliable",
                 offered.latched,
@@ -278,18 +274,18 @@ class Player(ManagedNode):
         self._last_clock = at
         self._time_topic.publish(ClockMessage(clock=to_message(at)))
 
-    def _pause(self, answer: Answer) -> None:
+    def _pause(self, answer: Reply) -> None:
         self._pace.pause(time.monotonic_ns())
         self._answer(answer, "paused")
 
-    def _resume(self, answer: Answer) -> None:
+    def _resume(self, answer: Reply) -> None:
         if self._ended:
             answer.send(False, "the bag has been played to its end")
             return
         self._pace.resume(time.monotonic_ns())
         self._answer(answer, "playing")
 
-    def _step(self, answer: Answer) -> None:
+    def _step(self, answer: Reply) -> None:
         message, self._begin = self._next, None
         if not self._pace.paused or message is None:
             answer.send(False, "only a paused replay can be stepped" if message else "no message is left")
@@ -301,7 +297,7 @@ class Player(ManagedNode):
             self._stop(error)
         self._answer(answer, message.topic)
 
-    def _answer(self, answer: Answer, text: str) -> None:
+    def _answer(self, answer: Reply, text: str) -> None:
         answer.send(True, text)
         self._show()
 
@@ -335,14 +331,3 @@ def _offered(topic: Topic) -> Qos:
     first = with_depth(topic.name, topic.type, topic.qos[0])
     depth = max(first.depth, 1 if first.latched else _LEAST_DEPTH)
     return Qos(depth=depth, reliability=first.reliability, durability=first.durability)
-
-
-def _profile(offered: Qos) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=offered.depth,
-        reliability=ReliabilityPolicy.BEST_EFFORT
-        if offered.reliability == "best_effort"
-        else ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if offered.latched else DurabilityPolicy.VOLATILE,
-    )

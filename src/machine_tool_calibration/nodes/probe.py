@@ -11,7 +11,7 @@ The readings are absolute: there is no datum to be set.
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from time import monotonic
 
@@ -24,9 +24,9 @@ from trajectory_msgs.msg import JointTrajectory
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
+from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
-from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
@@ -42,9 +42,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Answer, offer
-from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
 from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.simulation.disturbance import Sight
@@ -52,7 +51,6 @@ from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import probed
 
 __all__ = ["Pretravel", "Probe", "SimulatedPart"]
-
 
 _FORM_STREAM = 41
 
@@ -153,9 +151,6 @@ class _Cycle:
 class Probe(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("probe")
-
     def configure(self) -> None:
         """See `ManagedNode`."""
         self._site = Site(read_site(self._file))
@@ -167,7 +162,7 @@ class Probe(ManagedNode):
         self._axes: dict[str, float] | None = None
         self._axes_stamp = self._held = 0
         self._executions, self._epoch, self._told = Executions(), "", 0
-        self._answers: list[Answer] = []
+        self._answers: list[Reply] = []
         self._cycle: _Cycle | None = None
         self._touches = self._missed = self._early = 0
         self._last = ""
@@ -184,6 +179,7 @@ class Probe(ManagedNode):
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
+        self._outcomes = Outcomes(self, "instrument/outcome")
         offer(self, "instrument/datum", self._no_datum)
         offer(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
@@ -194,49 +190,43 @@ class Probe(ManagedNode):
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._origin = declare_site(self)
         self._period = declare_period(self)
-        self._speed: float = self.declare("speed", 0.005, "speed of the approach", unit="m/s", low=1e-5, high=1.0)
-        self._reaction: float = self.declare(
-            "reaction", 0.004, "from the trigger until the axes turn back", unit="s", low=0.0, high=1.0
-        )
+        self._speed = self.declare("speed", 0.005, "speed of the approach", "m/s", (1e-5, 1.0))
+        self._reaction = self.declare("reaction", 0.004, "from the trigger until the axes turn back", "s", (0.0, 1.0))
         self._limits = Limits(
-            search=self.declare(
-                "search", 0.001, "greatest way beyond the nominal surface", unit="m", low=1e-6, high=0.1
-            ),
+            search=self.declare("search", 0.001, "greatest way beyond the nominal surface", "m", (1e-6, 0.1)),
             early=self.declare(
-                "early", 0.001, "a trigger farther outside the nominal surface is refused", unit="m", low=1e-6, high=0.1
+                "early", 0.001, "a trigger farther outside the nominal surface is refused", "m", (1e-6, 0.1)
             ),
         )
-        self._farthest: float = self.declare(
-            "farthest", 0.02, "greatest distance from the surface where a touch begins", unit="m", low=1e-4, high=1.0
+        self._farthest = self.declare(
+            "farthest", 0.02, "greatest distance from the surface where a touch begins", "m", (1e-4, 1.0)
         )
-        self._attempts: int = self.declare("attempts", 2, "touches tried before a point is given up", low=1, high=100)
-        self._repeatability: float = self.declare(
+        self._attempts = self.declare("attempts", 2, "touches tried before a point is given up", within=(1, 100))
+        self._repeatability = self.declare(
             "repeatability",
             -1.0,
             "standard deviation of the trigger in one direction; negative: as the session declares for a touch",
-            unit="m",
-            low=-1.0,
-            high=1e-3,
+            "m",
+            (-1.0, 1e-3),
         )
         self._pretravel = Pretravel(
             amplitude=self.declare(
                 "pretravel_variation",
                 0.0,
                 "amplitude of the pre-travel's variation with the contact's direction",
-                unit="m",
-                low=0.0,
-                high=1e-3,
+                "m",
+                (0.0, 1e-3),
             ),
-            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", low=1, high=12),
+            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", within=(1, 12)),
         )
-        self._form: float = self.declare(
-            "form", 3e-6, "standard deviation of the simulated part's form errors", unit="m", low=0.0, high=0.01
+        self._form = self.declare(
+            "form", 3e-6, "standard deviation of the simulated part's form errors", "m", (0.0, 0.01)
         )
-        self._moves: bool = self.declare(
+        self._moves = self.declare(
             "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
         )
-        self._noise_seed: int = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
+        self._noise_seed = self.declare(
+            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
 
     # --- what the others say
@@ -284,13 +274,14 @@ class Probe(ManagedNode):
 
     # --- a touch
 
-    def _no_datum(self, answer: Answer) -> None:
+    def _no_datum(self, answer: Reply) -> None:
         stamp = now(self)
-        answer.send(True, json.dumps({"datum": "", "stamp": stamp, "start": stamp, "end": stamp, "inputs": {}}))
+        text = "readings of a probe are absolute: there is no datum to be set"
+        self._outcomes.answer([answer], "datum", stamp, text, {"datum": "", "start": stamp, "end": stamp})
 
-    def _requested(self, answer: Answer) -> None:
+    def _requested(self, answer: Reply) -> None:
         if not self._moves:
-            answer.send(False, _refusal("services_move_axes is false"))
+            self._outcomes.answer([answer], "capture", now(self), "services_move_axes is false", {}, "other")
             return
         # Asked again while a touch is under way: its answer is for all who ask.
         self._answers.append(answer)
@@ -360,32 +351,28 @@ class Probe(ManagedNode):
             latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
             self._triggers.publish(joint_state(cycle.moment, latched))
         self._show()
-        document = {
+        found = {
             "datum": "",
-            "stamp": cycle.moment,
             "start": cycle.begin,
             "end": held,
-            "inputs": {},
-            "displacement": "nan" if cycle.problem else cycle.displacement,
+            "displacement": float("nan") if cycle.problem else cycle.displacement,
             "problem": cycle.problem,
             "attempt": cycle.attempt,
+            **self._sensed(cycle.moment),
             # X and Y are those of the sphere's centre at the nominal surface.
-            "environment": {
-                **self._sensed(cycle.moment),
-                **cycle.touch.at(0.0),
-                "c": cycle.position.get("c", 0.0),
-                "point_index": float(cycle.touch.point),
-            },
+            **cycle.touch.at(0.0),
+            "c": cycle.position.get("c", 0.0),
+            "point_index": float(cycle.touch.point),
         }
-        self._send(True, json.dumps(document))
+        text = self._last or f"point {point}: {1e3 * cycle.displacement:.6f} mm outside the nominal surface"
+        self._send(cycle.moment, text, found)
 
     def _refuse(self, reason: str) -> None:
-        self._send(False, _refusal(reason))
+        self._send(now(self), reason, {}, "other")
 
-    def _send(self, success: bool, message: str) -> None:
+    def _send(self, stamp: int, text: str, found: Mapping[str, object], kind: str = "") -> None:
         answers, self._answers = self._answers, []
-        for answer in answers:
-            answer.send(success, message)
+        self._outcomes.answer(answers, "capture", stamp, text, found, kind)
 
     # --- state and environment
 
@@ -418,7 +405,3 @@ class Probe(ManagedNode):
 
 def _stamp(cycle: _Cycle) -> int:
     return from_message(cycle.command.header.stamp)
-
-
-def _refusal(reason: str) -> str:
-    return json.dumps({"kind": "other", "reason": reason})

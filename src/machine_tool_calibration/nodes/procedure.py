@@ -10,13 +10,11 @@ clear state in simulated time too.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
@@ -27,12 +25,13 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.commanded import INPUT, Executions, Pairs, setup_named, target_message
 from machine_tool_calibration.nodes.descriptions import require_readable
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
-from machine_tool_calibration.nodes.executed import Executions
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
+    OUTCOMES,
     READINGS,
     STATE,
     Level,
@@ -46,113 +45,78 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import answer_by, offer
-from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.setups import setup_named, target_message
-from machine_tool_calibration.procedure import plan, read_procedure
-from machine_tool_calibration.procedure.events import (
-    Action,
-    Aim,
-    Aimed,
-    Arrived,
-    Capture,
-    Captured,
-    CaptureFailed,
-    DatumSet,
-    Emit,
-    Event,
-    Motion,
-    MovedAway,
-    Refused,
-    SetDatum,
-    Stop,
-)
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.services import answer_by, goal_of, offer
+from machine_tool_calibration.procedure import events, plan, read_procedure
 from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 
 __all__ = ["ProcedureNode", "event_of"]
 
+_OWN = ("kind", "datum", "start", "end", "displacement", "standard_deviation", "samples", "problem", "attempt")
+"""Values of an outcome that are no columns of the session."""
+
 
 def event_of(
-    token: int, success: bool, message: str, *, is_datum: bool, sensed: Callable[[int], Mapping[str, float]]
-) -> Captured | CaptureFailed | DatumSet:
-    """The event of an answer; one that makes no sense is a failure that says so.
+    token: int, outcome: DiagnosticArray, sensed: Callable[[int], Mapping[str, float]]
+) -> events.Captured | events.CaptureFailed | events.DatumSet:
+    """The event of an instrument's outcome; one that makes no sense is a failure that says so.
 
     Args:
         token: of the request.
-        success: whether the instrument did what was asked.
-        message: its JSON document.
-        is_datum: whether a datum was asked for, not a reading.
+        outcome: message of `instrument/outcome`.
         sensed: the environment by column at a time, ns.
     """
+    status, found = outcome.status[0], values(outcome)
     try:
-        document = json.loads(message)
-        if not success:
-            return CaptureFailed(token, document["kind"], document["reason"])
-        datum, inputs = str(document["datum"]), {name: _time(value) for name, value in document["inputs"].items()}
-        if is_datum:
-            return DatumSet(token, datum, _time(document["start"]), inputs)
-        stamp, displacement = _time(document["stamp"]), float(document["displacement"])
-        if math.isinf(displacement):
-            raise ValueError("a displacement without end")
-        own = {name: float(value) for name, value in document["environment"].items()}
-        return Captured(
-            token=token,
-            stamp=stamp,
-            start=_time(document["start"]),
-            end=_time(document["end"]),
-            displacement=displacement,
-            datum=datum,
-            columns={**sensed(stamp), **own},
-            inputs=inputs,
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        reason = f"not an answer of an instrument: {message[:80]!r} ({type(error).__name__})"
-        return CaptureFailed(token, "other", reason)
-
-
-def _time(value: Any) -> int:
-    if not isinstance(value, int) or not 0 <= value < LAST_SECOND * 1_000_000_000:
-        raise ValueError("not a time in ns")
-    return value
+        if status.level[0]:
+            return events.CaptureFailed(token, found.get("kind", "other"), status.message)
+        datum, start = found["datum"], stamp_among(found, "start")
+        inputs = {key.removeprefix(INPUT): stamp_among(found, key) for key in found if key.startswith(INPUT)}
+        if status.name == "datum":
+            return events.DatumSet(token, datum, start, inputs)
+        columns = {key: float(text) for key, text in found.items() if key not in (*_OWN, *map(INPUT.__add__, inputs))}
+        displacement = float(found["displacement"])
+        if any(map(math.isinf, (displacement, *columns.values()))):
+            raise ValueError("a number without end")
+        stamp, end = from_message(outcome.header.stamp), stamp_among(found, "end")
+        return events.Captured(token, stamp, start, end, displacement, datum, {**sensed(stamp), **columns}, inputs)
+    except (ValueError, KeyError, CalibrationError) as error:
+        reason = f"not an outcome of an instrument: {status.message[:80]!r} ({type(error).__name__}: {error})"
+        return events.CaptureFailed(token, "other", reason)
 
 
 _TICK = 0.1  # s of the wall clock
+_LONGEST = 200  # characters of a reason
 _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
 
 
 class ProcedureNode(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("procedure")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
-        self._file: str = self.declare("procedure", "", "YAML file of the procedure")
+        self._file = self.declare("procedure", "", "YAML file of the procedure")
         self._timing = self._declare_timing()
-        self._arrival_source: str = self.declare(
+        self._arrival_source = self.declare(
             "arrival",
             "executed",
             "how the end of a motion is known: `executed` (axes/executed), or `joint_states` where there is none",
             choices=("executed", "joint_states"),
         )
-        self._position_tolerance: float = self.declare(
+        self._position_tolerance = self.declare(
             "position_tolerance",
             1e-5,
             "with arrival: joint_states, the axes are there within this",
-            unit="m or rad",
-            low=1e-12,
-            high=1.0,
+            "m or rad",
+            (1e-12, 1.0),
         )
-        self._maximum_age: float = self.declare(
-            "environment_age", 120.0, "an environment sample older than this is not used", unit="s", low=0.1, high=1e5
+        self._maximum_age = self.declare(
+            "environment_age", 120.0, "an environment sample older than this is not used", "s", (0.1, 1e5)
         )
-        self._moves: bool = self.declare(
+        self._moves = self.declare(
             "services_move_axes",
             True,
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
@@ -174,9 +138,10 @@ class ProcedureNode(ManagedNode):
         self._resets: int | None = None
         self._remark = ""
         self._here: dict[str, float] | None = None
-        self._motion: Motion | None = None
+        self._motion: events.Motion | None = None
         self._executions = Executions()
         self._seen: set[str] = set()
+        self._answers = Pairs()
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
@@ -193,6 +158,7 @@ class ProcedureNode(ManagedNode):
         self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
+        self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, OUTCOMES)
         self.create_subscription(DiagnosticArray, "estimator/status", self._estimator_status, LATCHED)
         for name, handler in (
             ("start", self._start),
@@ -213,39 +179,31 @@ class ProcedureNode(ManagedNode):
     def _declare_timing(self) -> Timing:
         return Timing(
             resend=self.declare(
-                "resend", 1.0, "a command without an answer is sent again after this", unit="s", low=0.05, high=100.0
+                "resend", 1.0, "a command without an answer is sent again after this", "s", (0.05, 100.0)
             ),
             answer=self.declare(
                 "answer",
                 2.0 if self._simulated_time else 5.0,
                 "a request to the instrument without an answer is sent again after this",
-                unit="s",
-                low=0.05,
-                high=1e4,
+                "s",
+                (0.05, 1e4),
             ),
             patience=self.declare(
-                "patience",
-                15.0,
-                "a partner that does not answer for this long is an error",
-                unit="s",
-                low=0.1,
-                high=1e5,
+                "patience", 15.0, "a partner that does not answer for this long is an error", "s", (0.1, 1e5)
             ),
             paced=not self._simulated_time,
             pointing_tolerance=self.declare(
                 "pointing_tolerance",
                 1e-4,
                 "greatest deviation of the beam's angles from the command",
-                unit="rad",
-                low=1e-9,
-                high=0.1,
+                "rad",
+                (1e-9, 0.1),
             ),
             revisits=self.declare(
                 "revisits",
                 4,
                 "targets measured again after a lost beam, to tie the new datum to the old",
-                low=0,
-                high=1000,
+                within=(0, 1000),
             ),
             wait_between_setups=self.declare(
                 "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
@@ -306,7 +264,7 @@ class ProcedureNode(ManagedNode):
         """Why the axes refuse a command; what becomes of one that they carry out is told by `axes/executed`."""
         entries = values(message)
         if entries.get("state") == "refused":
-            self._hear(Refused(stamp_among(entries, "command"), message.status[0].message))
+            self._hear(events.Refused(stamp_among(entries, "command"), message.status[0].message))
 
     def _executed(self, message: JointTrajectory) -> None:
         executed, motion = self._executions.take(message), self._motion
@@ -315,11 +273,11 @@ class ProcedureNode(ManagedNode):
             return
         # one of an earlier command comes late
         if executed.command > motion.stamp or not executed.places:
-            self._hear(MovedAway(executed.began or now(self), executed.epoch))
+            self._hear(events.MovedAway(executed.began or now(self), executed.epoch))
         elif executed.command == motion.stamp:
             arrived = executed.arrival([point.position for point in motion.points])
             if arrived is not None:
-                self._hear(Arrived(motion.stamp, arrived, executed.reached[-1], executed.epoch))
+                self._hear(events.Arrived(motion.stamp, arrived, executed.reached[-1], executed.epoch))
 
     def _joint_states(self, message: JointState) -> None:
         self._here = positions(message)
@@ -334,9 +292,9 @@ class ProcedureNode(ManagedNode):
         # the dwell is part of the trajectory: the first points must have been passed
         earliest = motion.stamp + round(motion.points[-2].time * 1e9)
         if off <= self._position_tolerance and is_still and stamp >= earliest:
-            self._hear(Arrived(motion.stamp, stamp, stamp))
+            self._hear(events.Arrived(motion.stamp, stamp, stamp))
         elif self._position_tolerance < off < math.inf:
-            self._hear(MovedAway(stamp))
+            self._hear(events.MovedAway(stamp))
 
     def _pointer_state(self, message: JointState) -> None:
         angles = positions(message)
@@ -345,7 +303,7 @@ class ProcedureNode(ManagedNode):
         self._seen.add("pointer")
         stamp = from_message(message.header.stamp)
         setup = setup_named(message, self._setups)
-        self._hear(Aimed(setup, angles["azimuth"], angles.get("elevation", 0.0), stamp))
+        self._hear(events.Aimed(setup, angles["azimuth"], angles.get("elevation", 0.0), stamp))
 
     def _instrument_status(self, message: DiagnosticArray) -> None:
         if values(message).get("state") == "no signal":
@@ -362,13 +320,26 @@ class ProcedureNode(ManagedNode):
             self.get_logger().warning(self._remark)
             self._show()
 
-    def _answer(self, token: int, response: Trigger.Response | None, *, is_datum: bool) -> None:
+    def _answered(self, token: int, response: Trigger.Response | None) -> None:
+        """A request was answered; what it gave is told by `instrument/outcome`, before or after."""
         if response is None:
             return
-        sensed = self._environment.at
-        self._hear(event_of(token, response.success, response.message, is_datum=is_datum, sensed=sensed))
+        goal = goal_of(response.message)
+        if goal:
+            self._match(0, goal, token)
+        else:
+            self._hear(events.CaptureFailed(token, "other", response.message[:_LONGEST] or "it gives no reason"))
 
-    def _hear(self, event: Event) -> None:
+    def _outcome(self, message: DiagnosticArray) -> None:
+        for status in message.status[:1]:
+            self._match(1, status.hardware_id, message)
+
+    def _match(self, way: int, goal: str, content: object) -> None:
+        pair = self._answers.put(way, goal, content)
+        if pair is not None:
+            self._hear(event_of(*pair, self._environment.at))
+
+    def _hear(self, event: events.Event) -> None:
         self._carry_out(self.sequencer.handle(event, now(self), time.monotonic()))
 
     def _tick(self) -> None:
@@ -379,34 +350,34 @@ class ProcedureNode(ManagedNode):
 
     # --- what is to be done
 
-    def _carry_out(self, actions: list[Action]) -> None:
+    def _carry_out(self, actions: list[events.Action]) -> None:
         state = self.sequencer.state
         if self._simulated_time:
             # The axes set off first, and simulated time jumps as they do: a reading belongs to the time before.
-            actions = sorted(actions, key=lambda action: not isinstance(action, Emit))
+            actions = sorted(actions, key=lambda action: not isinstance(action, events.Emit))
         for action in actions:
             match action:
-                case Motion():
+                case events.Motion():
                     self._motion = action
                     self._axes.publish(trajectory(action.stamp, action.points))
-                case Stop():
+                case events.Stop():
                     self._axes.publish(trajectory(action.stamp, ()))
-                case Aim():
+                case events.Aim():
                     self._pointer.publish(target_message(action, self._setups))
                     self._point.publish(dated(PointStamped(point=point(action.point)), action.stamp))
-                case SetDatum():
-                    self._call(self._datum, action.token, is_datum=True)
-                case Capture():
-                    self._call(self._capture, action.token, is_datum=False)
-                case Emit():
+                case events.SetDatum():
+                    self._call(self._datum, action.token)
+                case events.Capture():
+                    self._call(self._capture, action.token)
+                case events.Emit():
                     self._readings.publish(joint_state(action.stamp, action.columns))
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 
-    def _call(self, client: Client, token: int, *, is_datum: bool) -> None:
+    def _call(self, client: Client, token: int) -> None:
         # an instrument that is not there never answers: the deadline notices
         future = client.call_async(Trigger.Request())
-        future.add_done_callback(lambda done: self._answer(token, done.result(), is_datum=is_datum))
+        future.add_done_callback(lambda done: self._answered(token, done.result()))
 
     def _publish_session(self) -> None:
         self._session.publish(String(data=self._text))

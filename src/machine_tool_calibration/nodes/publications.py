@@ -27,7 +27,6 @@ from machine_tool_calibration.reports.verdict import verdict_words
 
 __all__ = ["AXIS_FIELDS", "MOST_ARROWS", "Publications", "arrows", "axis_cloud", "in_words", "verdict_message"]
 
-
 MOST_ARROWS = 2000
 _COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 AXIS_FIELDS = ("axis", "position", *_COMPONENTS, *(f"u{name[1]}" for name in _COMPONENTS))

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, now, status
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
 from machine_tool_calibration.recording.metadata import Qos
@@ -27,20 +26,15 @@ _NEVER = ("/rosout", "/parameter_events", "/clock")
 class Recorder(ManagedNode):
     """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
 
-    def __init__(self) -> None:
-        super().__init__("recorder")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         topics = self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")
         self._wanted = {self.resolve_topic_name(name) for name in topics if name}
         self._everything = self.declare("all_topics", False, "record every topic that is discovered")
         self._folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
-        self._split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
-        self._split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
-        self._flush = self.declare(
-            "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8
-        )
+        self._split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", "B", (0, None))
+        self._split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", "s", (0.0, None))
+        self._flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", "s", (0.02, 0.8))
 
     def activate(self) -> None:
         """See `ManagedNode`: a recording begins, in a bag of its own."""

@@ -19,6 +19,7 @@ from std_msgs.msg import String
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.instruments.tracking import pointing
+from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
@@ -31,9 +32,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     quaternion_along,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.setups import SETUP, Target, hear_targets
+from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
@@ -47,23 +46,14 @@ _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears wher
 class RotaryPointer(ManagedNode):
     """See the module; parameters are described where they are declared."""
 
-    def __init__(self) -> None:
-        super().__init__("rotary_pointer")
-
     def settings(self) -> None:
         """See `ManagedNode`."""
         self._file, self._origin = declare_site(
             self, "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
         )
-        self._rate: float = self.declare(
-            "state_rate", 50.0, "rate of pointer/state in real time", unit="Hz", low=1.0, high=1000.0
-        )
-        speed: float = self.declare(
-            "speed", 2.0, "greatest speed of azimuth and elevation", unit="rad/s", low=1e-6, high=1e3
-        )
-        acceleration: float = self.declare(
-            "acceleration", 20.0, "their greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5
-        )
+        self._rate = self.declare("state_rate", 50.0, "rate of pointer/state in real time", "Hz", (1.0, 1000.0))
+        speed = self.declare("speed", 2.0, "greatest speed of azimuth and elevation", "rad/s", (1e-6, 1e3))
+        acceleration = self.declare("acceleration", 20.0, "their greatest acceleration", "rad/s^2", (1e-6, 1e5))
         self._simulated = self.lives_in_simulated_time
         self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
 
@@ -74,7 +64,7 @@ class RotaryPointer(ManagedNode):
     def activate(self) -> None:
         """See `ManagedNode`."""
         self._session: Description | None = None
-        self._waiting: Target | None = None
+        self._waiting: PointerCommand | None = None
         self._setup = ""
         self._setup_starts: dict[str, int] = {}
         self._start = self._arrival = 0
@@ -102,7 +92,7 @@ class RotaryPointer(ManagedNode):
         setups = self._session.setups if self._session is not None else ()
         return {setup.id: np.array(setup.position) for setup in setups if isinstance(setup, StationSetup)}
 
-    def _commanded(self, target: Target) -> None:
+    def _commanded(self, target: PointerCommand) -> None:
         stations = self._stations()
         if self._session is not None and not stations:
             return

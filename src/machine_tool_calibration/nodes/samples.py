@@ -1,22 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of the interferometer: of a real instrument, or from the true positions of the simulated axes."""
+"""Samples of the interferometer, real or from the true positions of simulated axes, and one stable reading of them."""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.drivers import Driver, InstrumentError
-from machine_tool_calibration.nodes.averaging import NOTHING, Batch, NotYet, Window
 from machine_tool_calibration.nodes.optics import OnTool, Optics, Pose
 from machine_tool_calibration.nodes.ros.messages import nanoseconds, seconds
 from machine_tool_calibration.nodes.site import NO_BEAM, Beam, Moment, Site
 
-__all__ = ["DriverSource", "SimulatedSource"]
+__all__ = ["NOTHING", "Batch", "DriverSource", "NotYet", "Recent", "SimulatedSource", "Window", "is_steady"]
+
+_PARTS = 4
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Consecutive samples.
+
+    Attributes:
+        time: (n,) ROS time, ns.
+        path: (n,) m, from the source's own zero; NaN while there is no beam.
+    """
+
+    time: IntArray
+    path: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+NOTHING = Batch(np.zeros(0, np.int64), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Window:
+    """Averaged samples.
+
+    Attributes:
+        start: time of the first sample, ns.
+        end: time of the last, ns.
+        path: their mean, m, from the source's own zero.
+        spread: their standard deviation, m.
+        samples: how many.
+        inputs: newest simulated inputs used, by name, ns.
+    """
+
+    start: int
+    end: int
+    path: float
+    spread: float
+    samples: int
+    inputs: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def stamp(self) -> int:
+        """The middle, ns: a steady drift has its mean there."""
+        return (self.start + self.end) // 2
+
+
+class NotYet(Exception):  # noqa: N818  (not an error: a reason to wait)
+    """There is no stable window now; there may be one later.
+
+    Attributes:
+        kind: why, for programs: `unstable`, `beam` or `other`.
+    """
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(reason)
+        self.kind = kind
+
+
+class Recent:
+    """The newest samples, as many seconds as are kept.
+
+    Args:
+        keep: s.
+    """
+
+    def __init__(self, keep: float) -> None:
+        self._keep = round(keep * 1e9)
+        self._batches: list[Batch] = []
+
+    def add(self, batch: Batch) -> None:
+        """Append samples."""
+        if not len(batch):
+            return
+        self._batches.append(batch)
+        while len(self._batches) > 1 and self._batches[1].time[0] < batch.time[-1] - self._keep:
+            self._batches.pop(0)
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._batches.clear()
+
+    def window(self, length: float, tolerance: float) -> Window:
+        """The newest samples over `length` s, averaged.
+
+        Raises:
+            NotYet: they do not reach back so far, a sample is missing, or they are not steady.
+        """
+        if not self._batches:
+            raise NotYet("other", "no sample has come yet")
+        time = np.concatenate([batch.time for batch in self._batches])
+        path = np.concatenate([batch.path for batch in self._batches])
+        first = int(time[-1]) - round(length * 1e9)
+        if time[0] > first:
+            raise NotYet("unstable", "too few samples so far")
+        begin = int(np.searchsorted(time, first))
+        time, path = time[begin:], path[begin:]
+        if not np.all(np.isfinite(path)):
+            raise NotYet("beam", "the beam is interrupted")
+        if not is_steady(path, tolerance):
+            raise NotYet("unstable", f"the path still changes by more than {tolerance * 1e6:g} um")
+        return Window(int(time[0]), int(time[-1]), float(path.mean()), float(path.std()), len(path))
+
+
+def is_steady(path: Array, tolerance: float) -> bool:
+    """Whether the means of a window's quarters agree within a tolerance, m: noise averages out, motion does not."""
+    if len(path) < _PARTS:
+        return bool(np.ptp(path) <= tolerance)
+    means = [part.mean() for part in np.array_split(path, _PARTS)]
+    return bool(np.ptp(means) <= tolerance)
 
 
 _MOST = 1_000_000  # samples that wait to be taken; more are dropped and said so
@@ -72,21 +184,21 @@ class DriverSource:
                 self._reason = "the link to the instrument was lost; it may have lost its count"
 
     def take(self, now: int) -> Batch:
-        """See `Source`."""
+        """The samples since the last call."""
         rows = [self._samples.popleft() for _ in range(len(self._samples))]
         return Batch(*map(np.array, zip(*rows, strict=True))) if rows else NOTHING
 
     def lost(self) -> str:
-        """See `Source`."""
+        """Why the count was lost since the last call; empty if it was not."""
         reason, self._reason = self._reason, ""
         return reason
 
     def problem(self) -> str:
-        """See `Source`."""
+        """What keeps samples from coming now; empty if nothing does."""
         return self._problem
 
     def close(self) -> None:
-        """See `Source`."""
+        """Give back what is held."""
         self._stopped.set()
         self._driver.close()
         self._thread.join(timeout=1.0)
@@ -282,7 +394,7 @@ class SimulatedSource:
     # --- real time: the stream
 
     def take(self, now: int) -> Batch:
-        """See `Source`; as far as true positions are known."""
+        """As of `DriverSource`, as far as true positions are known."""
         if not self._poses or (self.optics.aims and self._beam is NO_BEAM):
             return NOTHING
         until = self._poses[-1].stamp
@@ -329,12 +441,12 @@ class SimulatedSource:
         return True
 
     def lost(self) -> str:
-        """See `Source`."""
+        """As of `DriverSource`."""
         reason, self._lost = self._lost, ""
         return reason
 
     def problem(self) -> str:
-        """See `Source`."""
+        """As of `DriverSource`."""
         if not self._poses:
             return "waiting for the axes' true position"
         if self.optics.aims and self._beam is NO_BEAM:
@@ -342,4 +454,4 @@ class SimulatedSource:
         return "the beam is blocked" if self.blocked else ""
 
     def close(self) -> None:
-        """See `Source`."""
+        """As of `DriverSource`."""

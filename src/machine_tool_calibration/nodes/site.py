@@ -267,9 +267,9 @@ def declare_site(
     Returns:
         The site's file, and the ROS time at which the site's time is zero, ns.
     """
-    file: str = node.declare("site", "", description)
-    origin: float = node.declare(
-        "time_origin", 0.0, "ROS time at which the site's time is zero; 0: this node's start", unit="s", low=0.0
+    file = node.declare("site", "", description)
+    origin = node.declare(
+        "time_origin", 0.0, "ROS time at which the site's time is zero; 0: this node's start", "s", (0.0, None)
     )
     return file, round(origin * 1e9) or time.time_ns()
 

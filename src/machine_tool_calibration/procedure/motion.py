@@ -11,7 +11,6 @@ from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["AxisLimits", "Move", "Trajectory", "brake", "check_command", "move"]
 
-
 _NO_TIME = 1e-9  # s
 _NO_TRAVEL = 1e-15  # m or rad: far below what any encoder resolves
 
@@ -207,9 +206,7 @@ class Trajectory:
 
 
 def check_command(
-    names: Sequence[str],
-    points: Sequence[tuple[Sequence[float], float]],
-    travel: Mapping[str, tuple[float, float]],
+    names: Sequence[str], points: Sequence[tuple[Sequence[float], float]], travel: Mapping[str, tuple[float, float]]
 ) -> list[tuple[dict[str, float], float]]:
     """A command's points by axis.
 

@@ -13,9 +13,7 @@ from machine_tool_calibration.procedure.description import Motion, Procedure
 from machine_tool_calibration.procedure.motion import AxisLimits, move
 from machine_tool_calibration.procedure.steps import Position, Step
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import (
-    TrackingInterferometer,
-)
+from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.method import load
 
 __all__ = ["Plan", "axis_limits", "plan"]

@@ -10,7 +10,7 @@ from enum import StrEnum
 from machine_tool_calibration.procedure.events import Aim, Arrived, Motion
 from machine_tool_calibration.procedure.steps import Step
 
-__all__ = ["Counters", "Group", "Pending", "Phase", "State", "Timing", "Visit"]
+__all__ = ["Counters", "DatumGroup", "Pending", "Phase", "State", "Timing", "Visit"]
 
 
 class State(StrEnum):
@@ -107,7 +107,7 @@ class Pending:
 
 
 @dataclass
-class Group:
+class DatumGroup:
     """Readings that share one datum.
 
     Attributes:

@@ -15,27 +15,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.instruments.tracking import pointing
-from machine_tool_calibration.procedure.events import (
-    Action,
-    Aim,
-    Aimed,
-    Arrived,
-    Capture,
-    Captured,
-    CaptureFailed,
-    DatumSet,
-    Emit,
-    Event,
-    Motion,
-    MovedAway,
-    Refused,
-    SetDatum,
-    Stop,
-    Waypoint,
-)
+from machine_tool_calibration.procedure import events
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.progress import Counters, Group, Pending, Phase, State, Timing, Visit
+from machine_tool_calibration.procedure.progress import Counters, DatumGroup, Pending, Phase, State, Timing, Visit
 from machine_tool_calibration.procedure.steps import Step, sensing_direction
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
@@ -67,7 +50,7 @@ class Sequencer:
         self.origin = 0
         self._visits: deque[Visit] = deque()
         self._pending = Pending()
-        self._group = Group()
+        self._group = DatumGroup()
         self._datums = 0
         self._recoveries = 0
         self._unstable = 0
@@ -98,10 +81,10 @@ class Sequencer:
 
     # --- what a person asks
 
-    def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[Action]:
+    def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[events.Action]:
         """Begin with the first step; `here` is where the axes stand, if that is known."""
         self.done, self.origin, self._floor = 0, now, now
-        self._group, self._datums, self._here = Group(), 0, here
+        self._group, self._datums, self._here = DatumGroup(), 0, here
         self.counters = Counters()
         self.state, self.message = State.RUNNING, "measuring"
         return self._next(now, wall)
@@ -111,7 +94,7 @@ class Sequencer:
         self.state, self.message = State.PAUSED, "paused"
         self._forget()
 
-    def resume(self, now: int, wall: float) -> list[Action]:
+    def resume(self, now: int, wall: float) -> list[events.Action]:
         """Go on at the step that was interrupted, approached as planned."""
         self.state, self.message = State.RUNNING, "measuring"
         self._recoveries = self._unstable = 0
@@ -119,38 +102,38 @@ class Sequencer:
             return self._next(now, wall, resumed=True)
         return self._begin(now, wall, again=True)
 
-    def abort(self, now: int) -> list[Action]:
+    def abort(self, now: int) -> list[events.Action]:
         """Stop the axes and end."""
         self.state, self.message = State.ABORTED, f"aborted after {self.done} of {len(self.plan.steps)} readings"
         self._forget()
         self._visits.clear()
-        return [Stop(max(now, self._floor + 1))]
+        return [events.Stop(max(now, self._floor + 1))]
 
     # --- what the others answer
 
-    def handle(self, event: Event, now: int, wall: float) -> list[Action]:
+    def handle(self, event: events.Event, now: int, wall: float) -> list[events.Action]:
         """Take an answer; answers that belong to nothing are ignored."""
         if self.state is not State.RUNNING:
             return []
         match event:
-            case Arrived():
+            case events.Arrived():
                 return self._arrived(event, now, wall)
-            case MovedAway():
+            case events.MovedAway():
                 return self._moved_away(event, now, wall)
-            case Refused():
+            case events.Refused():
                 if self._pending.motion is not None and event.command == self._pending.motion.stamp:
                     return self._fail(f"axes: {event.reason}")
                 return []
-            case Aimed():
+            case events.Aimed():
                 return self._aimed(event, now, wall)
-            case DatumSet():
+            case events.DatumSet():
                 return self._datum_set(event, now, wall)
-            case Captured():
+            case events.Captured():
                 return self._captured(event, now, wall)
-            case CaptureFailed():
+            case events.CaptureFailed():
                 return self._capture_failed(event, now, wall)
 
-    def tick(self, now: int, wall: float) -> list[Action]:
+    def tick(self, now: int, wall: float) -> list[events.Action]:
         """Look at the deadlines; to be called a few times a second."""
         pending = self._pending
         if self.state is not State.RUNNING or pending.phase is Phase.NONE:
@@ -172,7 +155,7 @@ class Sequencer:
         pending.sent = wall
         if pending.phase is not Phase.MOVE:
             return self._ask(pending.phase, wall, repeated=True)
-        actions: list[Action] = []
+        actions: list[events.Action] = []
         if pending.arrived is None and pending.motion is not None:
             actions.append(pending.motion)
         if pending.aimed is None and pending.aim is not None:
@@ -181,14 +164,14 @@ class Sequencer:
 
     # --- one step
 
-    def _next(self, now: int, wall: float, *, resumed: bool = False) -> list[Action]:
+    def _next(self, now: int, wall: float, *, resumed: bool = False) -> list[events.Action]:
         """Go to the next target, or end."""
         step = self.step
         if step is None:
             self.state, self.message = State.FINISHED, f"{self.done} readings"
             return self._forget()
         if step.datum:
-            self._group = Group()
+            self._group = DatumGroup()
             new_setup = self.done > 0 and self.plan.steps[self.done - 1].setup != step.setup
             if new_setup and self.timing.wait_between_setups and not resumed:
                 self.state, self.message = State.PAUSED, f"bring the instrument to setup {step.setup}, then resume"
@@ -196,7 +179,7 @@ class Sequencer:
         self._visits = deque([Visit(step, step.datum)])
         return self._begin(now, wall, again=resumed)
 
-    def _begin(self, now: int, wall: float, *, again: bool) -> list[Action]:
+    def _begin(self, now: int, wall: float, *, again: bool) -> list[events.Action]:
         """Command the axes and the pointer to the first visit's target."""
         step = self._visits[0].step
         via = step.via
@@ -204,23 +187,25 @@ class Sequencer:
             via = (self.plan.steps[step.number - 1].position,)  # the same direction of approach
         return self._command((*via, step.position), step, now, wall)
 
-    def _command(self, places: tuple[Mapping[str, float], ...], step: Step, now: int, wall: float) -> list[Action]:
+    def _command(
+        self, places: tuple[Mapping[str, float], ...], step: Step, now: int, wall: float
+    ) -> list[events.Action]:
         points, clock = [], 0.0
         for place in places:
             here = self._here if self._here is not None and self._here.keys() >= place.keys() else place
             part = move({name: here[name] for name in place}, place, self.plan.limits)
             clock += max(part.duration, 1e-3)  # a controller wants times that increase
-            points.append(Waypoint(place, clock))
+            points.append(events.Waypoint(place, clock))
             self._here = place
         dwell = self.plan.procedure.motion.dwell
-        points.append(Waypoint(step.position, clock + dwell))
+        points.append(events.Waypoint(step.position, clock + dwell))
         stamp = self._floor = max(now, self._floor + 1)
-        motion = Motion(stamp, tuple(points))
+        motion = events.Motion(stamp, tuple(points))
         pending = Pending(Phase.MOVE, motion, since=wall, sent=wall)
         pending.expected = clock + dwell if self.timing.paced else 0.0
-        actions: list[Action] = [motion]
+        actions: list[events.Action] = [motion]
         if step.aim is not None:
-            aim = Aim(stamp, step.setup, step.aim)
+            aim = events.Aim(stamp, step.setup, step.aim)
             actions.append(aim)  # a fixed instrument learns from it at which setup it stands
             if step.points:
                 pending.aim, pending.angles = aim, self._angles(step)
@@ -228,12 +213,12 @@ class Sequencer:
         self.waiting_for = ""
         return actions
 
-    def _hold(self, now: int, wall: float) -> list[Action]:
+    def _hold(self, now: int, wall: float) -> list[events.Action]:
         """Stay where it is for another dwell: advances simulated time, gives a real axis time to settle."""
         step = self._visits[0].step
         return self._command((step.position,), step, now, wall)
 
-    def _arrived(self, event: Arrived, now: int, wall: float) -> list[Action]:
+    def _arrived(self, event: events.Arrived, now: int, wall: float) -> list[events.Action]:
         pending = self._pending
         if pending.phase is not Phase.MOVE or pending.motion is None or event.command != pending.motion.stamp:
             return []
@@ -246,7 +231,7 @@ class Sequencer:
         self._floor = max(self._floor, event.held)
         return self._at_rest(now, wall)
 
-    def _moved_away(self, event: MovedAway, now: int, wall: float) -> list[Action]:
+    def _moved_away(self, event: events.MovedAway, now: int, wall: float) -> list[events.Action]:
         """A reading would be that of another place: go back and measure again."""
         there = self._pending.arrived
         # a probe moves the axes itself, and says where it has touched
@@ -258,7 +243,7 @@ class Sequencer:
             return self._fail("axes: another command moves them while a reading is taken")
         return self._begin(max(now, event.stamp), wall, again=True)
 
-    def _aimed(self, event: Aimed, now: int, wall: float) -> list[Action]:
+    def _aimed(self, event: events.Aimed, now: int, wall: float) -> list[events.Action]:
         pending = self._pending
         if pending.phase is not Phase.MOVE or pending.aim is None or pending.aimed is not None:
             return []
@@ -271,7 +256,7 @@ class Sequencer:
         pending.aimed = event.stamp
         return self._at_rest(now, wall)
 
-    def _at_rest(self, now: int, wall: float) -> list[Action]:
+    def _at_rest(self, now: int, wall: float) -> list[events.Action]:
         """Both axes and beam have come to rest: zero or capture."""
         pending = self._pending
         if pending.arrived is None or (pending.aim is not None and pending.aimed is None):
@@ -285,7 +270,7 @@ class Sequencer:
         self.waiting_for = ""
         return self._ask(Phase.DATUM if self._visits[0].datum else Phase.CAPTURE, wall)
 
-    def _ask(self, phase: Phase, wall: float, *, repeated: bool = False) -> list[Action]:
+    def _ask(self, phase: Phase, wall: float, *, repeated: bool = False) -> list[events.Action]:
         """Ask the instrument; a repeated request is the same one, whose answer may only be late."""
         self._token += 1
         pending = self._pending
@@ -297,9 +282,9 @@ class Sequencer:
             if phase is Phase.DATUM:
                 pending.zeroing = self._token
         pending.phase, pending.sent = phase, wall
-        return [SetDatum(self._token) if phase is Phase.DATUM else Capture(self._token)]
+        return [events.SetDatum(self._token) if phase is Phase.DATUM else events.Capture(self._token)]
 
-    def _datum_set(self, event: DatumSet, now: int, wall: float) -> list[Action]:
+    def _datum_set(self, event: events.DatumSet, now: int, wall: float) -> list[events.Action]:
         pending = self._pending
         if pending.phase is Phase.CAPTURE and 0 <= pending.zeroing <= event.token < pending.first:
             # the request was repeated and is carried out twice: readings count from the later datum
@@ -313,7 +298,7 @@ class Sequencer:
         self._datums += 1
         return self._ask(Phase.CAPTURE, wall)
 
-    def _captured(self, event: Captured, now: int, wall: float) -> list[Action]:
+    def _captured(self, event: events.Captured, now: int, wall: float) -> list[events.Action]:
         pending = self._pending
         if pending.phase is not Phase.CAPTURE or not self._is_asked(event.token):
             return []
@@ -330,7 +315,7 @@ class Sequencer:
             return self._measured(visit.step, event, now, wall)
         return self._revisited(visit, event.displacement, now, wall)
 
-    def _ask_again(self, now: int, wall: float) -> list[Action]:
+    def _ask_again(self, now: int, wall: float) -> list[events.Action]:
         """The same request, as its answer came from before; now and then with a further dwell."""
         pending = self._pending
         self.counters.stale += 1
@@ -343,23 +328,23 @@ class Sequencer:
         """Whether an answer belongs to the present request, as it was first sent or repeated."""
         return self._pending.first <= token <= self._pending.token
 
-    def _is_stale(self, event: Captured | DatumSet) -> bool:
+    def _is_stale(self, event: events.Captured | events.DatumSet) -> bool:
         """Whether the reading began before the axes and the beam were at rest, or does not know it yet."""
         pending = self._pending
         assert pending.motion is not None and pending.arrived is not None
         ready = max(pending.arrived.arrived, pending.aimed or 0)
         return event.start < ready or any(stamp < pending.motion.stamp for stamp in event.inputs.values())
 
-    def _measured(self, step: Step, event: Captured, now: int, wall: float) -> list[Action]:
+    def _measured(self, step: Step, event: events.Captured, now: int, wall: float) -> list[events.Action]:
         value = event.displacement + self._group.offset
         self._group.taken.append((step, value))
-        emit = Emit(event.stamp, self._columns(step, event, value))
+        emit = events.Emit(event.stamp, self._columns(step, event, value))
         self.done += 1
         self._recoveries = self._unstable = 0
         self.message = "measuring"
         return [*self._next(now, wall), emit]  # the axes set off first
 
-    def _revisited(self, visit: Visit, reading: float, now: int, wall: float) -> list[Action]:
+    def _revisited(self, visit: Visit, reading: float, now: int, wall: float) -> list[events.Action]:
         self._group.differences.append(visit.revisit - reading)
         if math.isnan(self._visits[0].revisit):
             differences = np.array(self._group.differences)
@@ -374,7 +359,7 @@ class Sequencer:
 
     # --- what goes wrong
 
-    def _capture_failed(self, event: CaptureFailed, now: int, wall: float) -> list[Action]:
+    def _capture_failed(self, event: events.CaptureFailed, now: int, wall: float) -> list[events.Action]:
         if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not self._is_asked(event.token):
             return []
         if event.kind == "unstable":
@@ -394,7 +379,7 @@ class Sequencer:
         self._unstable += 1
         return self._unstable > _UNSTABLE_BEFORE_ERROR
 
-    def _recover(self, reason: str, now: int, wall: float) -> list[Action]:
+    def _recover(self, reason: str, now: int, wall: float) -> list[events.Action]:
         """Zero the path again at a target measured before, and measure a few of them to tie the datums."""
         self.counters.recoveries += 1
         self._recoveries += 1
@@ -413,11 +398,11 @@ class Sequencer:
             self._group.offset = 0.0
         return self._begin(now, wall, again=True)
 
-    def _fail(self, reason: str) -> list[Action]:
+    def _fail(self, reason: str) -> list[events.Action]:
         self.state, self.message = State.ERROR, reason
         return self._forget()
 
-    def _forget(self) -> list[Action]:
+    def _forget(self) -> list[events.Action]:
         """Answers that are still under way no longer belong to anything, and nothing is to be done."""
         self._pending = Pending()
         self.waiting_for = ""
@@ -431,7 +416,7 @@ class Sequencer:
         is_flat = getattr(self.plan.procedure.session, "dimension", 3) == 2
         return float(azimuth[0]), 0.0 if is_flat else float(elevation[0])
 
-    def _columns(self, step: Step, event: Captured, value: float) -> dict[str, float]:
+    def _columns(self, step: Step, event: events.Captured, value: float) -> dict[str, float]:
         session = self.plan.procedure.session
         columns = {"time": (event.stamp - self.origin) / _NANO, "repeat": float(step.repeat)}
         columns["setup_index"] = float([setup.id for setup in session.setups].index(step.setup))
@@ -455,7 +440,7 @@ class Sequencer:
         return columns
 
 
-def _is_elsewhere(step: Step, event: Captured) -> bool:
+def _is_elsewhere(step: Step, event: events.Captured) -> bool:
     """Whether a probe has touched another point than the step's, or at another angle: it moves the axes itself."""
     point = event.columns.get("point_index")
     if point is None:

@@ -27,9 +27,7 @@ __all__ = [
     "sensing_direction", "targets_of", "touch_steps",
 ]  # fmt: skip
 
-
 _MOVED = 1e-9
-
 
 Position = Mapping[str, float]
 

@@ -40,7 +40,6 @@ __all__ = [
     "typestore",
 ]
 
-
 _SEPARATOR = "=" * 80 + "\n"
 _FIELD = re.compile(r"^([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_/]*)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-z]")
 _INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
@@ -131,51 +130,13 @@ class JointState:
         return float(self.positions[index]) if index < len(self.positions) else float("nan")
 
 
-class _Cursor:
-    """A place in little-endian CDR; alignment counts from behind the four bytes of the encapsulation."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.at = 4
-
-    def align(self, size: int) -> None:
-        self.at += -(self.at - 4) % size
-
-    def uint32(self) -> int:
-        self.align(4)
-        (value,) = struct.unpack_from("<I", self.data, self.at)
-        self.at += 4
-        return int(value)
-
-    def string(self) -> bytes:
-        length = self.uint32()
-        end = self.at + length
-        if end > len(self.data):
-            raise ValueError("a text is cut short")
-        value = self.data[self.at : max(self.at, end - 1)]
-        self.at = end
-        return value
-
-    def doubles(self) -> Array:
-        count = self.uint32()
-        if count == 0:
-            return np.zeros(0)
-        self.align(8)
-        if self.at + 8 * count > len(self.data):
-            raise ValueError("numbers are cut short")
-        values = np.frombuffer(self.data, dtype="<f8", count=count, offset=self.at)
-        self.at += 8 * count
-        return values.astype(np.float64)
-
-
 class JointStateReader:
     """Reads JointStates; names that stay the same from message to message are read once."""
 
     def __init__(self) -> None:
         """Start without names."""
-        self._raw = b""
+        self._raw, self._begin = b"", -1
         self._names: tuple[str, ...] = ()
-        self._begin = -1
 
     def read(self, data: bytes) -> JointState:
         """One message.
@@ -185,27 +146,45 @@ class JointStateReader:
         """
         if data[:2] != _LITTLE:
             return _joint_state_by_library(data)
+        content = data[4:]  # from here on a number stands at a multiple of its size
         try:
-            cursor = _Cursor(data)
-            sec, nanosec = struct.unpack_from("<iI", data, 4)
-            cursor.at = 12
-            frame = cursor.string().decode()
-            cursor.align(4)
-            begin, raw = cursor.at, self._raw
+            sec, nanosec = struct.unpack_from("<iI", content, 0)
+            frame, at = _text_at(content, 8)
+            begin = at + -at % 4
             # padding depends on where the names begin, so the same bytes mean the same names at the same place only
-            if raw and (begin - self._begin) % 8 == 0 and data.startswith(raw, begin):
-                cursor.at = begin + len(raw)
+            if self._raw and (begin - self._begin) % 8 == 0 and content.startswith(self._raw, begin):
+                at = begin + len(self._raw)
             else:
-                count = cursor.uint32()
-                if count * 4 > len(data):
-                    raise ValueError("names are cut short")
-                self._names = tuple(cursor.string().decode() for _ in range(count))
-                self._raw, self._begin = data[begin : cursor.at], begin
-            positions = cursor.doubles()
+                self._names, at = _texts_at(content, begin)
+                self._raw, self._begin = content[begin:at], begin
+            count, at = _count_at(content, at)
+            positions = np.frombuffer(content, "<f8", count, at + -at % 8) if count else np.zeros(0)
         except (struct.error, ValueError) as error:
             self._raw = b""
             raise RecordingError(f"a {JOINT_STATE} is damaged: {error}") from None
-        return JointState(sec * 1_000_000_000 + nanosec, frame, self._names, positions)
+        return JointState(sec * 1_000_000_000 + nanosec, frame, self._names, positions.astype(np.float64))
+
+
+def _count_at(content: bytes, at: int) -> tuple[int, int]:
+    """A count at the next place where one can stand, and where it ends."""
+    at += -at % 4
+    return int(struct.unpack_from("<I", content, at)[0]), at + 4
+
+
+def _text_at(content: bytes, at: int) -> tuple[str, int]:
+    length, at = _count_at(content, at)
+    if at + length > len(content):
+        raise ValueError("a text is cut short")
+    return content[at : at + max(length - 1, 0)].decode(), at + length
+
+
+def _texts_at(content: bytes, at: int) -> tuple[tuple[str, ...], int]:
+    count, at = _count_at(content, at)
+    texts = []
+    for _ in range(count):  # a count that cannot be ends with the content
+        text, at = _text_at(content, at)
+        texts.append(text)
+    return tuple(texts), at
 
 
 def _joint_state_by_library(data: bytes) -> JointState:

@@ -28,7 +28,6 @@ __all__ = [
     "with_depth",
 ]
 
-
 MACHINE = "machine"
 """The frame of commands, readings and maps: its axes are the machine's, its origin is their zero."""
 
@@ -68,6 +67,7 @@ GRAPH_TOPICS = (
     GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped", depth=100),
     GraphTopic("instrument/displacement", "std_msgs/msg/Float64MultiArray", depth=100),
     GraphTopic("instrument/status", _STATUS, latched=True),
+    GraphTopic("instrument/outcome", _STATUS, latched=True, depth=10),
     GraphTopic("probe/trigger", "sensor_msgs/msg/JointState", depth=100),
     *(
         GraphTopic(f"environment/temperature_{place}", "sensor_msgs/msg/Temperature", depth=10)

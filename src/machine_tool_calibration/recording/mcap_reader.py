@@ -26,7 +26,17 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
 
-__all__ = ["MAGIC", "Budget", "Channels", "McapReader", "RawMessage", "RawRecord", "messages_in", "records", "unpack"]
+__all__ = [
+    "MAGIC",
+    "Allowance",
+    "Channels",
+    "McapReader",
+    "RawMessage",
+    "RawRecord",
+    "messages_in",
+    "records",
+    "unpack",
+]
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -114,7 +124,7 @@ def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parse
         ) from None
 
 
-class Budget:
+class Allowance:
     """How much a file may unpack to in all, so that a small file cannot cost hours."""
 
     def __init__(self, path: Path) -> None:
@@ -133,13 +143,13 @@ class Budget:
             raise RecordingError(f"{self._path}: unpacks to more than {_RATIO} times its size; this is not a recording")
 
 
-def unpack(path: Path, record: RawRecord, budget: Budget, *, cut: bool = False) -> bytes:
+def unpack(path: Path, record: RawRecord, allowance: Allowance, *, cut: bool = False) -> bytes:
     """What is in a record, one after the other: a chunk's content, or a message or registration itself.
 
     Args:
         path: for messages.
         record: any; what holds neither messages nor registrations is empty.
-        budget: of the file.
+        allowance: of the file.
         cut: whether the chunk's end is missing: then as much as can be unpacked.
 
     Raises:
@@ -154,7 +164,7 @@ def unpack(path: Path, record: RawRecord, budget: Budget, *, cut: bool = False) 
     size = chunk.uncompressed_size
     if size > _LARGEST:
         raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST >> 20} MiB are accepted")
-    budget.take(size)
+    allowance.take(size)
     data = bytearray()
     try:
         for piece in _pieces(where, chunk):
@@ -305,12 +315,12 @@ class McapReader:
         """Messages and registrations, in and out of chunks."""
         try:
             with self.path.open("rb") as stream:
-                budget = Budget(self.path)
+                allowance = Allowance(self.path)
                 for record in records(self.path, stream, skip=skip):
                     if record.opcode == Opcode.DATA_END:
                         return
                     if record.offset not in skip:
-                        yield from messages_in(self.path, record.offset, unpack(self.path, record, budget), wanted)
+                        yield from messages_in(self.path, record.offset, unpack(self.path, record, allowance), wanted)
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 

@@ -25,7 +25,6 @@ __all__ = [
     "qos_text",
 ]
 
-
 _MOST_QOS = 1 << 20  # characters: thousands of publishers
 FOREVER = 9_223_372_036_854_775_807  # ns; also the start of a recording without messages, as rosbag2 has it
 

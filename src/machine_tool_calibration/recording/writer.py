@@ -324,10 +324,7 @@ class BagWriter:
         kind = topic.summary.type
         if kind not in self._schemas:
             self._schemas[kind] = writer.register_schema(kind, topic.schema_encoding, topic.definition)
-        metadata = {
-            "offered_qos_profiles": qos_text(topic.summary.qos),
-            "topic_type_hash": topic.summary.type_hash,
-        }
+        metadata = {"offered_qos_profiles": qos_text(topic.summary.qos), "topic_type_hash": topic.summary.type_hash}
         encoding = topic.summary.encoding
         self._channels[name] = writer.register_channel(name, encoding, self._schemas[kind], metadata)
 

@@ -48,15 +48,16 @@ from machine_tool_calibration.simulation.flaws import FLAWS, choose_flaw
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import (
+    Amplitudes,
     MachineSpec,
     TableSpec,
     build_machine,
     machine_document,
+    random_machine,
     read_machine,
 )
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS
 from machine_tool_calibration.simulation.probing_run import PartPoint, ProbingPlan
-from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
 from machine_tool_calibration.simulation.sensors import (
     Pointer,

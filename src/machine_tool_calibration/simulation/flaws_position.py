@@ -24,24 +24,19 @@ from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["POSITION_FLAWS", "REVERSAL_FLAWS", "THERMAL_FLAWS"]
 
-
 LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct")
 """Methods that move linear axes."""
 
 
 def _backlash(axis: str) -> Flaw:
     """The carriage lags behind its command by half the backlash, against the last move."""
-
-    def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
-        return Disturbance(axis={axis: -size * scene.toward(axis)})
-
     rotary = axis in "ABC"
     return Flaw(
         f"backlash_{axis.lower()}",
         f"position of {axis}: -size * dir_{axis.lower()} (half width)",
         "rad" if rotary else "m",
         1.3e-5 if rotary else 1.5e-6,
-        disturb,
+        lambda size, _, scene: Disturbance(axis={axis: -size * scene.toward(axis)}),
         methods=("rotary_axis", "probing") if axis == "C" else ("rotary_axis",) if rotary else LINEAR,
         axis=axis if rotary else "",
     )
@@ -68,16 +63,12 @@ def _thermal(axis: str) -> Flaw:
 
 def _warmup(axis: str) -> Flaw:
     """The spindle or carriage moves off as the machine warms up, and settles."""
-
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        return Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / parameters["tau"]))})
-
     return Flaw(
         f"warmup_{axis.lower()}",
         f"position of {axis}: size * (1 - exp(-time / tau))",
         "m",
         5e-6,
-        disturb,
+        lambda size, given, scene: Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / given["tau"]))}),
         draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())},
         methods=LINEAR,
     )
@@ -100,10 +91,6 @@ def _pitch(axis: str) -> Flaw:
         lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))},
         LINEAR,
     )
-
-
-def _scale_of(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"})
 
 
 def _squareness(name: str) -> Flaw:
@@ -167,7 +154,14 @@ def _motion(name: str) -> Flaw:
 POSITION_FLAWS: tuple[Flaw, ...] = (
     *(_backlash(axis) for axis in "XYZABC"),
     *(make(axis) for make in (_thermal, _warmup, _pitch) for axis in "XYZ"),
-    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale_of, methods=LINEAR),
+    Flaw(
+        "scale",
+        "position: size * (x, y, z)",
+        "1",
+        1e-5,
+        lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}),
+        methods=LINEAR,
+    ),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
     *(_motion(component + axis) for axis in "XYZC" for component in COMPONENTS),
 )
@@ -218,7 +212,6 @@ REVERSAL_FLAWS: tuple[Flaw, ...] = (
     *(_lost_motion(axis) for axis in "XYZ"),
     *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
 )
-
 
 _AXES = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
 

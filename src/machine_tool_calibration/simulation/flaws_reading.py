@@ -16,7 +16,6 @@ from machine_tool_calibration.simulation.sensors import beam_direction
 
 __all__ = ["READING_FLAWS", "STANDARD", "deviation", "refractivity", "vapour_pressure"]
 
-
 HELIUM_NEON = 0.6329908
 """Vacuum wavelength of the helium-neon laser, micrometres."""
 
@@ -62,21 +61,6 @@ STATIONS = ("tracking_interferometer", "rotary_axis")
 def _air(scene: Scene) -> Array:
     """Refractive index of the air minus that of standard air (updated Edlén equation)."""
     return deviation(scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity"))
-
-
-def _refractive_index(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    """The wavelength is not (or wrongly) compensated: a share `size` of the air's deviation stays in the reading."""
-    return Disturbance(optical=size * _air(scene))
-
-
-def _dead_path(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    """A path of length `size` that the compensation does not know of breathes with the air."""
-    return Disturbance(dead=size * _air(scene))
-
-
-def _linear_drift(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    drift = size * scene.time
-    return Disturbance(reading=(lambda sight: drift,))
 
 
 def _by_setup(seed: int, setup: IntArray, draw: Any) -> Array:
@@ -137,10 +121,6 @@ def _pointer_radial(size: float, parameters: Parameters, _: Scene) -> Disturbanc
     return Disturbance(reading=(along,))
 
 
-def _pointer_zero(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(turn=np.full(len(scene), size))
-
-
 def _pointer_axes(size: float, parameters: Parameters, _: Scene) -> Disturbance:
     """The elevation axis stands in front of the azimuth axis, and the beam leaves beside it.
 
@@ -155,35 +135,35 @@ def _pointer_axes(size: float, parameters: Parameters, _: Scene) -> Disturbance:
     return Disturbance(reading=(path,))
 
 
-def _retroreflector(size: float, parameters: Parameters, _: Scene) -> Disturbance:
-    return Disturbance(reading=(lambda sight: size * _harmonics(sight.incidence, parameters),))
-
-
 def _table_growth(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
     warm = scene.sensed("temperature_table") - parameters["reference"]
     return Disturbance(table_radial=size * warm, table_axial=size * parameters["axial"] * warm)
 
 
-def _workpiece_growth(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(growth=size * (scene.sensed("temperature_work") - parameters["reference"]))
-
-
-def _pretravel(size: float, parameters: Parameters, _: Scene) -> Disturbance:
-    """The stylus gives way by an amount that depends on the direction before the probe triggers."""
-    return Disturbance(reading=(lambda sight: size * _harmonics(sight.azimuth, parameters),))
-
-
 READING_FLAWS: tuple[Flaw, ...] = (
     Flaw(
-        "refractive_index",
+        "refractive_index",  # the wavelength is not compensated, or wrongly: this share of the air's deviation stays
         "reading: size * (n - n of standard air) * path",
         "1",
         1.0,
-        _refractive_index,
+        lambda size, _, scene: Disturbance(optical=size * _air(scene)),
         methods=LASERS,
     ),
-    Flaw("dead_path", "reading: size * (n - n of standard air)", "m", 1.0, _dead_path, methods=LASERS),
-    Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, _linear_drift),
+    Flaw(
+        "dead_path",
+        "reading: size * (n - n of standard air)",
+        "m",
+        1.0,
+        lambda size, _, scene: Disturbance(dead=size * _air(scene)),
+        methods=LASERS,
+    ),
+    Flaw(
+        "linear_drift",
+        "reading: size * time",
+        "m/s",
+        1e-9,
+        lambda size, _, scene: Disturbance(reading=(lambda sight: size * scene.time,)),
+    ),
     Flaw(
         "station_drift",
         "each station moves at about size, in its own direction, from its first reading on",
@@ -218,7 +198,7 @@ READING_FLAWS: tuple[Flaw, ...] = (
         "beam turned by size: cosine error",
         "rad",
         2e-3,
-        _pointer_zero,
+        lambda size, _, scene: Disturbance(turn=np.full(len(scene), size)),
         methods=("tracking_interferometer",),
     ),
     Flaw(
@@ -235,7 +215,7 @@ READING_FLAWS: tuple[Flaw, ...] = (
         "reading: size * sum of w cos(k incidence + phase)",
         "m",
         1e-6,
-        _retroreflector,
+        lambda size, given, _: Disturbance(reading=(lambda sight: size * _harmonics(sight.incidence, given),)),
         {"orders": [2, 3], "weights": [1.0, 0.5]},
         _phases,
         STATIONS,
@@ -254,16 +234,16 @@ READING_FLAWS: tuple[Flaw, ...] = (
         "workpiece grows by size * (temperature_work - 20) about the table's centre",
         "1/K",
         1.2e-5,
-        _workpiece_growth,
+        lambda size, given, scene: Disturbance(growth=size * (scene.sensed("temperature_work") - given["reference"])),
         {"reference": 20.0},
         methods=("probing", "direct"),
     ),
     Flaw(
-        "probe_pretravel",
+        "probe_pretravel",  # the stylus gives way, by direction, before the probe triggers
         "reading: size * sum of w cos(k direction of the normal + phase)",
         "m",
         3e-6,
-        _pretravel,
+        lambda size, given, _: Disturbance(reading=(lambda sight: size * _harmonics(sight.azimuth, given),)),
         {"orders": [2, 3], "weights": [1.0, 0.6]},
         _phases,
         ("probing",),

@@ -27,7 +27,6 @@ __all__ = [
     "turn",
 ]
 
-
 _SHORTEST = 1e-12  # m or rad, between two nodes
 
 

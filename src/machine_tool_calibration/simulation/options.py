@@ -19,7 +19,6 @@ from machine_tool_calibration.simulation.spec import SimulationSpec
 
 __all__ = ["parse_effect", "parse_setting", "read_spec", "refuse_implausible", "spec_from"]
 
-
 # Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.
 _LARGEST = 1e-3
 # How many times its typical size an effect may have.

@@ -15,7 +15,7 @@ from machine_tool_calibration.arrays import Array, IntArray, first_of_group
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.random_machine import Amplitudes
+from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["Measurement", "Plan", "Vector3", "axis_columns", "since_first", "spanned", "station_name"]

@@ -14,9 +14,9 @@ from machine_tool_calibration.session.record import Finite, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.plan import Measurement, Plan
-from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
@@ -129,7 +129,6 @@ def disc(count: int = 36, radius: float = 0.08) -> tuple[PartPoint, ...]:
 
 WORKPIECES: Mapping[str, Callable[[], tuple[PartPoint, ...]]] = {"cross": cross, "pins": pins, "cam": cam, "disc": disc}
 """Parts by name."""
-
 
 _ANGLES: dict[str, tuple[float, ...]] = {
     "cross": (0, 75, 130, 210),

@@ -101,13 +101,7 @@ class Pointer(Record):
     eccentricity: Finite = 0.0
     radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
-    def beam(
-        self,
-        azimuth: Array,
-        elevation: Array,
-        station: Array,
-        turn: Array | float = 0.0,
-    ) -> tuple[Array, Array]:
+    def beam(self, azimuth: Array, elevation: Array, station: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
         """Origin and direction of the true beam.
 
         Args:
@@ -130,12 +124,7 @@ class Pointer(Record):
 
 
 def probed(
-    centre: Array,
-    approach: Array,
-    surface: Array,
-    normal: Array,
-    radius: float,
-    curvature: Array | float = 0.0,
+    centre: Array, approach: Array, surface: Array, normal: Array, radius: float, curvature: Array | float = 0.0
 ) -> Array:
     """How far outside its nominal place the probe touches a surface.
 

@@ -29,7 +29,7 @@ from machine_tool_calibration.workbench.models import Progress
 from machine_tool_calibration.workbench.process import Calculation
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.nodes.listener import Listener
+    from machine_tool_calibration.nodes.client import Client
 
 __all__ = ["Feed", "LiveMap"]
 
@@ -135,7 +135,7 @@ class Feed:
         self.number = 0
         self.why_not = ""
         self.calculating = (0.0, 0)
-        self._listener: Listener | None = None
+        self._client: Client | None = None
         self._starting: threading.Thread | None = None
         self._working: threading.Thread | None = None
         self._run = 0
@@ -172,15 +172,15 @@ class Feed:
 
     def ask(self, offer: Offer) -> None:
         """Ask for a service; `heard.calls` tells the answer."""
-        if self._listener is not None:
-            self._listener.ask(offer)
+        if self._client is not None:
+            self._client.ask(offer)
 
     def close(self) -> None:
         """Listen no longer."""
         if self._starting is not None:
             self._starting.join()
-        if self._listener is not None:
-            self._listener.close()
+        if self._client is not None:
+            self._client.close()
 
     def keep(self) -> Path:
         """A file or folder with the readings so far: the graph's own recording if it is finished, else a new session.
@@ -214,9 +214,9 @@ class Feed:
 
     def _start(self) -> None:
         try:
-            from machine_tool_calibration.nodes.listener import Listener
+            from machine_tool_calibration.nodes.client import Client
 
-            self._listener = Listener(self.heard, self.domain, self.namespace)
+            self._client = Client(self.domain, self.namespace, self.heard).listen()
         except ModuleNotFoundError as error:
             self.trouble = (
                 f"To see a running graph needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "

@@ -16,7 +16,6 @@ from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
 __all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver", "parse_ascii_line"]
 
-
 PLUGIN_GROUP = "machine_tool_calibration.drivers"
 LARGEST_FILE = 1 << 20
 

@@ -28,6 +28,7 @@ __all__ = [
     "COMMAND",
     "LATCHED",
     "NO_HARDWARE",
+    "OUTCOMES",
     "READINGS",
     "SLOW",
     "STATE",
@@ -56,7 +57,6 @@ __all__ = [
     "values",
 ]
 
-
 Message = TypeVar("Message", bound=Any)
 
 
@@ -70,9 +70,9 @@ COMMAND = _reliable(10)
 STATE = _reliable(100)
 SLOW = _reliable(10)
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+OUTCOMES = _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL)
 # kept for those who come late: an estimator or recorder that (re)starts in the middle gets every reading
 READINGS = _reliable(20000, DurabilityPolicy.TRANSIENT_LOCAL)
-
 
 _GIGA = 1_000_000_000
 _DIGITS = 19  # of a time in ns

@@ -1,20 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of every node: it survives any message, refuses values of parameters that cannot be, and has a lifecycle."""
+"""The base of every node: it survives any message, refuses values of parameters that cannot be, and has a lifecycle.
+
+What it says of itself is latched on a topic of its own, and stands once a second on `/diagnostics`. That follows the
+convention of `diagnostic_updater` (REP 107): an entry named `<node>: <what>`, again and again, so that an aggregator
+notices a node that has fallen silent.
+"""
 
 from __future__ import annotations
 
 import inspect
 import math
+import time
 import traceback
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar, cast
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.service import Service
@@ -22,9 +30,12 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
+from machine_tool_calibration.nodes.ros.messages import LATCHED, NO_HARDWARE, SLOW, Level, now, status, to_message
 from machine_tool_calibration.nodes.ros.sound import require_sound
 
-__all__ = ["GuardedNode", "ManagedNode"]
+__all__ = ["GuardedNode", "ManagedNode", "StatusTopic"]
+
+Value = TypeVar("Value")
 
 _BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
 _TOLD = 200  # characters of a reason
@@ -79,15 +90,14 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     def declare(
         self,
         name: str,
-        default: Any,
+        default: Value,
         description: str,
-        *,
         unit: str = "",
-        low: float | None = None,
-        high: float | None = None,
+        within: tuple[float | None, float | None] = (None, None),
+        *,
         choices: tuple[str, ...] = (),
         read_only: bool = True,
-    ) -> Any:
+    ) -> Value:
         """Declare a parameter and return its value; of one that is declared already the present value.
 
         Args:
@@ -95,13 +105,12 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
             default: its value where nobody sets it; gives the type.
             description: what it does.
             unit: of a number.
-            low: least value.
-            high: greatest value.
+            within: least and greatest value.
             choices: of a text.
             read_only: whether it can be set only as long as the node is not configured.
         """
         if self.has_parameter(name) and name not in self._given:
-            return self.get_parameter(name).value
+            return cast("Value", self.get_parameter(name).value)
         if name in self._given:
             self._given.discard(name)
             self.undeclare_parameter(name)
@@ -114,8 +123,8 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
             description=f"{description} [{unit}]" if unit else description,
             additional_constraints="; ".join(constraints),
         )
-        if low is not None or high is not None:
-            low, high = (-1e308 if low is None else low), (1e308 if high is None else high)
+        if within != (None, None):
+            low, high = (-1e308 if within[0] is None else within[0]), (1e308 if within[1] is None else within[1])
             if isinstance(default, float):
                 descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
             elif isinstance(default, int):
@@ -123,7 +132,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
                 descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         if choices:
             self.choices[name] = choices
-        return self.declare_parameter(name, default, descriptor).value
+        return cast("Value", self.declare_parameter(name, default, descriptor).value)
 
     def say_unknown_parameters(self) -> None:
         """A parameter that was given and that the node does not have would be passed over without a word."""
@@ -242,21 +251,20 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
     nothing that was latched is heard, and lost, before anything is done with it. Whoever deactivates a node and
     activates it again has one that begins anew.
 
-    Args:
-        name: of the node.
+    Its name is its module's, where it is given no other.
 
     Attributes:
         fault: why the last transition failed; empty if it did not.
         done: whether the node has nothing more to do, which ends its process.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self) -> None:
         self._is_configured = self._is_active = False
-        GuardedNode.__init__(self, name)
+        GuardedNode.__init__(self, type(self).__module__.rpartition(".")[2])
         LifecycleNodeMixin.__init__(self)
         self.fault, self.done = "", False
         self._kept: set[Any] = set()  # what the node has before it is activated
-        self.autostart: bool = self.declare(
+        self.autostart = self.declare(
             "autostart", True, "whether the node configures and activates itself; false: a lifecycle manager does"
         )
         self.settings()
@@ -371,3 +379,75 @@ def _reason(error: Exception) -> str:
     text = str(error) if isinstance(error, CalibrationError) else f"{type(error).__name__}: {error}"
     line = " ".join(text.split())
     return line if len(line) <= _TOLD else f"{line[:_TOLD]}…"
+
+
+_PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent after 5 s
+
+
+class StatusTopic:
+    """Says how a node is.
+
+    Args:
+        node: the node.
+        name: what the status is about.
+        publisher: of the topic of its own; by default that of `~/status`, latched.
+        hardware_id: of the device behind the node.
+        clock: gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        name: str,
+        *,
+        publisher: Publisher | None = None,
+        hardware_id: str = NO_HARDWARE,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        self._node = node
+        self._publisher = publisher or node.create_publisher(DiagnosticArray, "~/status", LATCHED)
+        self._name, self._hardware = name, hardware_id
+        self._clock = clock or (lambda: now(node))
+        self._said: tuple[Level, str, Mapping[str, object], Sequence[DiagnosticStatus]] | None = None
+        self._ignored = node.ignored_entries
+        self._is_dated = True
+        self._common = node.create_publisher(DiagnosticArray, "/diagnostics", SLOW)
+        node.every(_PERIOD, self._repeat)
+
+    def say(
+        self, level: Level, text: str, entries: Mapping[str, object], more: Sequence[DiagnosticStatus] = ()
+    ) -> None:
+        """Publish a status; the messages that the node has ignored are added.
+
+        Args:
+            level: how it is.
+            text: one sentence for people.
+            entries: values for programs.
+            more: further entries, for the topic of the node's own.
+        """
+        self._said, self._ignored = (level, text, entries, more), self._node.ignored_entries
+        self._is_dated = self._clock() > 0
+        self._publisher.publish(self._message([self._own(level, text, entries), *more]))
+
+    def show(self, level: Level, text: str, entries: Mapping[str, object]) -> None:
+        """As `say`, where anything has changed since it was said last."""
+        if self._said != (level, text, entries, ()):
+            self.say(level, text, entries)
+
+    def _own(self, level: Level, text: str, entries: Mapping[str, object]) -> DiagnosticStatus:
+        return status(self._name, level, text, {**entries, **self._ignored}, self._hardware)
+
+    def _repeat(self) -> None:
+        if self._said is None:
+            return
+        is_dated_now = not self._is_dated and self._clock() > 0  # simulated time has begun
+        if is_dated_now or self._ignored != self._node.ignored_entries:
+            self.say(*self._said)
+        own = self._own(*self._said[:3])
+        own.name = f"{self._node.get_fully_qualified_name().lstrip('/')}: {own.name}"
+        self._common.publish(self._message([own]))
+
+    def _message(self, entries: list[DiagnosticStatus]) -> DiagnosticArray:
+        message = DiagnosticArray(status=entries)
+        message.header.stamp = to_message(self._clock() or time.time_ns())
+        return message

@@ -29,7 +29,6 @@ from machine_tool_calibration.nodes.shared import shared_file
 
 __all__ = ["SAVE_GRACE", "STOP_GRACE", "default_environment", "post", "run", "run_here"]
 
-
 Node = TypeVar("Node", bound=ManagedNode)
 
 STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens

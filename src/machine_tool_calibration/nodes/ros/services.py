@@ -1,21 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services whose answer may come later."""
+"""Services whose answer may come later, what they gave, and long calculations that can be followed and cancelled.
+
+A `std_srvs/Trigger` answers with a sentence. What a program wants of it (values, and why there are none) stands on a
+topic `outcome`, which is latched; the goal's id brings both together. It begins the sentence: `goal <id>: …`.
+
+A long calculation is followed as an action's goal is. An action needs a message type of its own, and no package of
+standard messages has one that fits. So its parts stand side by side, of standard types, below the node's name:
+
+- `~/<verb>` (`std_srvs/Trigger`) sends a goal: answered at once, with the goal's id;
+- `~/cancel` (`action_msgs/CancelGoal`), as that of an action: a goal by its id, or all;
+- `~/goals` (`action_msgs/GoalStatusArray`, latched), as an action's status;
+- `~/outcome` (`diagnostic_msgs/DiagnosticArray`, latched) in place of its result: id, sentence and values.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import re
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
+from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
+from action_msgs.srv import CancelGoal
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.messages import (
+    LATCHED,
+    OUTCOMES,
+    Level,
+    dated,
+    from_message,
+    stamp_now,
+    status,
+    to_message,
+)
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.process import post
 
-__all__ = ["Answer", "answer_by", "offer"]
+__all__ = ["Goals", "Outcomes", "Progress", "Reply", "answer_by", "goal_of", "goal_sentence", "offer"]
+
+_GOAL = re.compile("goal ([0-9a-f]{32}): ")
 
 
-class Answer:
+class Reply:
     """The answer that a handler owes; `send` it once, from the node's own thread."""
 
     def __init__(self) -> None:
@@ -37,17 +74,17 @@ class Answer:
         return response
 
 
-def offer(node: Node, name: str, handler: Callable[[Answer], None]) -> None:
+def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
     """Offer a `std_srvs/Trigger` whose answer may come later.
 
     Args:
         node: that offers the service.
         name: the service's name.
-        handler: called with an `Answer`; may send it at once or later.
+        handler: called with a `Reply`; may send it at once or later.
     """
 
     def called(_: Trigger.Request, response: Trigger.Response) -> Awaitable[Trigger.Response]:
-        answer = Answer()
+        answer = Reply()
         handler(answer)
         return answer.into(response)
 
@@ -55,9 +92,233 @@ def offer(node: Node, name: str, handler: Callable[[Answer], None]) -> None:
     node.create_service(Trigger, name, called, callback_group=ReentrantCallbackGroup())
 
 
-def answer_by(handler: Callable[[], str], answer: Answer) -> None:
+def answer_by(handler: Callable[[], str], answer: Reply) -> None:
     """Answer a request by a function that says what it did or raises what it cannot do."""
     try:
         answer.send(True, handler())
     except CalibrationError as error:
         answer.send(False, str(error))
+
+
+def goal_sentence(goal: str, text: str) -> str:
+    """The message of a Trigger that is about a goal."""
+    return f"goal {goal}: {text}"
+
+
+def goal_of(message: str) -> str:
+    """Id of the goal that the message of a Trigger is about; empty where it is about none."""
+    match = _GOAL.match(message)
+    return match[1] if match else ""
+
+
+class Outcomes:
+    """Publishes what requests gave.
+
+    Args:
+        node: that publishes.
+        topic: name of the topic.
+        qos: of it; several requests may end at once, and each outcome is waited for.
+    """
+
+    def __init__(self, node: Node, topic: str = "~/outcome", qos: QoSProfile = OUTCOMES) -> None:
+        self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
+
+    def answer(
+        self, answers: Iterable[Reply], verb: str, stamp: int, text: str, values: Mapping[str, object], kind: str = ""
+    ) -> None:
+        """Publish what a request gave, then answer all who asked.
+
+        Args:
+            answers: that are owed.
+            verb: what was asked for.
+            stamp: when it is so, ns.
+            text: one sentence for people.
+            values: for programs, SI.
+            kind: why there is nothing, in a word; empty where there is.
+        """
+        goal = uuid.uuid4().hex
+        level = Level.ERROR if kind else Level.OK
+        self.tell(verb, goal, stamp, text, {**({"kind": kind} if kind else {}), **values}, level)
+        for answer in answers:
+            answer.send(not kind, goal_sentence(goal, text))
+
+    def tell(
+        self, verb: str, goal: str, stamp: int, text: str, values: Mapping[str, object], level: Level = Level.OK
+    ) -> None:
+        """Publish an outcome.
+
+        Args:
+            verb: what was asked for.
+            goal: id of the request.
+            stamp: when it is so, ns.
+            text: one sentence for people.
+            values: for programs, SI.
+            level: whether it succeeded.
+        """
+        self._publisher.publish(dated(DiagnosticArray(status=[status(verb, level, text, values, goal)]), stamp, ""))
+
+
+Outcome = TypeVar("Outcome")
+Progress = Callable[[str, float], None]
+"""Told what is being done, and the share that is finished."""
+
+_KEPT = 10  # goals that have ended
+
+
+class _CancelledError(CalibrationError):
+    """Nobody wants the outcome any more."""
+
+
+@dataclass
+class _Goal:
+    """One calculation; `status` is one of GoalStatus's."""
+
+    verb: str
+    number: uuid.UUID
+    stamp: int
+    doing: str
+    began: float
+    status: int = GoalStatus.STATUS_EXECUTING
+
+    def is_meant(self, wanted: GoalInfo) -> bool:
+        """As CancelGoal defines it: by the id; without an id all until a time; without either all."""
+        number, until = bytes(wanted.goal_id.uuid), from_message(wanted.stamp)
+        if any(number):
+            return number == self.number.bytes
+        return not until or self.stamp <= until
+
+
+class Goals:
+    """The goals of a node, one at a time; each runs in a thread beside the node's own.
+
+    Args:
+        node: whose goals they are.
+        changed: called when a goal begins or ends.
+
+    Attributes:
+        step: the part of the present one that is under way.
+        share: how much of it is finished, 0 to 1.
+        last: sentence about the one that ended last, and its level.
+    """
+
+    def __init__(self, node: ManagedNode, changed: Callable[[], None]) -> None:
+        self._node, self._changed = node, changed
+        self._lock = threading.Lock()
+        self._is_closed = False
+        self._present: _Goal | None = None
+        self._goals: deque[_Goal] = deque(maxlen=_KEPT)
+        self.step, self.share = "", 0.0
+        self.last, self.level = "", Level.OK
+        self._statuses = node.create_publisher(GoalStatusArray, "~/goals", LATCHED)
+        self._outcomes = Outcomes(node, qos=LATCHED)
+        node.create_service(CancelGoal, "~/cancel", self._cancel)
+
+    @property
+    def doing(self) -> str:
+        """What is being calculated, for people; empty if nothing is."""
+        if self._present is None:
+            return ""
+        is_cancelling = self._present.status == GoalStatus.STATUS_CANCELING
+        return f"cancelling: {self._present.doing}" if is_cancelling else self._present.doing
+
+    @property
+    def number(self) -> str:
+        """Id of the present goal; empty if there is none."""
+        return "" if self._present is None else self._present.number.hex
+
+    def offer(
+        self,
+        verb: str,
+        begin: Callable[[], tuple[str, Callable[[Progress], Outcome]]],
+        done: Callable[[Outcome], tuple[str, Mapping[str, object]]],
+    ) -> None:
+        """Offer a calculation.
+
+        Args:
+            verb: name of the service, below the node's.
+            begin: gives what is going to be done, for people, and the calculation, which is called in a thread of its
+                own and tells its progress now and then; raises CalibrationError where nothing can be calculated.
+            done: called in the node's own thread; publishes the outcome, gives a sentence and values about it.
+        """
+
+        def called(answer: Reply) -> None:
+            if self._present is not None:
+                seconds = f"{time.monotonic() - self._present.began:.0f} s so far"
+                answer.send(False, f"busy: {self.doing} ({seconds}); ask again when that is done")
+                return
+            try:
+                doing, work = begin()
+            except CalibrationError as error:
+                answer.send(False, str(error))
+                return
+            goal = self._present = _Goal(verb, uuid.uuid4(), stamp_now(self._node), doing, time.monotonic())
+            self._goals.append(goal)
+            self.step, self.share = "", 0.0
+            answer.send(True, goal_sentence(goal.number.hex, doing))
+            self._show()
+            threading.Thread(target=self._run, args=(goal, work, done), name="calculation", daemon=True).start()
+
+        offer(self._node, f"~/{verb}", called)
+
+    def close(self) -> None:
+        """The node leaves the graph: no outcome is wanted."""
+        with self._lock:
+            self._is_closed = True
+
+    def _run(self, goal: _Goal, work: Callable[[Progress], Any], done: Callable[[Any], Any]) -> None:
+        def tell(step: str, share: float) -> None:
+            if self._is_closed or goal.status == GoalStatus.STATUS_CANCELING:
+                raise _CancelledError("cancelled")
+            self.step, self.share = step, share
+
+        outcome: Any
+        try:
+            outcome = work(tell)
+            tell("done", 1.0)
+        except CalibrationError as error:
+            outcome = error
+        except Exception as error:  # a fault of ours must not end the node
+            outcome = CalibrationError(f"unexpected {type(error).__name__}: {error}")
+        with self._lock:  # the executor must not be asked once it is being taken down
+            if not self._is_closed:
+                post(self._node, lambda: self._end(goal, outcome, done))
+
+    def _end(self, goal: _Goal, outcome: Any, done: Callable[[Any], tuple[str, Mapping[str, object]]]) -> None:
+        self._present, self.step, self.share = None, "", 0.0
+        found: Mapping[str, object] = {}
+        if isinstance(outcome, _CancelledError):
+            goal.status, self.level = GoalStatus.STATUS_CANCELED, Level.WARN
+            self.last = f"cancelled: {goal.doing}"
+        elif isinstance(outcome, CalibrationError):
+            goal.status, self.level, self.last = GoalStatus.STATUS_ABORTED, Level.ERROR, str(outcome)
+        else:
+            self.last, found = done(outcome)
+            goal.status, self.level = GoalStatus.STATUS_SUCCEEDED, Level.OK
+        self._outcomes.tell(goal.verb, goal.number.hex, stamp_now(self._node), self.last, found, self.level)
+        self._show()
+
+    def _cancel(self, request: CancelGoal.Request, response: CancelGoal.Response) -> CancelGoal.Response:
+        meant = [goal for goal in self._goals if goal.is_meant(request.goal_info)]
+        present = [goal for goal in meant if goal is self._present]
+        for goal in present:
+            goal.status = GoalStatus.STATUS_CANCELING
+            response.goals_canceling.append(_info(goal))
+        is_one = any(request.goal_info.goal_id.uuid)
+        if is_one and not meant:
+            response.return_code = CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
+        elif is_one and not present:
+            response.return_code = CancelGoal.Response.ERROR_GOAL_TERMINATED
+        if present:
+            self._show()
+        return response
+
+    def _show(self) -> None:
+        statuses = [GoalStatus(goal_info=_info(goal), status=goal.status) for goal in self._goals]
+        self._statuses.publish(GoalStatusArray(status_list=statuses))
+        self._changed()
+
+
+def _info(goal: _Goal) -> GoalInfo:
+    info = GoalInfo(stamp=to_message(goal.stamp))
+    info.goal_id.uuid = list(goal.number.bytes)
+    return info

@@ -28,7 +28,7 @@ from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.recording.graph import compatible, request_for
 from machine_tool_calibration.recording.metadata import Qos
 
-__all__ = ["Taken", "Tap", "Taps", "message_class", "offered_qos"]
+__all__ = ["Taken", "Tap", "Taps", "message_class", "offered_qos", "qos_profile"]
 
 _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others waiting
 _NO_NUMBER = 2**64 - 1
@@ -243,7 +243,7 @@ class Taps:
 
     def _subscribe(self, topic: str, message_type: str, request: Qos) -> Subscription:
         return self._hidden.create_subscription(
-            message_class(message_type), topic, lambda _: None, _profile(request), raw=True
+            message_class(message_type), topic, lambda _: None, qos_profile(request), raw=True
         )
 
 
@@ -261,12 +261,14 @@ def offered_qos(profile: QoSProfile) -> Qos:
     )
 
 
-def _profile(request: Qos) -> QoSProfile:
+def qos_profile(qos: Qos) -> QoSProfile:
+    """The profile of a subscription or publisher that keeps its last messages; what is not known is the usual."""
+    best_effort = qos.reliability == "best_effort"
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=request.depth,
-        reliability=ReliabilityPolicy.get_from_short_key(request.reliability),
-        durability=DurabilityPolicy.get_from_short_key(request.durability),
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
     )
 
 

@@ -24,13 +24,7 @@ from pydantic import Field
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Outline, Points
-from machine_tool_calibration.procedure.workpiece.outline import (
-    Contour,
-    Material,
-    Touched,
-    probe_points,
-    reachable,
-)
+from machine_tool_calibration.procedure.workpiece.outline import Contour, Material, Touched, probe_points, reachable
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint

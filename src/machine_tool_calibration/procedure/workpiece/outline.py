@@ -113,7 +113,6 @@ class Arc:
 
 Segment = Straight | Arc
 
-
 Material = Literal["inside", "outside", "left", "right"]
 
 # Ends nearer than this are joined, m.

@@ -23,7 +23,6 @@ from machine_tool_calibration.session.text import read_text
 
 __all__ = ["read_csv_outline", "read_dxf_outline"]
 
-
 _LARGEST = 64 << 20
 _FARTHEST = 1e6  # in the unit of the file
 

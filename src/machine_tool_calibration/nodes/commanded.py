@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pointer and the axes are commanded, where an instrument stands by it, and what the axes have done of it.
+
+The frame of the pointer's messages is the machine's, and the setup stands beside the values by its place in the
+description (`setup_index`).
+
+The topic `axes/executed` is a trajectory as the command is one. Its stamp is the command's; its first point says where
+and when the motion began, each further one which of the command's points has been reached, and when, from the stamp on.
+Before the first command it has no points, and the time since when the axes stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.messages import COMMAND, dated, from_message, joint_state, positions
+from machine_tool_calibration.procedure.events import Aim
+
+__all__ = [
+    "INPUT",
+    "SETUP",
+    "Executed",
+    "Executions",
+    "Pairs",
+    "PointerCommand",
+    "executed_message",
+    "hear_targets",
+    "setup_named",
+    "target_message",
+]
+
+SETUP = "setup_index"
+
+INPUT = "input_"
+"""Before the name of a simulated input among the values of `instrument/outcome`: its newest stamp, ns."""
+
+
+def setup_named(message: JointState, ids: Sequence[str]) -> str:
+    """Id of the setup that a message's values belong to; empty where it names none of these."""
+    return _id(positions(message).get(SETUP), ids)
+
+
+def _id(index: float | None, ids: Sequence[str]) -> str:
+    return ids[int(index)] if index is not None and index in range(len(ids)) else ""
+
+
+@dataclass(frozen=True)
+class PointerCommand:
+    """A command to the pointer.
+
+    Attributes:
+        stamp: its identity, ns.
+        point: (3,) the target, m, machine frame.
+        index: place of the setup in the description.
+    """
+
+    stamp: int
+    point: Array
+    index: float
+
+    def setup(self, ids: Sequence[str]) -> str:
+        """Id of the setup from which to point; empty where it is none of these."""
+        return _id(self.index, ids)
+
+
+def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
+    """The message of topic `pointer/target`."""
+    values = {**dict(zip("xyz", map(float, aim.point), strict=True)), SETUP: float(ids.index(aim.setup))}
+    return joint_state(aim.stamp, values)
+
+
+def hear_targets(node: Node, heard: Callable[[PointerCommand], None]) -> None:
+    """Subscribe to commands, the topic `pointer/target`."""
+
+    def target(message: JointState) -> None:
+        values = positions(message)
+        if not {"x", "y", "z", SETUP} <= set(values):
+            raise CalibrationError(f"it lacks x, y, z or {SETUP}")
+        point = np.array([values[axis] for axis in "xyz"])
+        heard(PointerCommand(from_message(message.header.stamp), point, values[SETUP]))
+
+    node.create_subscription(JointState, "pointer/target", target, COMMAND)
+
+
+_KEPT = 100
+
+
+class Pairs:
+    """Brings together what has the same key (a stamp, an id) on two ways, in whichever order it comes."""
+
+    def __init__(self) -> None:
+        self._sides: tuple[dict[Hashable, Any], dict[Hashable, Any]] = ({}, {})
+
+    def put(self, side: int, key: Hashable, content: Any) -> tuple[Any, Any] | None:
+        """Keep what came on way 0 or 1; gives the pair once both are there."""
+        own = self._sides[side]
+        own.pop(key, None)
+        own[key] = content
+        if len(own) > _KEPT:
+            del own[next(iter(own))]
+        first, second = (held.get(key) for held in self._sides)
+        return None if first is None or second is None else (first, second)
+
+
+_GIGA = 1_000_000_000
+_SAME = 1e-5  # m or rad: encoders show a place again within this
+
+
+@dataclass(frozen=True)
+class Executed:
+    """What has been done of a command.
+
+    Attributes:
+        command: its stamp, ns.
+        began: when the motion began, ns.
+        reached: when each of the command's points was reached, ns, as far as they were.
+        places: position by axis where it began, and at those points; none before the first command.
+        epoch: changes where the axes did not come from where they stood: they were started anew, or moved otherwise.
+    """
+
+    command: int
+    began: int
+    reached: tuple[int, ...]
+    places: tuple[Mapping[str, float], ...]
+    epoch: str
+
+    def arrival(self, points: Sequence[Mapping[str, float]]) -> int | None:
+        """When the last of these positions was reached, ns; a dwell there counts as reached. None if it was not."""
+        needed = len(points)
+        while needed > 1 and points[needed - 2] == points[-1]:
+            needed -= 1
+        return self.reached[needed - 1] if len(self.reached) >= needed else None
+
+
+class Executions:
+    """Makes sense of one report after the other."""
+
+    def __init__(self) -> None:
+        self._epoch, self._command = 0, 0
+        self._place: Mapping[str, float] = {}
+
+    def take(self, message: JointTrajectory) -> Executed:
+        """The content of a message of `axes/executed`.
+
+        Raises:
+            CalibrationError: a point has not a position for each axis.
+        """
+        names, command = list(message.joint_names), from_message(message.header.stamp)
+        if any(len(point.positions) != len(names) for point in message.points):
+            raise CalibrationError(f"a point has not one position for each of {len(names)} axes")
+        places = tuple(dict(zip(names, map(float, point.positions), strict=True)) for point in message.points)
+        times = [
+            command + point.time_from_start.sec * _GIGA + point.time_from_start.nanosec for point in message.points
+        ]
+        if command != self._command:
+            start = places[0] if places else {}
+            is_elsewhere = any(abs(start.get(name, place) - place) > _SAME for name, place in self._place.items())
+            self._epoch += not places or is_elsewhere
+            self._command = command
+        self._place = places[-1] if places else {}
+        return Executed(command, times[0] if times else 0, tuple(times[1:]), places, str(self._epoch))
+
+
+def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
+    """The message of `axes/executed`.
+
+    Args:
+        command: stamp of the command, ns.
+        points: when, ns, and where the motion began, and each point of the command that has been reached.
+    """
+    names = list(points[0][1]) if points else []
+    message = JointTrajectory(joint_names=names)
+    for time, place in points:
+        sec, nanosec = divmod(time - command, _GIGA)
+        positions = [float(place[name]) for name in names]
+        duration = Duration(sec=sec, nanosec=nanosec)
+        message.points.append(JointTrajectoryPoint(positions=positions, time_from_start=duration))
+    return dated(message, command)
