@@ -25,6 +25,7 @@ from machine_tool_calibration.session.collect import Reading, live_session
 
 __all__ = ["Diagnosed", "Identified", "Improved", "Request", "compared", "diagnosed", "identified", "improved"]
 
+
 @dataclass(frozen=True)
 class Request:
     """What to calculate from.
