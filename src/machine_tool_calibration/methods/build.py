@@ -80,7 +80,7 @@ def error_map(fit: Fit) -> ErrorMap:
 
 
 def suspicious_fits(fits: Sequence[Fit], labels: Sequence[str] | None = None) -> list[str]:
-    """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated, or doubtful."""
+    """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated."""
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
     each = [
         (name, [*(one.words for one in _elsewhere(fit)), *doubtful(fit)]) for name, fit in zip(named, fits, strict=True)

@@ -16,12 +16,13 @@ def left_table(found: Exported) -> TextTable:
     for row in found.left:
         lengths = (row.rms_before, row.rms_left, row.largest_before, row.largest_left, 2 * row.uncertainty)
         rows.append((row.name, *map(micrometres, lengths)))
+    lacking = "" if found.complete else "; U is without instrument and temperature"
     return TextTable(
         "Position error over the measured points, µm, without shift and turn of the whole",
         ("direction", "RMS now", "RMS left", "largest now", "largest left", "U (k = 2), RMS"),
         tuple(rows),
         "left: what the tables leave of the errors that were identified, and what these are uncertain by (largest: at "
-        "most, with 95 %); U is without instrument and temperature. What the machine does not repeat comes on top",
+        f"most, with 95 %){lacking}. What the machine does not repeat comes on top",
     )
 
 

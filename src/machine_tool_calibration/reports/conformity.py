@@ -39,7 +39,7 @@ def decision_words(found: Conformity) -> str:
 
 def conformity_table(found: Conformity) -> TextTable:
     """The verdicts, one a row."""
-    rows = [_row(verdict) for verdict in found.verdicts]
+    rows = [_row(verdict) for verdict in found.each]
     rule = _RULES[found.rule].format(level=f"{100 * found.level:g} %")
     return TextTable(
         f"conformity: {rule}",
@@ -99,7 +99,7 @@ def conformity_document(found: Conformity) -> dict[str, Any]:
                 "decision": verdict.decision,
                 "why": verdict.why,
             }
-            for verdict in found.verdicts
+            for verdict in found.each
         ],
     }
     return dict(plain(document))

@@ -256,7 +256,7 @@ def _held_out(diagnosis: Diagnosis, name: str) -> str:
 def _outliers(diagnosis: Diagnosis) -> TextTable:
     rows = tuple(
         (str(o.row), f"{o.studentized:+.1f}", micrometres(o.deviation, signed=True))
-        for o in sorted(diagnosis.outliers, key=lambda o: o.row)
+        for o in sorted(diagnosis.gross_errors, key=lambda o: o.row)
     )
     return TextTable(
         "Readings that do not belong to the rest; they were set aside",

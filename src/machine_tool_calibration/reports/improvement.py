@@ -79,7 +79,8 @@ def _words(done: Improvement) -> str:
     if found.accepted:
         return f"Added {', '.join(found.accepted)}: {fell}{_what_grows(done)}"
     if found.verdict == "outliers":
-        return f"Set aside {len(found.outliers)} readings that do not belong to the rest: {fell} No effect is missing."
+        count = len(found.gross_errors)
+        return f"Set aside {count} readings that do not belong to the rest: {fell} No effect is missing."
     if found.verdict == "unexplained":
         return (
             "Nothing was added: the residuals have structure that no effect of the catalogue explains; "

@@ -30,7 +30,7 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
     heads = ("measure", "readings", "time", "besides", "U of the map, RMS", "of one coordinate at most")
     note = (
         "U (k = 2), if further readings scatter as those did; of a procedure by itself, if its readings scatter as "
-        "declared"
+        "declared, and without instrument and temperature"
     )
     return TextTable("What the next measurement would tell", heads, rows, note)
 

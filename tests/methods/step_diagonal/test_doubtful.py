@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Both readings of a place that nothing else checks are wrong by the same: the place is named, though nothing fits ill."""
+"""Both readings of a place that nothing else checks are wrong by the same: the place is named."""
 
 from __future__ import annotations
 
