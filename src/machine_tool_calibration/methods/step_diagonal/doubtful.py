@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.methods.step_diagonal.model import error_map
+from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.refits import changed, declared
 from machine_tool_calibration.residuals.leverage import prediction_jacobian
@@ -86,7 +86,7 @@ def doubtful_places(fit: Fit) -> Iterator[Doubtful]:
 
 
 def _content(joint: JointFit) -> Mapping[str, Any]:
-    return error_map(joint.fits[0].model, joint.fits[0]).content
+    return error_map(joint.fits[0]).content
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,11 @@ class _Changes:
                 halts.append(np.column_stack([places[known], places[known + 1]]))
         none = np.zeros(0)
         return _Changes(
-            *(np.concatenate([none, *values]) for values in (change, away, usual)),
-            tuple(axes),
-            np.concatenate([np.zeros((0, 2)), *halts]),
+            change=np.concatenate([none, *change]),
+            away=np.concatenate([none, *away]),
+            usual=np.concatenate([none, *usual]),
+            axis=tuple(axes),
+            halts=np.concatenate([np.zeros((0, 2)), *halts]),
         )
 
     @property
