@@ -154,7 +154,7 @@ def judge(world: World, outcome: Outcome) -> None:
 
 def judge_effects(world: World, outcome: Outcome, done: Improvement, accepted: Sequence[str]) -> None:
     """What is accepted, against what is hidden."""
-    diagnosis, chance = Diagnosis(done.diagnosis), Diagnosis(done.diagnosis).probability
+    diagnosis, chance = Diagnosis.of(done.diagnosis), Diagnosis.of(done.diagnosis).probability
     right = {name: {name, *world.also} for name in world.signals}
     if set(accepted).difference(*right.values()):
         for group in diagnosis.document()["alias_groups"]:

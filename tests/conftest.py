@@ -14,6 +14,8 @@ from hypothesis import settings
 
 from machine_tool_calibration.nodes.ros.domain import free_domain
 
+from .told import Verb
+
 # The same examples every time, and no limit of the wall clock; HYPOTHESIS_PROFILE=explore looks for many new ones.
 settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)
 settings.register_profile("explore", deadline=None, print_blob=True, max_examples=500)
@@ -120,6 +122,12 @@ class Many:
 def many(pytestconfig: pytest.Config) -> Many:
     """As many simulated measurements as the option --runs says."""
     return Many(pytestconfig.getoption("--runs"))
+
+
+@pytest.fixture
+def verb(capsys: pytest.CaptureFixture[str]) -> Verb:
+    """Runs a verb of `mtcal` in this process, and says what it printed."""
+    return Verb(capsys)
 
 
 @pytest.fixture(scope="session")

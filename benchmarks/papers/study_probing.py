@@ -312,7 +312,7 @@ def _second_case() -> tuple[list[Printed], PinPositions]:
     errors = replace(found, deviation=found.deviation - found.rows @ truth)
     of_raw = found.rows @ (raw - truth)
     xy = np.array([k for k, q in enumerate(found.quantities) if q.of[0].startswith("pin") and q.what in "xy"])
-    covariance = found.covariance[np.ix_(xy, xy)]
+    covariance = found.uncertainty_matrix[np.ix_(xy, xy)]
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(xy)), covariance, _DRAWS, method="eigh")
     most = float(np.quantile([_largest(draw) for draw in drawn], 0.95))
     length = {"position": _PIN_NODES[-1], "value": 0.0, "standard_uncertainty": 0.0}

@@ -28,8 +28,8 @@ U = 0.5e-6
 
 def one(found: Conformity) -> Verdict:
     """The only verdict."""
-    assert len(found.verdicts) == 1
-    return found.verdicts[0]
+    assert len(found.each) == 1
+    return found.each[0]
 
 
 def judged(fitted: FittedSessions, tolerances: dict[str, float], **said: Any) -> Conformity:
@@ -122,7 +122,7 @@ def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Calla
     fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4), **QUIET))
     budget = propagate(fitted, [contributor("length", "never", degrees_of_freedom=2.0)])
     found = conformity(fitted, {"EXX": 9.6e-6, "A_X": 1e-6}, budget=budget)
-    assert found.verdicts[0].probability == pytest.approx(stats.t.cdf(2.0, 2.0), abs=0.02)
+    assert found.each[0].probability == pytest.approx(stats.t.cdf(2.0, 2.0), abs=0.02)
     assert stats.norm.cdf(2.0) - stats.t.cdf(2.0, 2.0) > 0.05
 
 
@@ -130,8 +130,8 @@ def test_nothing_is_decided_without_a_budget(fitted: FittedSessions) -> None:
     """What the readings show lacks instrument and temperature: neither a tolerance of a metre passes, nor any fails."""
     for rule in RULES:
         found = conformity(fitted, {"EXX": 1.0, "A_X": 1e-12}, rule=rule)
-        assert {verdict.decision for verdict in found.verdicts} <= {"undecided", "not determined"}
-        assert found.verdicts[0].why == INCOMPLETE and np.isnan(found.verdicts[0].probability)
+        assert {verdict.decision for verdict in found.each} <= {"undecided", "not determined"}
+        assert found.each[0].why == INCOMPLETE and np.isnan(found.each[0].probability)
         assert found.decision != "pass"
 
 
@@ -147,10 +147,10 @@ def test_what_the_readings_show_is_not_undercut(
 
 def test_not_determined_never_passes(fitted: FittedSessions) -> None:
     found = judged(fitted, {"EXX": 1.0, "C0Y": 1.0, "EAX": 1.0, "A": 1.0}, rule="simple")
-    assert [verdict.decision for verdict in found.verdicts][1:3] == ["not determined", "not determined"]
-    assert found.verdicts[0].decision == "pass"
+    assert [verdict.decision for verdict in found.each][1:3] == ["not determined", "not determined"]
+    assert found.each[0].decision == "pass"
     assert found.decision == "not determined"
-    assert all(verdict.why and np.isnan(verdict.probability) for verdict in found.verdicts[1:3])
+    assert all(verdict.why and np.isnan(verdict.probability) for verdict in found.each[1:3])
 
 
 def test_a_lost_target_leaves_the_volumetric_error_open() -> None:
@@ -176,9 +176,9 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     m, u = run["M"], run["M_U"] / 2.0
     budget = propagate(fitted, [contributor("length", "never", 1e-15)])
     found = conformity(fitted, {"M": m + u, "M_X": m - u, "B_mean_X": 1e-6, "A_Y": 1e-6}, budget=budget)
-    assert [verdict.name for verdict in found.verdicts] == ["M_X", "M_X", "B_mean_X", "A_Y"]
-    assert [v.probability for v in found.verdicts[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
-    assert [v.decision for v in found.verdicts] == ["undecided", "undecided", "pass", "not determined"]
+    assert [verdict.name for verdict in found.each] == ["M_X", "M_X", "B_mean_X", "A_Y"]
+    assert [v.probability for v in found.each[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
+    assert [v.decision for v in found.each] == ["undecided", "undecided", "pass", "not determined"]
 
 
 @pytest.mark.parametrize(

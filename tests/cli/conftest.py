@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from machine_tool_calibration.diagnosis import diagnose, improve
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.planning import what_to_measure
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -51,7 +50,8 @@ def _once(search: Callable[..., Any]) -> Callable[..., Any]:
     def found(subject: Any, *more: Any, progress: Callable[[str, float], None], **options: Any) -> Any:
         if isinstance(subject, FitRequest) and subject.own:
             return search(subject, *more, progress=progress, **options)
-        key = (search, _same(subject), repr(more), repr(sorted(options.items())))
+        told = sorted((name, value) for name, value in options.items() if not callable(value))
+        key = (search, _same(subject), repr(more), repr(told))
         if key not in _FOUND:
             _FOUND[key] = (search(subject, *more, progress=progress, **options), subject)
         return _FOUND[key][0]
@@ -74,16 +74,24 @@ def _same(subject: Any) -> object:
 def found_once() -> Iterator[None]:
     """Diagnoses and improvements of sessions that several tests of the commands look at are calculated once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(diagnose, "diagnose", _once(diagnose.diagnose))
-        patch.setattr(improve, "improve", _once(improve.improve))
-        patch.setattr(what_to_measure, "conclude", _once(what_to_measure.conclude))
+        for search in ("look_for_effects", "improve_models", "conclude_from"):
+            patch.setattr(complete, search, _once(getattr(complete, search)))
         yield
 
 
 @pytest.fixture(scope="session")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With backlash that is hidden in it; to be copied, not changed."""
-    folder = tmp_path_factory.mktemp("improve") / "cube"
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
+    return _with_backlash(tmp_path_factory.mktemp("improve") / "cube", 77, 1.5e-6)
+
+
+@pytest.fixture(scope="session")
+def backlash(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With more backlash of Y; to be copied, not changed."""
+    return _with_backlash(tmp_path_factory.mktemp("backlash") / "plane", 4, 2e-6)
+
+
+def _with_backlash(folder: Path, seed: int, size: float) -> Path:
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed, effects=(FlawSpec(id="backlash_y", size=size),))
     write_session(simulate(spec).session, folder)
     return folder

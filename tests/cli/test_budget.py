@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+from ..told import Verb
 
 DATA = Path(__file__).parents[1] / "data"
 TRACKING = str(DATA / "tracking_2d")
@@ -43,20 +43,16 @@ def mine(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_a_template_can_be_used(tmp_path: Path, line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["budget", "--template", "laser_interferometer"]) == 0
-    text = capsys.readouterr().out
+def test_a_template_can_be_used(tmp_path: Path, line: str, verb: Verb) -> None:
+    text = verb("budget", "--template", "laser_interferometer").out
     path = tmp_path / "template.yaml"
     path.write_text(text, encoding="utf-8")
-    assert run(["budget", line, "--budget", str(path), "--json"]) == 0
-    own = json.loads(capsys.readouterr().out)
-    assert run(["budget", line, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == own
+    own = verb("budget", line, "--budget", path, "--json").document
+    assert verb("budget", line, "--json").document == own
 
 
-def test_the_document_adds_up(line: str, mine: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["budget", line, "--budget", mine, "--quantity", "EXX", "--draws", "100", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_the_document_adds_up(line: str, mine: str, verb: Verb) -> None:
+    document = verb("budget", line, "--budget", mine, "--quantity", "EXX", "--draws", "100", "--json").document
     assert document["format"] == "mtcal-budget-result/1"
     assert [c["name"] for c in document["contributors"]] == ["touch", "scale", "repeatability of the runs"]
     (exx,) = document["quantities"]
@@ -73,52 +69,46 @@ def test_the_document_adds_up(line: str, mine: str, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize("width", [60, 100])
-def test_tables_fit_the_screen(
-    width: int, line: str, mine: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tables_fit_the_screen(width: int, line: str, mine: str, verb: Verb, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
-    assert run(["budget", line, "--budget", mine]) == 0
-    out = capsys.readouterr().out
+    out = verb("budget", line, "--budget", mine).out
     assert max(len(row) for row in out.splitlines()) <= width
     for text in ("u_2 scale", "combined standard", "effective degrees of", "A_X", "repeatability", "rectangular"):
         assert text in out
     assert "nan" not in out
 
 
-def test_the_picture_is_written(line: str, mine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["budget", line, "--budget", mine, "--plot", str(tmp_path / "who.png")]) == 0
+def test_the_picture_is_written(line: str, mine: str, tmp_path: Path, verb: Verb) -> None:
+    told = verb("budget", line, "--budget", mine, "--plot", tmp_path / "who.png")
+    assert str(tmp_path / "who.png") in told.err.replace("\n", "")
     assert (tmp_path / "who.png").read_bytes().startswith(b"\x89PNG")
-    assert run(["budget", line, "--budget", mine, "--plot", str(tmp_path / "new")]) == 0
+    verb("budget", line, "--budget", mine, "--plot", tmp_path / "new")
     assert (tmp_path / "new" / "budget.png").stat().st_size > 10_000
-    assert str(tmp_path / "who.png") in capsys.readouterr().err.replace("\n", "")
 
 
-def test_the_instrument_says_which_budget(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_instrument_says_which_budget(verb: Verb) -> None:
     """With the paper's own symbols, and a note where random draws took the place of steps."""
-    assert run(["budget", TRACKING]) == 0
-    out = capsys.readouterr().out
+    out = verb("budget", TRACKING).out
     assert "u_21 radial error motion along the beam" in out
     assert "what they contribute" in out
 
 
-def test_conformity_in_words_and_for_programs(line: str, mine: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_conformity_in_words_and_for_programs(line: str, mine: str, verb: Verb) -> None:
     asked = ["conformity", line, "--tolerance", "EXX=20um", "--tolerance", "C0Y=20urad", "--tolerance", "A_X=1um"]
-    assert run(asked) == 0
-    out = capsys.readouterr().out
+    out = verb(*asked).out
     assert "All together: fail." in out
     assert "not determined" in out
-    assert run([*asked, "--json", "--rule", "shared-risk", "--budget", mine]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = verb(*asked, "--json", "--rule", "shared-risk", "--budget", mine).document
     assert (document["rule"], document["uncertainty"]) == ("simple", "budget")
     assert [f["decision"] for f in document["figures"]] == ["pass", "not determined", "fail"]
     assert document["figures"][1]["probability"] is None
 
 
-def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, verb: Verb) -> None:
     path = tmp_path / "t.yaml"
     path.write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 20 um, M: 20 um}\n", encoding="utf-8")
-    assert run(["conformity", line, "--tolerances", str(path), "--tolerance", "EXX=1um", "--json"]) == 0
-    figures = {f["name"]: f for f in json.loads(capsys.readouterr().out)["figures"]}
+    document = verb("conformity", line, "--tolerances", path, "--tolerance", "EXX=1um", "--json").document
+    figures = {f["name"]: f for f in document["figures"]}
     assert figures["EXX"]["tolerance"] == pytest.approx(1e-6)
     assert (figures["EXX"]["decision"], figures["M_X"]["decision"]) == ("fail", "pass")
 
@@ -138,8 +128,7 @@ def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, capsys:
         (["conformity", TRACKING, "--tolerance", "EXX=1um", "--rule", "strict"], 2, "'strict' is not one of"),
     ],
 )
-def test_what_is_wrong_is_said(words: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(words) == status
-    err = capsys.readouterr().err
+def test_what_is_wrong_is_said(words: list[str], status: int, message: str, verb: Verb) -> None:
+    err = verb(*words, status=status).err
     assert message in err
     assert "Traceback" not in err

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -12,6 +11,8 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.cli.main import run
+
+from ..told import Verb
 
 DATA = Path(__file__).parents[1] / "data"
 SESSION = str(DATA / "tracking_2d")
@@ -26,27 +27,24 @@ effects:
 
 
 @pytest.mark.parametrize("method", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
-def test_the_first_sentence_says_whether_the_model_fits(method: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["compare", str(DATA / method)]) == 0
-    out = capsys.readouterr().out
+def test_the_first_sentence_says_whether_the_model_fits(method: str, verb: Verb) -> None:
+    out = verb("compare", DATA / method).out
     assert re.match(r"The model fits the readings (nearly )?within their declared uncertainty", out)
     for title in ("Setups, worst first", "Straight lines over time", "Single readings, worst first"):
         assert title in out
     assert "nan" not in out
 
 
-def test_json_is_one_document(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["compare", SESSION, "--json", "--effect", "linear_drift"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_json_is_one_document(verb: Verb) -> None:
+    document = verb("compare", SESSION, "--json", "--effect", "linear_drift").document
     assert document["format"] == "mtcal-comparison/1"
     assert document["effects"] == ["linear_drift"]
     assert {share["name"] for share in document["setups"]} == {"A", "B", "C", "D"}
 
 
 @pytest.mark.parametrize("method", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
-def test_pictures_and_readings_are_written(method: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["compare", str(DATA / method), "--output", str(tmp_path / "new"), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_pictures_and_readings_are_written(method: str, tmp_path: Path, verb: Verb) -> None:
+    document = verb("compare", DATA / method, "--output", tmp_path / "new", "--json").document
     for name in PICTURES:
         assert (tmp_path / "new" / name).read_bytes().startswith(b"\x89PNG")
     table = pd.read_csv(tmp_path / "new" / "comparison.csv", comment="#")
@@ -60,11 +58,10 @@ def test_residuals_are_drawn_against_the_columns_asked_for(tmp_path: Path) -> No
     assert (tmp_path / "residuals.png").is_file()
 
 
-def test_an_effect_of_the_users_own_is_in_the_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_effect_of_the_users_own_is_in_the_model(tmp_path: Path, verb: Verb) -> None:
     file = tmp_path / "own.yaml"
     file.write_text(OWN)
-    assert run(["compare", SESSION, "--effects-file", str(file), "--effect", "creep"]) == 0
-    assert "In the model: creep." in capsys.readouterr().out
+    assert "In the model: creep." in verb("compare", SESSION, "--effects-file", file, "--effect", "creep").out
 
 
 @pytest.mark.parametrize(
@@ -75,8 +72,5 @@ def test_an_effect_of_the_users_own_is_in_the_model(tmp_path: Path, capsys: pyte
         (["--model", "nonsense"], "no model 'nonsense'"),
     ],
 )
-def test_a_wrong_request_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["compare", SESSION, *words]) == 1
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert message in captured.err and captured.err.count("\n") == 1
+def test_a_wrong_request_is_one_line(words: list[str], message: str, verb: Verb) -> None:
+    assert message in verb.refused("compare", SESSION, *words)

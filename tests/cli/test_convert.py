@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import read_session
+
+from ..told import Verb
 
 DATA = Path(__file__).parents[1] / "data" / "foreign"
 PLATE = [
@@ -25,72 +25,63 @@ PLATE = [
 RUNS = ["--table", "iso230-2", "--axis", "x", "--chain", "w-X-b-t", "--uncertainty", "0.3um"]
 
 
-def ask(capsys: pytest.CaptureFixture[str], *words: object, status: int = 0) -> tuple[str, str]:
-    assert run([str(word) for word in words]) == status
-    captured = capsys.readouterr()
-    return captured.out, captured.err
-
-
-def test_a_plate_end_to_end(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_plate_end_to_end(verb: Verb, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    out, err = ask(capsys, "convert", DATA / "plate_cmm.csv", folder, *PLATE)
-    assert out == f"{folder}: 126 readings\n"
-    assert err == "2 of 126 readings are empty cells: kept as missing\n"
+    told = verb("convert", DATA / "plate_cmm.csv", folder, *PLATE)
+    assert told.out == f"{folder}: 126 readings\n"
+    assert told.err == "2 of 126 readings are empty cells: kept as missing\n"
     assert read_session(folder).instrument == "cmm"
-    out, _ = ask(capsys, "info", folder)
+    out = verb("info", folder).out
     assert "126 readings, 2 missing, 63 targets" in out and "plate_cmm" in out
-    out, _ = ask(capsys, "identify", folder, "--json")
-    document = json.loads(out)
+    document = verb("identify", folder, "--json").document
     assert document["method"] == "direct" and document["used"] == 124
     assert set(document["error_map"]["tables"]) == {"EXX", "EYY", "EYX", "C0Y"}
-    out, _ = ask(capsys, "diagnose", folder)
+    out = verb("diagnose", folder).out
     assert "Nothing is missing that this measurement could show" in out
 
 
-def test_a_look_before_anything_is_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_look_before_anything_is_written(verb: Verb, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    out, err = ask(capsys, "convert", DATA / "plate_cmm.csv", folder, *PLATE, "--dry-run")
-    assert "63 rows, 126 readings" in out and "X mess" in out
-    assert "first readings, in SI units" in out and "-5.58e-05" in out
-    assert "terms: [EXX, EYY, EYX, C0Y]" in out and "readings are empty cells" in err
+    told = verb("convert", DATA / "plate_cmm.csv", folder, *PLATE, "--dry-run")
+    assert "63 rows, 126 readings" in told.out and "X mess" in told.out
+    assert "first readings, in SI units" in told.out and "-5.58e-05" in told.out
+    assert "terms: [EXX, EYY, EYX, C0Y]" in told.out and "readings are empty cells" in told.err
     assert not folder.exists()
-    out, _ = ask(capsys, "convert", DATA / "plate_cmm.csv", *PLATE, "--dry-run", "--json")
-    document = json.loads(out)
+    document = verb("convert", DATA / "plate_cmm.csv", *PLATE, "--dry-run", "--json").document
     assert document["to"] is None and document["readings"] == 126
     assert document["columns"]["actual_x"] == {"column": "X mess", "unit": "mm"}
     assert document["first"][0]["displacement"] == pytest.approx(3.5e-5)
 
 
-def test_options_stand_over_the_mapping_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_options_stand_over_the_mapping_file(verb: Verb, tmp_path: Path) -> None:
     source, mapping = DATA / "tracker_points.txt", DATA / "tracker_points.yaml"
-    ask(capsys, "convert", source, tmp_path / "a", "--mapping", mapping)
+    verb("convert", source, tmp_path / "a", "--mapping", mapping)
     assert read_session(tmp_path / "a").sigma == 3e-6
-    ask(capsys, "convert", source, tmp_path / "b", "--mapping", mapping, "--uncertainty", "5um", "--term", "EXX")
+    verb("convert", source, tmp_path / "b", "--mapping", mapping, "--uncertainty", "5um", "--term", "EXX")
     session = read_session(tmp_path / "b")
     assert session.sigma == 5e-6 and session.description.terms == ("EXX",)
-    _, err = ask(capsys, "convert", source, tmp_path / "c", "--mapping", mapping, "--column", "x=Nix", status=1)
+    err = verb.refused("convert", source, tmp_path / "c", "--mapping", mapping, "--column", "x=Nix")
     assert err.startswith(f"mtcal: {source}: there is no column 'Nix' (x); it has 'Station', ")
-    assert err.count("\n") == 1 and not (tmp_path / "c").exists()
+    assert not (tmp_path / "c").exists()
 
 
-def test_readings_by_iso_230_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_readings_by_iso_230_2(verb: Verb, tmp_path: Path) -> None:
     wide = ["--column", "position=Position [mm]", "--unit", "deviation=um"]
-    ask(capsys, "convert", DATA / "iso230_wide.csv", tmp_path / "all", *RUNS, *wide)
-    out, _ = ask(capsys, "identify", tmp_path / "all", "--json")
-    (figures,) = json.loads(out)["error_map"]["iso230_2"]
+    verb("convert", DATA / "iso230_wide.csv", tmp_path / "all", *RUNS, *wide)
+    (figures,) = verb("identify", tmp_path / "all", "--json").document["error_map"]["iso230_2"]
     assert figures["count_up"] == figures["count_down"] == [5] * 11
     assert figures["B"] == pytest.approx(3.312e-6, abs=1e-12)
     named = ["--up", "1 up", "--down", "1 down", "--up", "2 up", "--down", "2 down"]
-    ask(capsys, "convert", DATA / "iso230_wide.csv", tmp_path / "some", *RUNS, *wide, *named)
+    verb("convert", DATA / "iso230_wide.csv", tmp_path / "some", *RUNS, *wide, *named)
     one, some = read_session(tmp_path / "all").readings, read_session(tmp_path / "some").readings
     assert some.displacement.tobytes() == one.displacement[:44].tobytes()
 
 
-def test_a_table_becomes_a_recording_or_a_table(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_table_becomes_a_recording_or_a_table(verb: Verb, tmp_path: Path) -> None:
     wide = [*RUNS, "--column", "position=Position [mm]", "--unit", "deviation=um"]
     for target, more in (("session", []), ("bag", ["--to", "bag"]), ("table.csv", []), ("table.parquet", [])):
-        ask(capsys, "convert", DATA / "iso230_wide.csv", tmp_path / target, *wide, *more)
-    ask(capsys, "convert", tmp_path / "bag", tmp_path / "back")
+        verb("convert", DATA / "iso230_wide.csv", tmp_path / target, *wide, *more)
+    verb("convert", tmp_path / "bag", tmp_path / "back")
     expected = read_session(tmp_path / "session").readings.displacement
     assert read_session(tmp_path / "back").readings.displacement.tobytes() == expected.tobytes()
     assert np.array_equal(pd.read_csv(tmp_path / "table.csv")["displacement"], expected)
@@ -108,24 +99,21 @@ def test_a_table_becomes_a_recording_or_a_table(capsys: pytest.CaptureFixture[st
         (["--mapping", "none.yaml"], 1, "none.yaml: no such file"),
     ],
 )
-def test_wrong_requests(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], status: int, said: str
-) -> None:
+def test_wrong_requests(verb: Verb, tmp_path: Path, words: list[str], status: int, said: str) -> None:
     source = tmp_path / "t.csv"
     source.write_text("a,b\n1,2\n")
-    _, err = ask(capsys, "convert", source, tmp_path / "out", *words, status=status)
-    assert said in err
+    assert said in verb("convert", source, tmp_path / "out", *words, status=status).err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_target_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
-    _, err = ask(capsys, "convert", DATA / "plate_cmm.csv", *PLATE, status=2)
+def test_a_target_is_needed(verb: Verb) -> None:
+    err = verb("convert", DATA / "plate_cmm.csv", *PLATE, status=2).err
     assert "Missing argument 'TARGET'" in err
-    _, err = ask(capsys, "convert", DATA.parent / "tracking_2d", "--dry-run", status=2)
+    err = verb("convert", DATA.parent / "tracking_2d", "--dry-run", status=2).err
     assert "--dry-run is for tables of other programs" in err
 
 
-def test_its_options_for_foreign_tables_stand_apart_in_its_help(capsys: pytest.CaptureFixture[str]) -> None:
-    out, _ = ask(capsys, "convert", "--help")
+def test_its_options_for_foreign_tables_stand_apart_in_its_help(verb: Verb) -> None:
+    out = verb("convert", "--help").out
     own, foreign = (out.index(title) for title in ("\nOptions:", "\nTables of other programs:"))
     assert own < out.index("\n  --topic") < foreign < out.index("\n  --mapping")

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import read_session, readings_frame, write_session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+from ..told import Verb
 
 RUNS = ["--table", "iso230-2", "--axis", "x", "--chain", "w-X-b-t", "--uncertainty", "0.3um"]
 POINTS = [
@@ -28,108 +28,93 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def ask(capsys: pytest.CaptureFixture[str], *words: object, status: int = 0) -> tuple[str, str]:
-    assert run([str(word) for word in words]) == status
-    captured = capsys.readouterr()
-    return captured.out, captured.err
-
-
 def same(first: Path, second: Path) -> bool:
     one, other = read_session(first), read_session(second)
     return one.description == other.description and readings_frame(one).equals(readings_frame(other))
 
 
 @pytest.mark.parametrize("name", ["readings.csv", "readings.parquet"])
-def test_a_table_of_readings_comes_back(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, measured: Path, name: str
-) -> None:
-    ask(capsys, "convert", measured, tmp_path / name)
-    ask(capsys, "convert", tmp_path / name, tmp_path / "s", "--description", measured / "session.yaml")
+def test_a_table_of_readings_comes_back(verb: Verb, tmp_path: Path, measured: Path, name: str) -> None:
+    verb("convert", measured, tmp_path / name)
+    verb("convert", tmp_path / name, tmp_path / "s", "--description", measured / "session.yaml")
     assert same(measured, tmp_path / "s")
-    _, err = ask(capsys, "convert", tmp_path / name, tmp_path / "t", status=1)
-    assert "--description session.yaml" in err
+    assert "--description session.yaml" in verb.refused("convert", tmp_path / name, tmp_path / "t")
 
 
-def test_the_table_of_a_topic_comes_back(capsys: pytest.CaptureFixture[str], tmp_path: Path, measured: Path) -> None:
-    ask(capsys, "convert", measured, tmp_path / "bag")
-    ask(capsys, "convert", tmp_path / "bag", tmp_path / "tables", "--to", "csv")
+def test_the_table_of_a_topic_comes_back(verb: Verb, tmp_path: Path, measured: Path) -> None:
+    verb("convert", measured, tmp_path / "bag")
+    verb("convert", tmp_path / "bag", tmp_path / "tables", "--to", "csv")
     described = ["--description", measured / "session.yaml"]
-    ask(capsys, "convert", tmp_path / "tables" / "reading.csv", tmp_path / "s", *described)
+    verb("convert", tmp_path / "tables" / "reading.csv", tmp_path / "s", *described)
     assert same(measured, tmp_path / "s")
 
 
-def test_a_session_that_a_spreadsheet_saved(capsys: pytest.CaptureFixture[str], tmp_path: Path, measured: Path) -> None:
+def test_a_session_that_a_spreadsheet_saved(verb: Verb, tmp_path: Path, measured: Path) -> None:
     folder = tmp_path / "saved"
     folder.mkdir()
     (folder / "session.yaml").write_bytes((measured / "session.yaml").read_bytes())
     text = (measured / "observations.csv").read_text(encoding="utf-8")
     (folder / "observations.csv").write_text(text.replace(",", ";").replace(".", ","), encoding="utf-8")
-    _, err = ask(capsys, "identify", folder, status=1)
-    assert "separated by semicolons" in err and "--separator semicolon" in err
-    ask(capsys, "convert", folder, tmp_path / "s", "--separator", "semicolon", "--decimal", "comma")
+    said = verb.refused("identify", folder)
+    assert "separated by semicolons" in said and "--separator semicolon" in said
+    verb("convert", folder, tmp_path / "s", "--separator", "semicolon", "--decimal", "comma")
     assert same(measured, tmp_path / "s")
 
 
 @pytest.mark.parametrize("name", ["foo.xlsx", "foo.txt"])
-def test_an_unknown_ending(capsys: pytest.CaptureFixture[str], tmp_path: Path, measured: Path, name: str) -> None:
-    _, err = ask(capsys, "convert", measured, tmp_path / name, status=1)
-    assert f"nothing is written to {Path(name).suffix}" in err
+def test_an_unknown_ending(verb: Verb, tmp_path: Path, measured: Path, name: str) -> None:
+    assert f"nothing is written to {Path(name).suffix}" in verb.refused("convert", measured, tmp_path / name)
     assert not (tmp_path / name).exists()
-    ask(capsys, "convert", measured, tmp_path / name, "--to", "bag")
-    ask(capsys, "convert", measured, tmp_path / "2024-05-03.1")
+    verb("convert", measured, tmp_path / name, "--to", "bag")
+    verb("convert", measured, tmp_path / "2024-05-03.1")
 
 
-def test_several_tables_become_one_session(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_several_tables_become_one_session(verb: Verb, tmp_path: Path) -> None:
     for name, error in (("first", 1.0), ("second", 2.0)):
         (tmp_path / f"{name}.csv").write_text(TABLE.replace("0,0.001", f"0,{error}e-3"))
-    ask(capsys, "convert", tmp_path / "first.csv", tmp_path / "second.csv", tmp_path / "s", *POINTS)
+    verb("convert", tmp_path / "first.csv", tmp_path / "second.csv", tmp_path / "s", *POINTS)
     session = read_session(tmp_path / "s")
     assert session.setup_ids == ("first", "second") and len(session.readings) == 8
     np.testing.assert_allclose(session.readings.displacement[[0, 4]], [1e-6, 2e-6])
-    _, err = ask(
-        capsys, "convert", tmp_path / "first.csv", tmp_path / "second.csv", tmp_path / "t", *POINTS, "--setup", "a",
-        status=1,
-    )  # fmt: skip
-    assert "each of 2 tables is a setup of its own" in err
+    tables = tmp_path / "first.csv", tmp_path / "second.csv"
+    said = verb.refused("convert", *tables, tmp_path / "t", *POINTS, "--setup", "a")
+    assert "each of 2 tables is a setup of its own" in said
 
 
-def test_time_stamps(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_time_stamps(verb: Verb, tmp_path: Path) -> None:
     rows = ["0,0.001,3.5.2024 10:15:00", "100,100.002,3.5.2024 10:15:30.5", "200,200.001,3.5.2024 10:16:00"]
     later = ["0,0.001,2024-05-03T10:17:00", "100,100.002,2024-05-03T10:17:30", "200,200.001,2024-05-03T10:18:00"]
     american = ["0,0.001,05/03/2024 10:19:00", "100,100.002,05/03/2024 10:20:00"]
     for name, lines in (("one", rows), ("two", later), ("three", american)):
         (tmp_path / f"{name}.csv").write_text("\n".join(["X,M,t", *lines, ""]))
     words = [*POINTS, "--column", "time=t"]
-    ask(capsys, "convert", tmp_path / "two.csv", tmp_path / "one.csv", tmp_path / "s", *words)
+    verb("convert", tmp_path / "two.csv", tmp_path / "one.csv", tmp_path / "s", *words)
     session = read_session(tmp_path / "s")
     np.testing.assert_allclose(session.readings.columns["time"], [0, 30.5, 60, 120, 150, 180])
     assert session.readings.setup.tolist() == [1, 1, 1, 0, 0, 0]
-    _, err = ask(capsys, "convert", tmp_path / "three.csv", tmp_path / "t", *words, status=1)
-    assert "line 2" in err and "--time-format" in err
-    ask(capsys, "convert", tmp_path / "three.csv", tmp_path / "t", *words, "--time-format", "%m/%d/%Y %H:%M:%S")
+    said = verb.refused("convert", tmp_path / "three.csv", tmp_path / "t", *words)
+    assert "line 2" in said and "--time-format" in said
+    verb("convert", tmp_path / "three.csv", tmp_path / "t", *words, "--time-format", "%m/%d/%Y %H:%M:%S")
     np.testing.assert_allclose(read_session(tmp_path / "t").readings.columns["time"], [0, 60])
 
 
-def test_a_wide_table_of_actual_positions(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_wide_table_of_actual_positions(verb: Verb, tmp_path: Path) -> None:
     table = tmp_path / "axis.csv"
     table.write_text("Position,1 up,1 down\n0,0.001,0.002\n100,100.001,100.003\n200,199.999,200.004\n")
     words = [*RUNS, "--column", "position=Position", "--unit", "mm"]
-    _, err = ask(capsys, "convert", table, tmp_path / "s", *words, status=1)
-    assert "is their unit right?" in err
-    ask(capsys, "convert", table, tmp_path / "s", *words, "--actual")
+    assert "is their unit right?" in verb.refused("convert", table, tmp_path / "s", *words)
+    verb("convert", table, tmp_path / "s", *words, "--actual")
     np.testing.assert_allclose(read_session(tmp_path / "s").readings.displacement * 1e6, [1, 1, -1, 4, 3, 2], atol=1e-6)
 
 
-def test_what_looks_like_another_unit_can_be_trusted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_what_looks_like_another_unit_can_be_trusted(verb: Verb, tmp_path: Path) -> None:
     table = tmp_path / "axis.csv"
     table.write_text("X,M\n" + "".join(f"{x},{1.02 * x + 0.5 * (x % 3)}\n" for x in range(0, 400, 10)))
     words = ["convert", table, tmp_path / "s", *POINTS, "--term", "EXX"]
-    _, err = ask(capsys, *words, status=1)
-    assert "--trust-units" in err
-    ask(capsys, *words, "--trust-units")
+    assert "--trust-units" in verb.refused(*words)
+    verb(*words, "--trust-units")
     assert read_session(tmp_path / "s").description.trust_units
-    out, _ = ask(capsys, "identify", tmp_path / "s", "--json")
-    errors = np.array(json.loads(out)["error_map"]["position_error"], dtype=float)
+    errors = np.array(verb("identify", tmp_path / "s", "--json").document["error_map"]["position_error"], dtype=float)
     assert np.nanmax(np.abs(errors)) > 1e-3
 
 
@@ -143,21 +128,19 @@ def test_what_looks_like_another_unit_can_be_trusted(capsys: pytest.CaptureFixtu
     ],
 )
 def test_a_row_that_is_left_out_is_said(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, more: list[str], line: int | None
+    verb: Verb, tmp_path: Path, text: str, more: list[str], line: int | None
 ) -> None:
     (tmp_path / "plate.csv").write_text(text)
-    _, err = ask(capsys, "convert", tmp_path / "plate.csv", tmp_path / "s", *POINTS, *more)
+    err = verb("convert", tmp_path / "plate.csv", tmp_path / "s", *POINTS, *more).err
     assert (f"line {line} is left out" in err) is (line is not None)
 
 
-def test_any_source_is_taken_as_it_is_where_that_is_asked_for(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, measured: Path
-) -> None:
-    ask(capsys, "convert", measured, tmp_path / "r.csv")
-    ask(capsys, "convert", measured, tmp_path / "bag")
+def test_any_source_is_taken_as_it_is_where_that_is_asked_for(verb: Verb, tmp_path: Path, measured: Path) -> None:
+    verb("convert", measured, tmp_path / "r.csv")
+    verb("convert", measured, tmp_path / "bag")
     for number, source in enumerate((measured, tmp_path / "bag", tmp_path / "r.csv")):
         described = ["--description", measured / "session.yaml"] if source.suffix else []
         target = tmp_path / f"s{number}"
-        ask(capsys, "convert", source, target, "--to", "session", "--trust-units", *described)
+        verb("convert", source, target, "--to", "session", "--trust-units", *described)
         assert read_session(target).description.trust_units
         assert readings_frame(read_session(target)).equals(readings_frame(read_session(measured)))

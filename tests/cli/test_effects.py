@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.planning.injected import inject, where_it_shows
 from machine_tool_calibration.reports.effect_page import effects_table
+
+from ..told import Verb
 
 DOCS = Path(__file__).parents[2] / "docs" / "effects"
 OWN = """
@@ -26,17 +26,15 @@ effects:
 """
 
 
-def test_the_catalogue_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["effects"]) == 0
-    out = capsys.readouterr().out
+def test_the_catalogue_is_listed(verb: Verb) -> None:
+    out = verb("effects").out
     for name in catalogue():
         assert name in out.split()
     assert f"{len(catalogue())} effects" in out
 
 
-def test_json_holds_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["effects", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_json_holds_every_effect(verb: Verb) -> None:
+    document = verb("effects", "--json").document
     assert document["format"] == "mtcal-effects/1"
     by_id = {entry["id"]: entry for entry in document["effects"]}
     assert list(by_id) == list(catalogue())
@@ -47,9 +45,8 @@ def test_json_holds_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
     assert by_id["warmup_y"]["nonlinear"][0]["name"] == "tau"
 
 
-def test_one_effect_in_full_says_what_each_method_leaves(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["effects", "mirror_misalignment", "backlash_y"]) == 0
-    out = capsys.readouterr().out
+def test_one_effect_in_full_says_what_each_method_leaves(verb: Verb) -> None:
+    out = verb("effects", "mirror_misalignment", "backlash_y").out
     first, second = out.split("backlash_y: backlash of Y")
     row = next(line for line in first.splitlines() if line.startswith("step_diagonal "))
     assert row.split()[1] == "0%" and "tilt of the mirror" in row
@@ -69,18 +66,17 @@ def test_effects_that_differ_by_the_axis_share_a_line() -> None:
     assert formulas["backlash_x"] == catalogue()["backlash_x"].formula
 
 
-def test_an_unknown_effect_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["effects", "backlash_q"]) == 1
-    captured = capsys.readouterr()
+def test_an_unknown_effect_is_one_line(verb: Verb) -> None:
+    captured = verb("effects", "backlash_q", status=1)
     assert captured.out == ""
     assert "unknown effect 'backlash_q'" in captured.err and captured.err.count("\n") == 1
 
 
-def test_effects_of_the_users_own_are_listed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_of_the_users_own_are_listed_and_drawn(tmp_path: Path, verb: Verb) -> None:
     file = tmp_path / "own.yaml"
     file.write_text(OWN)
-    assert run(["effects", "--effects-file", str(file), "sag", "--gallery", str(tmp_path / "g"), "--json"]) == 0
-    assert [entry["id"] for entry in json.loads(capsys.readouterr().out)["effects"]] == ["sag"]
+    document = verb("effects", "--effects-file", file, "sag", "--gallery", tmp_path / "g", "--json").document
+    assert [entry["id"] for entry in document["effects"]] == ["sag"]
     assert (tmp_path / "g" / "sag.png").read_bytes().startswith(b"\x89PNG")
     assert "![residuals of sag](sag.png)" in (tmp_path / "g" / "README.md").read_text()
 

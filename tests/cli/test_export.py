@@ -4,32 +4,28 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
-
 from ..again import measured_again
+from ..told import Verb
 
 SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
 
 
-def test_json_names_files_and_preview(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_names_files_and_preview(tmp_path: Path, verb: Verb) -> None:
     folder = tmp_path / "new" / "tables"
-    assert run(["export", str(SESSION), "--format", "isg", "-o", str(folder), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = verb("export", SESSION, "--format", "isg", "-o", folder, "--json").document
     assert document["files"] == ["compensation.csv"] and (folder / "compensation.csv").is_file()
     assert document["model"] == "rigid_body" and "EXX" in document["tables"] and document["worse"] is False
     length = document["preview"][-1]
     assert length["name"] == "length" and length["rms_after"] < 0.01 * length["rms_before"]
 
 
-def test_people_see_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["export", str(SESSION), "--format", "linuxcnc", "-o", str(tmp_path)]) == 0
-    shown = capsys.readouterr()
+def test_people_see_before_and_after(tmp_path: Path, verb: Verb) -> None:
+    shown = verb("export", SESSION, "--format", "linuxcnc", "-o", tmp_path)
     assert "RMS left" in shown.out and "x.comp" in shown.out
     assert "not determined: EZX" in shown.err
     reasons = [line.split(": ", 2)[2] for line in shown.err.splitlines() if line.startswith("not determined")]
@@ -37,36 +33,29 @@ def test_people_see_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.usefixtures("found_once")
-def test_effects_of_the_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    session, folder = tmp_path / "session", tmp_path / "tables"
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4, effects=(FlawSpec(id="backlash_y", size=2e-6),))
-    write_session(simulate(spec).session, session)
+def test_effects_of_the_history(backlash: Path, tmp_path: Path, verb: Verb) -> None:
+    session, folder = shutil.copytree(backlash, tmp_path / "session"), tmp_path / "tables"
     call = ["export", str(session), "--format", "json", "-o", str(folder), "--from-history"]
-    assert run(call) == 1
-    assert "no model was tried yet" in capsys.readouterr().err
-    assert run([*call, "--effect", "backlash_y"]) == 2
-    assert run(["improve", str(session), "--json"]) == 0
-    capsys.readouterr()
-    assert run([*call, "--json"]) == 0
-    shown = capsys.readouterr()
+    assert "no model was tried yet" in verb.refused(*call)
+    verb(*call, "--effect", "backlash_y", status=2)
+    verb("improve", session, "--json")
+    shown = verb(*call, "--json")
     assert "with backlash_y, as in model 2 of the history" in shown.err
-    assert json.loads(shown.out)["model"] == "rigid_body"
+    assert shown.document["model"] == "rigid_body"
     same = tmp_path / "same"
-    assert run(["export", str(session), "--format", "json", "-o", str(same), "--effect", "backlash_y"]) == 0
+    verb("export", session, "--format", "json", "-o", same, "--effect", "backlash_y")
     assert (same / "compensation.json").read_text() == (folder / "compensation.json").read_text()
 
 
-def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_overwritten(tmp_path: Path, verb: Verb) -> None:
     (tmp_path / "compensation.json").write_text("mine")
-    assert run(["export", str(SESSION), "--format", "json", "-o", str(tmp_path)]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "is there already" in verb.refused("export", SESSION, "--format", "json", "-o", tmp_path)
     assert (tmp_path / "compensation.json").read_text() == "mine"
 
 
-def test_what_has_no_tables_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_has_no_tables_is_refused(tmp_path: Path, verb: Verb) -> None:
     folder = tmp_path / "none"
-    assert run(["export", str(SESSION), "--format", "csv", "--model", "free", "-o", str(folder)]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+    assert verb("export", SESSION, "--format", "csv", "--model", "free", "-o", folder, status=1).err.count("\n") == 1
     assert not folder.exists()
 
 
@@ -83,12 +72,11 @@ def iso_run(folder: Path, name: str, offset: str) -> Path:
     return folder
 
 
-def test_several_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_sessions_together(tmp_path: Path, verb: Verb) -> None:
     one, other = iso_run(tmp_path, "a", "0"), iso_run(tmp_path, "b", "3e-6")
     out = tmp_path / "tables"
-    assert run(["export", str(one), str(other), "--format", "json", "-o", str(out), "--json"]) == 0
-    captured = capsys.readouterr()
-    document = json.loads(captured.out)
+    captured = verb("export", one, other, "--format", "json", "-o", out, "--json")
+    document = captured.document
     assert document["model"] == ["rigid_body", "rigid_body"] and document["tables"] == ["EXX"]
     assert document["worse"] is False
     assert "agree" in captured.err
@@ -97,30 +85,26 @@ def test_several_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture
     assert table["tables"]["EXX"]["deviation"][10] == pytest.approx(1e-5 + 2e-7 * (10 % 3), abs=1e-9)
     for form in ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv"):
         folder = tmp_path / form
-        assert run(["export", str(one), str(other), "--format", form, "-o", str(folder)]) == 0
-        assert "RMS left" in capsys.readouterr().out
+        assert "RMS left" in verb("export", one, other, "--format", form, "-o", folder).out
 
 
-def test_sessions_without_tables_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sessions_without_tables_are_refused(tmp_path: Path, verb: Verb) -> None:
     rotary = str(SESSION.parent / "rotary_axis")
     again = str(measured_again(rotary, tmp_path / "again"))
-    assert run(["export", rotary, again, "--format", "csv", "-o", str(tmp_path / "t")]) == 1
-    captured = capsys.readouterr().err
+    captured = verb("export", rotary, again, "--format", "csv", "-o", tmp_path / "t", status=1).err
     assert "no tables of error motions" in captured
     assert not (tmp_path / "t").exists()
 
 
-def test_the_picture_of_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_picture_of_what_is_left(tmp_path: Path, verb: Verb) -> None:
     folder = tmp_path / "tables"
     call = ["export", str(SESSION), "--format", "siemens", "--plot", "-o", str(folder), "--json"]
-    assert run(call) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = verb(*call).document
     picture = folder / "what_is_left.png"
     assert document["pictures"] == [str(picture)] and picture.stat().st_size > 10_000
     # squareness is the slope of a straightness table, an angle is in none
     assert document["not_in_tables"] == ["ECY"]
     for name in document["files"]:
         (folder / name).unlink()
-    assert run(call) == 1
-    assert "what_is_left.png: is there already" in capsys.readouterr().err
+    assert "what_is_left.png: is there already" in verb.refused(*call)
     assert [path.name for path in folder.iterdir()] == ["what_is_left.png"]

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import machine_tool_calibration as mtcal
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import read_session
 
 from ..again import measured_again
+from ..told import Verb
 
 ROOT = Path(__file__).parents[2]
 CROSS = ROOT / "tests" / "data" / "probing_cross"
@@ -41,14 +41,11 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_document_table_picture_and_python_say_the_same(
-    capsys: pytest.CaptureFixture[str], listed: Path, tmp_path: Path
-) -> None:
+def test_document_table_picture_and_python_say_the_same(verb: Verb, listed: Path, tmp_path: Path) -> None:
     picture = tmp_path / "walls.png"
     asked = ["features", str(CROSS), "--features", str(listed), "--frame", "sphere1,upper"]
     asked += ["--distance", "upper,lower", "--angle", "upper,left", "--draws", "200"]
-    assert run([*asked, "--json", "--plot", str(picture)]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = verb(*asked, "--json", "--plot", picture).document
     assert document["format"] == "mtcal-features/1"
     assert picture.read_bytes().startswith(b"\x89PNG")
     kinds = {entry["name"]: (entry["kind"], entry["points"]) for entry in document["features"]}
@@ -74,8 +71,7 @@ def test_document_table_picture_and_python_say_the_same(
     assert found.document() == document
     assert "sphere1 has no error, upper none in its direction" in repr(found)
 
-    assert run(asked) == 0
-    text = capsys.readouterr().out
+    text = verb(*asked).out
     assert text.strip() == found.report().strip()
     assert "0 (datum)" in text and "Not a feature: work: its points lie neither" in text
 
@@ -86,7 +82,7 @@ def _points(file: Path) -> dict[str, list[str]]:
 
 
 def test_centres_and_walls_are_drawn_where_they_are_magnified(listed: Path) -> None:
-    found = mtcal.identify(CROSS).features(named=_points(listed)).found
+    found = mtcal.identify(CROSS).features(named=_points(listed))
     (panel,) = draw_features(found).axes
     label = next(text for text in panel.get_legend_handles_labels()[1] if "×" in text)
     scale = float(label.split("×")[1].replace(" ", ""))
@@ -110,17 +106,14 @@ def test_centres_and_walls_are_drawn_where_they_are_magnified(listed: Path) -> N
         ("format: mtcal-feature-points/1\nfeatures:\n  a: [x1]", "feature a: the workpiece has no point 'x1'"),
     ],
 )
-def test_a_wrong_list_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
+def test_a_wrong_list_is_one_line(verb: Verb, tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "list.yaml"
     file.write_text(text)
-    assert run(["features", str(CROSS), "--features", str(file)]) == 1
-    said = capsys.readouterr().err
-    assert message in said and said.count("\n") == 1
+    assert message in verb.refused("features", CROSS, "--features", file)
 
 
-def test_a_line_through_centres_by_their_pattern(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["features", str(CROSS), "--through", "across=sphere*", "--json"]) == 0
-    across = json.loads(capsys.readouterr().out)["features"][-1]
+def test_a_line_through_centres_by_their_pattern(verb: Verb) -> None:
+    across = verb("features", CROSS, "--through", "across=sphere*", "--json").document["features"][-1]
     assert across == {"name": "across", "kind": "line", "points": 16}
 
 
@@ -132,9 +125,8 @@ def test_a_line_through_centres_by_their_pattern(capsys: pytest.CaptureFixture[s
         ("--through", "sphere*", "'sphere*' is not NAME=A,B,…"),
     ],
 )
-def test_names_that_are_none(capsys: pytest.CaptureFixture[str], option: str, value: str, message: str) -> None:
-    assert run(["features", str(CROSS), option, value]) == 2
-    assert message in capsys.readouterr().err
+def test_names_that_are_none(verb: Verb, option: str, value: str, message: str) -> None:
+    assert message in verb("features", CROSS, option, value, status=2).err
 
 
 @pytest.mark.parametrize(
@@ -146,34 +138,26 @@ def test_names_that_are_none(capsys: pytest.CaptureFixture[str], option: str, va
         ["budget", "tracking_2d"],
     ],
 )
-def test_a_picture_of_no_known_format_is_refused_at_once(
-    capsys: pytest.CaptureFixture[str], words: list[str], tmp_path: Path
-) -> None:
-    verb, *sessions = words
+def test_a_picture_of_no_known_format_is_refused_at_once(verb: Verb, words: list[str], tmp_path: Path) -> None:
+    name, *sessions = words
     picture = tmp_path / "picture.foo"
-    assert run([verb, *(str(ROOT / "tests" / "data" / name) for name in sessions), "--plot", str(picture)]) == 2
-    said = capsys.readouterr()
+    said = verb(name, *(ROOT / "tests" / "data" / session for session in sessions), "--plot", picture, status=2)
     assert not said.out
     assert "picture.foo: no picture can be written as .foo; as " in said.err
     assert not list(tmp_path.iterdir())
 
 
-def test_other_methods_and_several_sessions_have_no_features(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["features", str(ROOT / "tests" / "data" / "tracking_2d")]) == 1
-    assert "this session is of the method tracking_interferometer" in capsys.readouterr().err
+def test_other_methods_and_several_sessions_have_no_features(tmp_path: Path, verb: Verb) -> None:
+    said = verb.refused("features", ROOT / "tests" / "data" / "tracking_2d")
+    assert "this session is of the method tracking_interferometer" in said
     with pytest.raises(mtcal.CalibrationError, match="of one probing session; this fit is of several"):
         mtcal.identify([CROSS, measured_again(CROSS, tmp_path / "again")]).features()
 
 
-def test_a_missing_effect_is_said_and_the_model_in_use_has_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_missing_effect_is_said_and_the_model_in_use_has_it(verb: Verb, tmp_path: Path) -> None:
     mtcal.simulate("probing_pins", effects={"probe_pretravel": 3e-6}, seed=2).save(tmp_path / "pins")
     asked = ["features", str(tmp_path / "pins"), "--frame", "pin1,pin11", "--json"]
-    assert run(asked) == 0
-    out = capsys.readouterr()
+    out = verb(*asked)
     assert out.err.startswith("warning: The readings scatter")
     plain = _uncertainty(out.out, "pin5")
     session = read_session(tmp_path / "pins")
@@ -183,13 +167,11 @@ def test_a_missing_effect_is_said_and_the_model_in_use_has_it(
         degrees_of_freedom=500,
     )  # fmt: skip
     update_history(history_path(tmp_path / "pins"), lambda history: history.grown([better]))
-    assert run(asked) == 0
-    assert "holds a better model" in capsys.readouterr().err
-    assert run([*asked, "--from-history"]) == 0
-    out = capsys.readouterr()
+    assert "holds a better model" in verb(*asked).err
+    out = verb(*asked, "--from-history")
     assert not out.err
     assert _uncertainty(out.out, "pin5") < 0.8 * plain
-    assert run([*asked, "--from-history", "--effect", "probe_pretravel"]) == 2
+    verb(*asked, "--from-history", "--effect", "probe_pretravel", status=2)
 
 
 def _uncertainty(document: str, name: str) -> float:

@@ -18,19 +18,14 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import SimulationSpec, simulate
 from machine_tool_calibration.simulation.plans import PLANS
 
+from ..told import Verb
+
 
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
     folder = tmp_path / "run"
     write_session(simulate(SimulationSpec(plan=PLANS["direct"](), seed=3)).session, folder)
     return folder
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    assert run([str(word) for word in words]) == 1
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and "fault of mtcal" not in captured.err
-    return captured.err
 
 
 VERBS = (
@@ -41,36 +36,35 @@ VERBS = (
 
 
 @pytest.mark.parametrize("words", VERBS, ids=str)
-def test_a_link_to_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[object, ...]) -> None:
+def test_a_link_to_itself(verb: Verb, tmp_path: Path, words: tuple[object, ...]) -> None:
     for name in ("link", "link.mcap", "link.yaml"):
         (tmp_path / name).symlink_to(name)
         target = [tmp_path / "out"] if "--to" in words else []
-        refused(capsys, words[0], tmp_path / name, *target, *words[1:])
+        verb.refused(words[0], tmp_path / name, *target, *words[1:])
 
 
 @pytest.mark.parametrize("words", VERBS, ids=str)
-def test_a_pipe_without_a_writer(capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[object, ...]) -> None:
+def test_a_pipe_without_a_writer(verb: Verb, tmp_path: Path, words: tuple[object, ...]) -> None:
     for name in ("pipe", "pipe.mcap", "pipe.yaml"):
         os.mkfifo(tmp_path / name)
         target = [tmp_path / "out"] if "--to" in words else []
-        refused(capsys, words[0], tmp_path / name, *target, *words[1:])
+        verb.refused(words[0], tmp_path / name, *target, *words[1:])
 
 
 @pytest.mark.parametrize("file", ["session.yaml", "observations.csv"])
-def test_a_session_of_a_link_to_itself(capsys: pytest.CaptureFixture[str], session: Path, file: str) -> None:
+def test_a_session_of_a_link_to_itself(verb: Verb, session: Path, file: str) -> None:
     (session / file).unlink()
     (session / file).symlink_to(file)
-    assert f"no {file} in this folder" in refused(capsys, "identify", session)
+    assert f"no {file} in this folder" in verb.refused("identify", session)
 
 
-def test_numpy_warns_nobody(capsys: pytest.CaptureFixture[str], session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numpy_warns_nobody(verb: Verb, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def overflows(*_: object) -> None:
         warnings.warn("overflow encountered in square", RuntimeWarning, stacklevel=2)
         _ = np.array([1e308]) * 1e308
 
     monkeypatch.setattr("machine_tool_calibration.session.checks.check_units", overflows)
-    assert run(["info", str(session), "--json"]) == 0
-    assert capsys.readouterr().err == ""
+    assert verb("info", session, "--json").err == ""
 
 
 def test_a_terminal_that_lacks_letters(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,22 +75,21 @@ def test_a_terminal_that_lacks_letters(session: Path, monkeypatch: pytest.Monkey
     assert b"?m" in written.getvalue()
 
 
-def test_a_plan_of_repeats_without_end(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_plan_of_repeats_without_end(verb: Verb, tmp_path: Path) -> None:
     procedure = Path(__file__).parents[2] / "config" / "procedures" / "tracking_2d.yaml"
     text = procedure.read_text(encoding="utf-8")
     (tmp_path / "p.yaml").write_text(re.sub(r"repeats: \d+", "repeats: 1000000000", text), encoding="utf-8")
-    assert "at most 1000 are planned" in refused(capsys, "plan", tmp_path / "p.yaml")
+    assert "at most 1000 are planned" in verb.refused("plan", tmp_path / "p.yaml")
 
 
-def test_a_recording_that_names_a_file_twice(capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path) -> None:
+def test_a_recording_that_names_a_file_twice(verb: Verb, session: Path, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    assert run(["convert", str(session), str(bag)]) == 0
-    capsys.readouterr()
+    verb("convert", session, bag)
     text = (bag / "metadata.yaml").read_text(encoding="utf-8")
     name = "  - bag_0.mcap\n"
     assert name in text
     (bag / "metadata.yaml").write_text(text.replace(name, 5000 * name, 1), encoding="utf-8")
-    assert "names a file twice" in refused(capsys, "info", bag)
+    assert "names a file twice" in verb.refused("info", bag)
 
 
 @pytest.mark.parametrize(
@@ -113,11 +106,10 @@ def test_a_recording_that_names_a_file_twice(capsys: pytest.CaptureFixture[str],
     ],
 )
 def test_names_that_ros_has_not_and_endless_draws_are_refused_before_anything_begins(
-    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: Verb
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(words) == 2
-    said = capsys.readouterr()
+    said = verb(*words, status=2)
     assert not said.out
     assert words[-1] in said.err.replace("--remap ", "")
     assert not list(tmp_path.iterdir())

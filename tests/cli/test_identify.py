@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, TrackingPlan, simulate
 
@@ -21,35 +20,10 @@ from ..again import measured_again
 DATA = Path(__file__).parents[1] / "data"
 
 
-@pytest.fixture
-def say(capsys):
-    """Exit status, standard output and standard error of `mtcal identify …`."""
-
-    def run_it(*words: object) -> tuple[int, str, str]:
-        status = run(["identify", *map(str, words)])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run_it
-
-
-@pytest.fixture(scope="module")
-def backlash(tmp_path_factory):
-    """A session of a machine with backlash of Y."""
-    folder = tmp_path_factory.mktemp("backlash")
-    spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=4, effects=(FlawSpec(id="backlash_y", size=2e-6),))
-    write_session(simulate(spec).session, folder / "session")
-    return folder / "session"
-
-
-def words(text: str) -> str:
-    return " ".join(text.split())
-
-
-def test_for_people(say):
-    status, out, err = say(DATA / "tracking_2d")
-    assert (status, err) == (0, "")
-    text = words(out)
+def test_for_people(verb):
+    told = verb("identify", DATA / "tracking_2d")
+    assert told.err == ""
+    text = told.text
     assert "tracking interferometer in 2 dimensions, pointed open loop: 288 readings in 4 setups (A, B, C, D)" in text
     assert "The model fits the readings within their declared uncertainty (p = 0.57)." in text
     assert "position error 5.10 µm RMS, 10.84 µm at most" in text
@@ -58,10 +32,10 @@ def test_for_people(say):
 
 
 @pytest.mark.parametrize("name", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
-def test_for_programs(name, say):
-    status, out, err = say(DATA / name, "--json")
-    assert (status, err) == (0, "")
-    document = json.loads(out, parse_constant=pytest.fail)
+def test_for_programs(name, verb):
+    told = verb("identify", DATA / name, "--json")
+    assert told.err == ""
+    document = told.document
     assert document["format"] == "mtcal-result/1"
     assert document["observations"] == document["used"] > 100
     assert all(set(entry) >= {"name", "value", "standard_uncertainty", "unit"} for entry in document["parameters"])
@@ -70,43 +44,43 @@ def test_for_programs(name, say):
             assert np.shape(value) == np.shape(document["error_map"][key[:-2]])
 
 
-def test_a_setup_of_any_name(say, tmp_path):
+def test_a_setup_of_any_name(verb, tmp_path):
     session = shutil.copytree(DATA / "tracking_2d", tmp_path / "s")
     described = (session / "session.yaml").read_text().replace("id: A\n", "id: '[/a] north[a]'\n")
     (session / "session.yaml").write_text(described)
     rows = (session / "observations.csv").read_text().replace(",A,", ",[/a] north[a],")
     (session / "observations.csv").write_text(rows)
-    assert "4 setups ([/a] north[a], B, C, D)" in words(say(session)[1])
+    assert "4 setups ([/a] north[a], B, C, D)" in verb("identify", session).text
 
 
-def test_what_is_not_determined_has_no_number_beside_it(say):
-    _, out, _ = say(DATA / "step_diagonal")
-    table, lost = out.split("\nnot determined:")[:2]
+def test_what_is_not_determined_has_no_number_beside_it(verb):
+    told = verb("identify", DATA / "step_diagonal")
+    table, lost = told.out.split("\nnot determined:")[:2]
     assert "EAX" in lost
     assert "angle.EAX" not in table and "EXX" in table
 
 
-def test_every_unknown_is_said_in_words(say, backlash):
-    _, out, _ = say(backlash, "--effect", "backlash_y")
-    lines = {line.split()[0]: line for line in out.splitlines() if line.strip()}
+def test_every_unknown_is_said_in_words(verb, backlash):
+    told = verb("identify", backlash, "--effect", "backlash_y")
+    lines = {line.split()[0]: line for line in told.out.splitlines() if line.strip()}
     assert lines["backlash_y.b"].rstrip().endswith("half width")
     assert "place of A" in lines["A.x"]
     assert "distance at which A reads zero" in lines["A.dead_path"]
 
 
-def test_a_map_in_two_directions_and_too_few_runs_are_said(say, tmp_path):
+def test_a_map_in_two_directions_and_too_few_runs_are_said(verb, tmp_path):
     spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=3, effects=(FlawSpec(id="backlash_x", size=3e-6),))
     session = simulate(spec).session
     write_session(session.with_readings(session.readings.select(session.readings.repeat == 0)), tmp_path / "s")
-    _, out, _ = say(tmp_path / "s", "--effect", "backlash_x")
-    assert "22 at 11 places: one for each direction of approach" in words(out)
-    assert "ISO 230-2 asks for 5 runs in each direction" in words(out)
-    assert "repeatability and accuracy are not determined" in words(out)
-    _, out, _ = say(tmp_path / "s")
-    assert "points of the map 11 " in words(out)
+    told = verb("identify", tmp_path / "s", "--effect", "backlash_x")
+    assert "22 at 11 places: one for each direction of approach" in told.text
+    assert "ISO 230-2 asks for 5 runs in each direction" in told.text
+    assert "repeatability and accuracy are not determined" in told.text
+    told = verb("identify", tmp_path / "s")
+    assert "points of the map 11 " in told.text
     written = tmp_path / "map.csv"
-    _, out, _ = say(tmp_path / "s", "--effect", "backlash_x", "--csv", written, "--units", "um")
-    assert "x / mm y / mm z / mm approach ex / µm" in words(out) and " x- " in out
+    told = verb("identify", tmp_path / "s", "--effect", "backlash_x", "--csv", written, "--units", "um")
+    assert "x / mm y / mm z / mm approach ex / µm" in told.text and " x- " in told.out
     table = pd.read_csv(written, comment="#")
     both = table[(table["error"] == "ex") & (table["x"] == 40)].set_index("approach")
     # Twice the half width lies between the directions; U has two figures, and the value no more decimals.
@@ -115,52 +89,42 @@ def test_a_map_in_two_directions_and_too_few_runs_are_said(say, tmp_path):
     assert both["value"].round(2).equals(both["value"])
 
 
-def test_an_effect_makes_the_model_fit(say, backlash):
-    _, without, _ = say(backlash)
-    assert "something is missing in it" in words(without)
-    status, out, _ = say(backlash, "--effect", "backlash_y", "--json")
-    document = json.loads(out)
-    assert status == 0
+def test_an_effect_makes_the_model_fit(verb, backlash):
+    assert "something is missing in it" in verb("identify", backlash).text
+    document = verb("identify", backlash, "--effect", "backlash_y", "--json").document
     assert document["effects"] == ["backlash_y"]
     (estimate,) = [e for e in document["parameters"] if e["name"].startswith("backlash_y")]
     assert abs(estimate["value"] - 2e-6) < 4 * estimate["standard_uncertainty"]
     assert document["p_value"] > 1e-3
-    _, text, _ = say(backlash, "--effect", "backlash_y")
-    rows = [line for line in text.splitlines() if "mm" in line or "µm" in line]
-    assert next(k for k, row in enumerate(rows) if row.startswith("backlash_y")) < next(
-        k for k, row in enumerate(rows) if row.startswith("A.x")
-    )
+    text = verb("identify", backlash, "--effect", "backlash_y").out
+    assert text.index("\nbacklash_y.b") < text.index("\nA.x")
 
 
-def test_error_motions_are_tables_over_their_axes(say):
-    status, out, _ = say(DATA / "tracking_2d", "--model", "rigid_body")
-    assert status == 0
-    assert "EXX(0.08)" not in out
-    _, after = out.split("Error motions of X ± U (k = 2)\n")
+def test_error_motions_are_tables_over_their_axes(verb):
+    told = verb("identify", DATA / "tracking_2d", "--model", "rigid_body")
+    assert "EXX(0.08)" not in told.out
+    _, after = told.out.split("Error motions of X ± U (k = 2)\n")
     head, *rows = after.splitlines()[:7]
-    assert words(head).startswith("X / mm EXX / µm EYX / µm")
+    assert " ".join(head.split()).startswith("X / mm EXX / µm EYX / µm")
     assert [row.split()[0] for row in rows] == ["0", "80", "160", "240", "320", "400"]
     assert all(re.match(r"\s*\d+ +([-+]?[\d.]+ ± [\d.]+|0) ", row) for row in rows)
-    assert "not determined: EZX, EZY, EAX, EBX" in words(out)
+    assert "not determined: EZX, EZY, EAX, EBX" in told.text
 
 
-def test_several_sessions_together(say, tmp_path):
+def test_several_sessions_together(verb, tmp_path):
     for seed in (1, 2):
         spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=seed)
         session = simulate(spec).session
         write_session(session, tmp_path / f"day{seed}")
     measured_again(tmp_path / "day1", tmp_path / "again")
-    status, out, _ = say(tmp_path / "day1", tmp_path / "again", "--json")
-    assert status == 0
-    document = json.loads(out)
+    document = verb("identify", tmp_path / "day1", tmp_path / "again", "--json").document
     assert [entry["label"] for entry in document["sessions"]] == ["day1", "again"]
-    status, out, _ = say(tmp_path / "day1", tmp_path / "again", "--output", tmp_path / "both")
-    assert status == 0
-    assert out.count("tracking interferometer in 2 dimensions") == 2
+    told = verb("identify", tmp_path / "day1", tmp_path / "again", "--output", tmp_path / "both")
+    assert told.out.count("tracking interferometer in 2 dimensions") == 2
     assert {path.name for path in (tmp_path / "both").iterdir()} >= {"result.json", "error_motions.png"}
 
 
-def test_missing_readings_are_listed_by_row(say, tmp_path):
+def test_missing_readings_are_listed_by_row(verb, tmp_path):
     shutil.copytree(DATA / "tracking_2d", tmp_path / "session")
     file = tmp_path / "session" / "observations.csv"
     lines = file.read_text().splitlines()
@@ -170,35 +134,31 @@ def test_missing_readings_are_listed_by_row(say, tmp_path):
         fields[place] = ""
         lines[row + 1] = ",".join(fields)
     file.write_text("\n".join(lines) + "\n")
-    status, out, _ = say(tmp_path / "session")
-    assert status == 0
-    assert "readings used 286 of 288" in words(out)
-    assert "not used: rows 3, 7 (the first row is 0): the reading is missing" in words(out)
-    document = json.loads(say(tmp_path / "session", "--json")[1])
+    told = verb("identify", tmp_path / "session")
+    assert "readings used 286 of 288" in told.text
+    assert "not used: rows 3, 7 (the first row is 0): the reading is missing" in told.text
+    document = verb("identify", tmp_path / "session", "--json").document
     assert [entry["row"] for entry in document["rejected"]] == [3, 7]
 
 
-def test_output_folder(say, tmp_path):
-    status, out, _ = say(DATA / "tracking_2d", "-o", tmp_path / "new" / "folder")
-    assert status == 0
+def test_output_folder(verb, tmp_path):
+    told = verb("identify", DATA / "tracking_2d", "-o", tmp_path / "new" / "folder")
     names = {path.name for path in (tmp_path / "new" / "folder").iterdir()}
     assert names == {"result.json", "error_map.png", "stations.png", "residuals.png"}
-    assert all(name in out for name in names)
+    assert all(name in told.out for name in names)
     document = json.loads((tmp_path / "new" / "folder" / "result.json").read_text())
-    assert document == json.loads(say(DATA / "tracking_2d", "--json")[1])
+    assert document == verb("identify", DATA / "tracking_2d", "--json").document
 
 
-def test_pictures_in_the_present_folder(say, tmp_path, monkeypatch):
+def test_pictures_in_the_present_folder(verb, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, _, _ = say(DATA / "step_diagonal", "--plot")
-    assert status == 0
+    verb("identify", DATA / "step_diagonal", "--plot")
     assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "iso230_6.png", "residuals.png"}
 
 
-def test_formulation_of_a_step_diagonal(say):
-    status, out, _ = say(DATA / "step_diagonal", "--formulation", "new", "--json")
-    assert status == 0
-    assert np.shape(json.loads(out)["error_map"]["x"])[1] == 3
+def test_formulation_of_a_step_diagonal(verb):
+    told = verb("identify", DATA / "step_diagonal", "--formulation", "new", "--json")
+    assert np.shape(told.document["error_map"]["x"])[1] == 3
 
 
 @pytest.mark.parametrize(
@@ -212,62 +172,52 @@ def test_formulation_of_a_step_diagonal(say):
         ([DATA / "tracking_2d", DATA / "nothing"], "nothing: no such file or folder"),
     ],
 )
-def test_one_clear_line(arguments, message, say):
-    status, out, err = say(*arguments)
-    assert status == 1
-    assert out == ""
-    assert message in err
-    assert err.count("\n") == 1
+def test_one_clear_line(arguments, message, verb):
+    assert message in verb.refused("identify", *arguments)
 
 
-def test_without_a_session_the_command_line_is_wrong(say):
-    assert say()[0] == 2
+def test_without_a_session_the_command_line_is_wrong(verb):
+    verb("identify", status=2)
 
 
-def test_output_that_cannot_be_written(say, tmp_path):
+def test_output_that_cannot_be_written(verb, tmp_path):
     (tmp_path / "file").write_text("")
-    status, _, err = say(DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
-    assert status == 1
-    assert "cannot be written" in err
+    assert "cannot be written" in verb.refused("identify", DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
 
 
-def test_effects_and_squareness_come_before_what_is_of_the_setups(say, backlash):
-    status, out, _ = say(backlash, "--model", "rigid_body", "--effect", "backlash_y")
-    lines = out.splitlines()
+def test_effects_and_squareness_come_before_what_is_of_the_setups(verb, backlash):
+    told = verb("identify", backlash, "--model", "rigid_body", "--effect", "backlash_y")
+    lines = told.out.splitlines()
     begin = lines.index(next(line for line in lines if line.startswith("name"))) + 1
-    assert status == 0 and "model: rigid_body with backlash_y" in words(out)
+    assert "model: rigid_body with backlash_y" in told.text
     assert [line.split()[0] for line in lines[begin : begin + 3]] == ["backlash_y.b", "C0Y", "A.x"]
 
 
 @pytest.mark.usefixtures("found_once")
-def test_the_model_of_the_history(say, backlash, tmp_path, capsys):
+def test_the_model_of_the_history(verb, backlash, tmp_path):
     session = tmp_path / "session"
     shutil.copytree(backlash, session)
-    status, _, err = say(session, "--from-history")
-    assert status == 1 and "no model was tried yet" in err
-    assert run(["improve", str(session), "--json"]) == 0
-    capsys.readouterr()
-    status, out, err = say(session, "--from-history", "--json")
-    assert (status, err) == (0, "")
-    by_history = json.loads(out)
+    assert "no model was tried yet" in verb.refused("identify", session, "--from-history")
+    verb("improve", session, "--json")
+    told = verb("identify", session, "--from-history", "--json")
+    assert told.err == ""
+    by_history = told.document
     assert by_history["effects"] == ["backlash_y"]
     # One model, one answer: the map included.
-    assert json.loads(say(session, "--effect", "backlash_y", "--json")[1]) == by_history
-    assert run(["history", str(session), "--undo"]) == 0
-    capsys.readouterr()
-    assert json.loads(say(session, "--from-history", "--json")[1])["effects"] == []
-    assert say(session, "--from-history", "--effect", "scale")[0] == 2
+    assert verb("identify", session, "--effect", "backlash_y", "--json").document == by_history
+    verb("history", session, "--undo")
+    assert verb("identify", session, "--from-history", "--json").document["effects"] == []
+    verb("identify", session, "--from-history", "--effect", "scale", status=2)
 
 
 @pytest.mark.usefixtures("found_once")
-def test_readings_that_the_history_sets_aside(say, backlash, tmp_path, capsys):
+def test_readings_that_the_history_sets_aside(verb, backlash, tmp_path):
     session = tmp_path / "session"
     shutil.copytree(backlash, session)
-    assert run(["improve", str(session), "--json"]) == 0
-    capsys.readouterr()
+    verb("improve", session, "--json")
     file = session / "history.yaml"
     file.write_text(file.read_text().replace("set_aside: []", "set_aside: [3, 17]"))
-    document = json.loads(say(session, "--from-history", "--json")[1])
+    document = verb("identify", session, "--from-history", "--json").document
     assert document["observations"] == document["used"] + 2
     assert [entry["row"] for entry in document["rejected"]] == [3, 17]
     assert "set aside by model" in document["rejected"][0]["reason"]

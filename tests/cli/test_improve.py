@@ -3,19 +3,18 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import read_history
 
+from ..told import Verb
+
 pytestmark = pytest.mark.usefixtures("found_once")
-Run = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
@@ -26,9 +25,8 @@ def cube(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     yield folder
 
 
-def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, capsys: Run) -> None:
-    assert run(["improve", str(cube)]) == 0
-    shown = capsys.readouterr()
+def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, verb: Verb) -> None:
+    shown = verb("improve", cube)
     assert shown.out.startswith("Added backlash_y: the residual falls from")
     assert "+ backlash_y" in shown.out
     assert "residual volumetric error" in shown.out
@@ -47,9 +45,8 @@ def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, cap
     assert len(open_measurement(cube).readings) == 288
 
 
-def test_one_document(cube: Path, tmp_path: Path, capsys: Run) -> None:
-    assert run(["improve", str(cube), "--json", "--no-history", "-o", str(tmp_path / "here")]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_one_document(cube: Path, tmp_path: Path, verb: Verb) -> None:
+    document = verb("improve", cube, "--json", "--no-history", "-o", tmp_path / "here").document
     assert document["format"] == "mtcal-improvement/1"
     assert [s["change"] for s in document["steps"]] == ["", "backlash_y"]
     before, after = document["steps"]
@@ -60,46 +57,38 @@ def test_one_document(cube: Path, tmp_path: Path, capsys: Run) -> None:
     assert not (cube / "history.yaml").exists()
 
 
-def test_history_is_listed_compared_and_undone(cube: Path, capsys: Run) -> None:
-    assert run(["improve", str(cube)]) == 0
-    capsys.readouterr()
-    assert run(["history", str(cube)]) == 0
-    listed = capsys.readouterr().out
+def test_history_is_listed_compared_and_undone(cube: Path, verb: Verb) -> None:
+    verb("improve", cube)
+    listed = verb("history", cube).out
     assert "→ 2" in listed
-    assert run(["history", str(cube), "--compare", "1", "2"]) == 0
-    compared = capsys.readouterr().out
+    compared = verb("history", cube, "--compare", "1", "2").out
     assert "model 1" in compared
     assert "backlash_y.b" in compared
-    assert run(["history", str(cube), "--undo", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = verb("history", cube, "--undo", "--json").document
     assert document["format"] == "mtcal-history/1"
     assert document["current"] == 1
     assert len(document["models"]) == 2
-    assert run(["history", str(cube), "--undo"]) == 1
-    assert "nothing to undo" in capsys.readouterr().err
-    assert run(["history", str(cube), "--use", "2"]) == 0
+    assert "nothing to undo" in verb.refused("history", cube, "--undo")
+    verb("history", cube, "--use", "2")
     assert read_history(cube / "history.yaml").current == 2
     # Improving once more repeats nothing.
     before = (cube / "history.yaml").read_text()
-    assert run(["improve", str(cube)]) == 0
+    verb("improve", cube)
     assert (cube / "history.yaml").read_text() == before
 
 
-def test_a_bag_keeps_its_history_beside_it(cube: Path, tmp_path: Path, capsys: Run) -> None:
+def test_a_bag_keeps_its_history_beside_it(cube: Path, tmp_path: Path, verb: Verb) -> None:
     bag = tmp_path / "run.mcap"
-    assert run(["convert", str(cube), str(bag)]) == 0
-    capsys.readouterr()
-    assert run(["improve", str(bag)]) == 0
+    verb("convert", cube, bag)
+    verb("improve", bag)
     assert (tmp_path / "run.mcap.history.yaml").exists()
-    assert run(["history", str(bag)]) == 0
-    assert "backlash_y" in capsys.readouterr().out
+    assert "backlash_y" in verb("history", bag).out
 
 
-def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, capsys: Run) -> None:
+def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, verb: Verb) -> None:
     (cube / "history.yaml").write_text("models: [")
     for words in (["improve", str(cube)], ["history", str(cube)]):
-        assert run(words) == 1
-        shown = capsys.readouterr()
+        shown = verb(*words, status=1)
         assert shown.out == ""
         assert shown.err.count("\n") == 1
         assert "history.yaml" in shown.err
@@ -114,6 +103,5 @@ def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, cap
         (["CUBE", "--undo", "--use", "1"], 2, "either"),
     ],
 )
-def test_a_wrong_request(cube: Path, words: list[str], status: int, part: str, capsys: Run) -> None:
-    assert run(["history", *(str(cube) if word == "CUBE" else word for word in words)]) == status
-    assert part in capsys.readouterr().err
+def test_a_wrong_request(cube: Path, words: list[str], status: int, part: str, verb: Verb) -> None:
+    assert part in verb("history", *(cube if word == "CUBE" else word for word in words), status=status).err

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.cli.main import BROKEN_PIPE, run
+from machine_tool_calibration.cli.main import BROKEN_PIPE
 from machine_tool_calibration.reports.history_file import read_history
+
+from ..told import Verb
 
 pytestmark = pytest.mark.usefixtures("found_once")
 
-Shown = pytest.CaptureFixture[str]
 PICTURES = {"improve.png", "improve.csv", "residuals.csv"}
 
 
@@ -46,30 +47,25 @@ def test_a_closed_pipe_loses_nothing(cube: Path, tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_what_was_not_written_is_not_said_to_be(cube: Path, tmp_path: Path, capsys: Shown) -> None:
+def test_what_was_not_written_is_not_said_to_be(cube: Path, tmp_path: Path, verb: Verb) -> None:
     history = cube / "history.yaml"
-    assert run(improve(cube, tmp_path / "out")) == 0
-    wrote = next(line for line in capsys.readouterr().err.splitlines() if line.startswith("wrote"))
+    wrote = next(line for line in verb(*improve(cube, tmp_path / "out")).err.splitlines() if line.startswith("wrote"))
     assert str(history) in wrote
     content = history.read_bytes()
-    assert run(improve(cube, tmp_path / "out")) == 0
-    lines = capsys.readouterr().err.splitlines()
+    lines = verb(*improve(cube, tmp_path / "out")).err.splitlines()
     assert all(str(history) not in line for line in lines if line.startswith("wrote"))
     assert f"{history} holds these models already: unchanged, model 2 is the current one" in lines
     assert history.read_bytes() == content
-    assert run(["history", str(cube), "--undo"]) == 0
-    capsys.readouterr()
-    assert run(improve(cube, tmp_path / "out")) == 0
-    shown = capsys.readouterr().err
+    verb("history", cube, "--undo")
+    shown = verb(*improve(cube, tmp_path / "out")).err
     assert str(history) in shown
     assert "no new model in the history; model 2 is the current one now" in shown
     assert len(read_history(history).models) == 2
 
 
-def test_a_history_that_cannot_be_written_costs_no_pictures(cube: Path, tmp_path: Path, capsys: Shown) -> None:
+def test_a_history_that_cannot_be_written_costs_no_pictures(cube: Path, tmp_path: Path, verb: Verb) -> None:
     (cube / "history.yaml.part").mkdir()  # a folder that is read-only stops no superuser
-    assert run(improve(cube, tmp_path / "out")) == 1
-    shown = capsys.readouterr()
+    shown = verb(*improve(cube, tmp_path / "out"), status=1)
     assert shown.out.startswith("Added backlash_y")
     assert {file.name for file in (tmp_path / "out").iterdir()} == PICTURES
     wrote, failure = shown.err.splitlines()
@@ -80,10 +76,9 @@ def test_a_history_that_cannot_be_written_costs_no_pictures(cube: Path, tmp_path
     assert not (cube / "history.yaml").exists()
 
 
-def test_pictures_that_cannot_be_written_cost_no_history(cube: Path, tmp_path: Path, capsys: Shown) -> None:
+def test_pictures_that_cannot_be_written_cost_no_history(cube: Path, tmp_path: Path, verb: Verb) -> None:
     (tmp_path / "out" / "improve.png").mkdir(parents=True)
-    assert run(improve(cube, tmp_path / "out")) == 1
-    shown = capsys.readouterr()
+    shown = verb(*improve(cube, tmp_path / "out"), status=1)
     assert shown.out.startswith("Added backlash_y")
     assert "cannot be written" in shown.err
     assert "-o names another folder" in shown.err

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.forecast import forecast, planned_session
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
+
+from ..told import Verb
 
 ROOT = Path(__file__).parents[2]
 PROCEDURES = sorted((ROOT / "config" / "procedures").glob("*.yaml"))
@@ -36,17 +37,14 @@ def test_every_procedure_can_be_foretold(file: Path) -> None:
     assert not {entry.effect for entry in found.visible} & set(found.absorbed)
 
 
-def test_a_search_for_a_pointer_has_no_map_to_forecast(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["plan", "pointer_centre"]) == 1
-    assert "no errors of the machine come out of it" in capsys.readouterr().err
+def test_a_search_for_a_pointer_has_no_map_to_forecast(verb: Verb) -> None:
+    assert "no errors of the machine come out of it" in verb.refused("plan", "pointer_centre")
 
 
-def test_a_run_of_one_axis_promises_that_axis_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["plan", "direct_iso230_2", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["uncertainties"]["position_error_u"]
+def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
+    rows = verb("plan", "direct_iso230_2", "--json").document["uncertainties"]["position_error_u"]
     assert all(row[0] > 0 and row[1:] == [None, None] for row in rows)
-    assert run(["plan", "direct_iso230_2"]) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("position error")]
+    (line,) = [line for line in verb("plan", "direct_iso230_2").out.splitlines() if line.startswith("position error")]
     typical = 2e6 * np.sqrt(np.mean([row[0] ** 2 for row in rows]))
     assert line.split()[2] == f"{typical:.3g}"
     assert line.rstrip().endswith(f"{2 * len(rows)} of {3 * len(rows)}")
@@ -71,22 +69,19 @@ def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer()
     assert 3.0 < np.mean(sizes) < 5.5
 
 
-def test_a_plan_in_words_and_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["plan", "probing_cross"]) == 0
-    text = capsys.readouterr().out
+def test_a_plan_in_words_and_as_json(verb: Verb) -> None:
+    text = verb("plan", "probing_cross").out
     assert "workpiece form" in text and "absolute length" in text and "probe_pretravel" in text
-    assert run(["plan", "probing_cross", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = verb("plan", "probing_cross", "--json").document
     assert document["format"] == "mtcal-plan/1"
     assert document["not_determined"][0]["name"] == "absolute length"
     assert "scale" in document["absorbed"]
 
 
-def test_a_plan_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_that_cannot_be(tmp_path: Path, verb: Verb) -> None:
     text = (ROOT / "config" / "procedures" / "tracking_2d.yaml").read_text()
     (tmp_path / "wrong.yaml").write_text(text.replace("last: 0.4, count: 6}\n    y", "last: 0.9, count: 6}\n    y"))
-    assert run(["plan", str(tmp_path / "wrong.yaml")]) == 1
-    assert "outside the travel" in capsys.readouterr().err
+    assert "outside the travel" in verb.refused("plan", tmp_path / "wrong.yaml")
 
 
 def test_a_plan_too_large_to_forecast_is_refused_before_its_steps_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,28 +94,25 @@ def test_a_plan_too_large_to_forecast_is_refused_before_its_steps_are_made(monke
     assert plan(procedure, 1000).steps == steps
 
 
-def test_points_of_a_description(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_of_a_description(tmp_path: Path, verb: Verb) -> None:
     description = ROOT / "config" / "workpieces" / "cross_pocket.yaml"
-    assert run(["workpiece", str(description), "-o", str(tmp_path / "points.csv")]) == 0
-    assert "92 points" in capsys.readouterr().out
+    assert "92 points" in verb("workpiece", description, "-o", tmp_path / "points.csv").out
     rows = (tmp_path / "points.csv").read_text().splitlines()
     assert rows[:2] == ["id,feature,x,y,nx,ny", "0,work,0.023125,0.018,0.0,-1.0"]
     assert len(rows) == 93
-    assert run(["workpiece", str(description), "-o", str(tmp_path / "points.csv")]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "is there already" in verb.refused("workpiece", description, "-o", tmp_path / "points.csv")
 
 
-def test_an_outline_into_a_procedure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_outline_into_a_procedure(tmp_path: Path, verb: Verb) -> None:
     (tmp_path / "part.csv").write_text("x,y\n-40,-30\n40,-30\n40,30\n-40,30\n")
     made = tmp_path / "mine.yaml"
     words = ["workpiece", str(tmp_path / "part.csv"), "--unit", "mm", "--spacing", "10", "--stylus", "6"]
-    assert run([*words, "--into", "probing_cross", "-o", str(made), "--json"]) == 0
-    points = json.loads(capsys.readouterr().out)["workpiece"]
+    points = verb(*words, "--into", "probing_cross", "-o", made, "--json").document["workpiece"]
     session = read_procedure(made).session
     assert [p.id for p in session.workpiece] == [p["id"] for p in points]  # type: ignore[union-attr]
     for point in points:  # outside of the part
         assert np.dot(point["position"], point["normal"]) > 0
-    assert run(["plan", str(made)]) == 0
+    verb("plan", made)
 
 
 @pytest.mark.parametrize(
@@ -132,13 +124,10 @@ def test_an_outline_into_a_procedure(tmp_path: Path, capsys: pytest.CaptureFixtu
         (["part.txt", "--spacing", "1", "--unit", "mm"], "outlines are read from .dxf and .csv files"),
     ],
 )
-def test_workpieces_that_cannot_be(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_workpieces_that_cannot_be(words: list[str], message: str, tmp_path: Path, verb: Verb) -> None:
     for name in ("part.csv", "part.txt"):
         (tmp_path / name).write_text("x,y\n-40,-30\n40,-30\n40,30\n-40,30\n")
-    assert run(["workpiece", str(tmp_path / words[0]), *words[1:]]) == 1
-    error = capsys.readouterr().err
+    error = verb("workpiece", tmp_path / words[0], *words[1:], status=1).err
     assert message in error and error.count("\n") == 1
 
 

@@ -27,53 +27,47 @@ def hidden(tmp_path_factory) -> Path:
     return folder
 
 
-def document(capsys, *words: object) -> dict:
-    capsys.readouterr()
-    assert run([str(word) for word in (*words, "--json")]) == 0
-    return json.loads(capsys.readouterr().out)
+def document(verb, *words: object) -> dict:
+    return verb(word for word in (*words, "--json")).document
 
 
-def test_those_set_aside_are_shown_and_put_back(hidden, capsys):
-    found = document(capsys, "identify", hidden)
+def test_those_set_aside_are_shown_and_put_back(hidden, verb):
+    found = verb("identify", hidden, "--json").document
     assert sorted(entry["row"] for entry in found["rejected"]) == [20, 90, 150]
     assert np.allclose([entry["deviation"] for entry in found["rejected"]], 80e-6, atol=10e-6)
-    back = document(capsys, "identify", hidden, "--keep", "90")
+    back = verb("identify", hidden, "--keep", "90", "--json").document
     assert sorted(entry["row"] for entry in back["rejected"]) == [20, 150]
-    assert run(["identify", str(hidden)]) == 0
-    shown = capsys.readouterr().out
+    shown = verb("identify", hidden).out
     assert "Readings set aside" in shown
     line = next(line for line in shown.splitlines() if line.split()[:1] == ["90"])
     assert "X " in line and "Y " in line
 
 
 @pytest.mark.parametrize(("word", "message"), [("9999", "there is no row 9999"), ("x:3", "--keep x:3: give ROW")])
-def test_what_is_not_there_cannot_be_kept(hidden, capsys, word, message):
-    assert run(["identify", str(hidden), "--keep", word]) == 1
-    assert message in capsys.readouterr().err
+def test_what_is_not_there_cannot_be_kept(hidden, verb, word, message):
+    assert message in verb.refused("identify", hidden, "--keep", word)
 
 
-def test_the_history_keeps_what_was_put_back_and_is_used(hidden, capsys, tmp_path):
+def test_the_history_keeps_what_was_put_back_and_is_used(hidden, verb, tmp_path):
     improve = ["improve", str(hidden), "-o", str(tmp_path / "improve")]
-    assert run([*improve, "--keep", "90", "--effect", "backlash_y"]) == 0
+    verb(*improve, "--keep", "90", "--effect", "backlash_y")
     entry = read_history(hidden / "history.yaml").in_use
     assert (entry.kept, entry.set_aside) == ((90,), (20, 150))
-    assert [one["row"] for one in document(capsys, "identify", hidden, "--from-history")["rejected"]] == [20, 150]
-    assert run(improve) == 0
+    used = verb("identify", hidden, "--from-history", "--json").document
+    assert [one["row"] for one in used["rejected"]] == [20, 150]
+    verb(*improve)
     entry = read_history(hidden / "history.yaml").in_use
     assert (entry.kept, entry.set_aside, entry.effects) == ((), (20, 90, 150), ("backlash_y",))
-    capsys.readouterr()
-    assert run(["identify", str(hidden)]) == 0
-    assert "holds a better model" in capsys.readouterr().err
-    for verb in ("compare", "diagnose"):
-        capsys.readouterr()
-        assert run([verb, str(hidden), "--from-history", "--effect", "backlash_x"]) == 2
-        assert "--from-history is without --effect" in capsys.readouterr().err
-    compared = document(capsys, "compare", hidden, "--from-history")
+    assert "holds a better model" in verb("identify", hidden).err
+    for name in ("compare", "diagnose"):
+        told = verb(name, hidden, "--from-history", "--effect", "backlash_x", status=2)
+        assert "--from-history is without --effect" in told.err
+    compared = verb("compare", hidden, "--from-history", "--json").document
     assert (compared["effects"], compared["readings"]) == (["backlash_y"], entry.used)
     assert compared["provenance"]["effects"] == ["backlash_y"]
 
 
-def test_tables_and_pictures_say_what_they_were_made_from(hidden, capsys, tmp_path):
+def test_tables_and_pictures_say_what_they_were_made_from(hidden, verb, tmp_path):
     words = ["identify", str(hidden), "--csv", str(tmp_path / "map.csv"), "-o", str(tmp_path)]
     assert run([*words, "--model", "rigid_body"]) == 0
     found = json.loads((tmp_path / "result.json").read_text())
@@ -91,7 +85,7 @@ def test_tables_and_pictures_say_what_they_were_made_from(hidden, capsys, tmp_pa
     assert "# machine: VMC 850" in (folder / "compensation.csv").read_text()
 
 
-def test_the_history_keeps_an_effect_of_the_users_own_by_its_formula(tmp_path, capsys):
+def test_the_history_keeps_an_effect_of_the_users_own_by_its_formula(tmp_path, verb):
     session, file = tmp_path / "session", tmp_path / "mine.yaml"
     assert run(["simulate", "--preset", "tracking_2d", "--seed", "3", str(session)]) == 0
     file.write_text(
@@ -99,10 +93,10 @@ def test_the_history_keeps_an_effect_of_the_users_own_by_its_formula(tmp_path, c
     )
     improve = ["improve", str(session), "-o", str(tmp_path / "improve"), "--effects-file", str(file)]
     assert run([*improve, "--effect", "mine"]) == 0
-    with_file = document(capsys, "identify", session, "--effect", "mine", "--effects-file", file)
+    with_file = verb("identify", session, "--effect", "mine", "--effects-file", file, "--json").document
     file.unlink()
-    for verb in ("identify", "compare", "diagnose"):
-        found = document(capsys, verb, session, "--from-history")
+    for name in ("identify", "compare", "diagnose"):
+        found = verb(name, session, "--from-history", "--json").document
         assert found["provenance"]["effects"] == ["mine"]
-    again = document(capsys, "identify", session, "--from-history")
+    again = verb("identify", session, "--from-history", "--json").document
     assert again["effects"] == ["mine"] and again["rms_residual"] == with_file["rms_residual"]

@@ -7,6 +7,8 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 
+from ..told import Verb
+
 
 @pytest.fixture(scope="module")
 def positioning(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -36,9 +38,6 @@ def test_a_report_is_written(positioning: Path, tmp_path: Path, capsys: pytest.C
         (["--budget", "none.yaml"], "none.yaml"),
     ],
 )
-def test_a_mistake_is_said_in_one_line(
-    positioning: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
-) -> None:
-    assert run(["report", str(positioning), *words]) == 1
-    said = capsys.readouterr().err.strip()
+def test_a_mistake_is_said_in_one_line(positioning: Path, verb: Verb, words: list[str], message: str) -> None:
+    said = verb("report", positioning, *words, status=1).err.strip()
     assert message in said and "\n" not in said

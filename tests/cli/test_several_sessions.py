@@ -9,13 +9,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
 from machine_tool_calibration.methods.fitted import joint_models
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
+
+from ..told import Verb
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +31,9 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [str(folder / "monday"), str(folder / "tuesday")]
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """What a command says to people, in one line."""
-    capsys.readouterr()
-    assert run([str(word) for word in words]) == 0
-    return " ".join(capsys.readouterr().out.split())
-
-
 @pytest.mark.parametrize("effect", ["backlash_y", "linear_drift", "warmup_x"])
-def test_identify_with_an_effect(sessions: list[str], effect: str, capsys: pytest.CaptureFixture[str]) -> None:
-    text = said(capsys, "identify", *sessions, "--effect", effect)
+def test_identify_with_an_effect(sessions: list[str], effect: str, verb: Verb) -> None:
+    text = verb("identify", *sessions, "--effect", effect).text
     assert f"model: rigid_body (monday), rigid_body (tuesday) with {effect}" in text
     if effect == "backlash_y":
         assert "backlash_y.b" in text and "half width" in text
@@ -47,37 +41,35 @@ def test_identify_with_an_effect(sessions: list[str], effect: str, capsys: pytes
     if effect == "linear_drift":
         assert "monday/linear_drift.r" in text and "tuesday/linear_drift.r" in text
         assert text.index("tuesday/linear_drift.r") < text.index("monday/A.x")
-    document = json.loads(said(capsys, "identify", *sessions, "--effect", effect, "--json"))
+    document = verb("identify", *sessions, "--effect", effect, "--json").document
     assert document["effects"] == [effect]
 
 
-def test_an_effect_with_the_name_of_an_error_motion_hides_it_not(
-    sessions: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_effect_with_the_name_of_an_error_motion_hides_it_not(sessions: list[str], verb: Verb) -> None:
     """The model has EYY as a table already: the effect adds nothing to it, and the table is shown as without it."""
-    alone, text = (said(capsys, "identify", *sessions, *more) for more in ((), ("--effect", "EYY")))
+    alone, text = (verb("identify", *sessions, *more).text for more in ((), ("--effect", "EYY")))
     assert "EYY" in alone.partition("Error motions")[2].partition("(--json")[0]
     assert "EYY" in text.partition("Error motions")[2].partition("(--json")[0]
     assert "not determined: effect EYY: " in text
 
 
-def test_export_with_an_effect(sessions: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = said(capsys, "export", *sessions, "--effect", "backlash_y", "--format", "isg", "-o", tmp_path / "tables")
+def test_export_with_an_effect(sessions: list[str], tmp_path: Path, verb: Verb) -> None:
+    text = verb("export", *sessions, "--effect", "backlash_y", "--format", "isg", "-o", tmp_path / "tables").text
     assert "RMS left" in text and "backlash_y" in text
 
 
-def test_compare_for_people(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    text = said(capsys, "compare", *sessions)
+def test_compare_for_people(sessions: list[str], verb: Verb) -> None:
+    text = verb("compare", *sessions).text
     assert "The readings scatter" in text and "times their declared uncertainty" in text
     assert "Sessions, worst first" in text and "Setups of all sessions, worst first" in text
     assert "monday/A" in text and "tuesday/D" in text and "monday: Direction of approach" in text
-    fits = said(capsys, "compare", *sessions, "--effect", "backlash_y")
+    fits = verb("compare", *sessions, "--effect", "backlash_y").text
     assert "The model fits the readings" in fits and "In the model: backlash_y." in fits
 
 
-def test_compare_for_programs(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    document = json.loads(said(capsys, "compare", *sessions, "--json"), parse_constant=pytest.fail)
-    alone = json.loads(said(capsys, "compare", sessions[0], "--json"))
+def test_compare_for_programs(sessions: list[str], verb: Verb) -> None:
+    document = json.loads(verb("compare", *sessions, "--json").text, parse_constant=pytest.fail)
+    alone = verb("compare", sessions[0], "--json").document
     assert document["method"] == "joint" and document["format"] == alone["format"]
     assert [entry["label"] for entry in document["sessions"]] == ["monday", "tuesday"]
     assert all(set(entry) == {"label", *alone} for entry in document["sessions"])
@@ -95,10 +87,8 @@ def test_compare_for_programs(sessions: list[str], capsys: pytest.CaptureFixture
     assert sum(squares) == pytest.approx(whole, rel=0.02)
 
 
-def test_compare_draws_and_writes_every_session(
-    sessions: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said(capsys, "compare", *sessions, "-o", tmp_path, "--against", "time")
+def test_compare_draws_and_writes_every_session(sessions: list[str], tmp_path: Path, verb: Verb) -> None:
+    verb("compare", *sessions, "-o", tmp_path, "--against", "time")
     assert (tmp_path / "setups.png").read_bytes().startswith(b"\x89PNG")
     for label in ("monday", "tuesday"):
         assert {path.name for path in (tmp_path / label).iterdir()} == {
@@ -107,14 +97,13 @@ def test_compare_draws_and_writes_every_session(
     table = pd.read_csv(tmp_path / "comparison.csv", comment="#")
     assert table["session"].value_counts().to_dict() == {"monday": 144, "tuesday": 144}
     assert (table["measured"] - table["predicted"] - table["residual"]).abs().max() < 1e-12
-    assert run(["compare", *sessions, "--against", "moon", "-o", str(tmp_path)]) == 1
-    assert "there is no covariate 'moon'" in capsys.readouterr().err
+    assert "there is no covariate 'moon'" in verb.refused("compare", *sessions, "--against", "moon", "-o", tmp_path)
 
 
-def test_the_order_of_sessions_of_different_methods(several_methods: list[str], tmp_path, capsys, monkeypatch) -> None:
+def test_the_order_of_sessions_of_different_methods(several_methods: list[str], tmp_path, verb, monkeypatch) -> None:
     """What one session did not record is empty for it."""
     monkeypatch.setattr("machine_tool_calibration.plots.compare.draw", lambda *_: [])
-    said(capsys, "compare", *several_methods, "-o", tmp_path)
+    verb("compare", *several_methods, "-o", tmp_path)
     table = pd.read_csv(tmp_path / "comparison.csv", comment="#")
     assert table.loc[table["session"] == "run", "azimuth"].isna().all()
     assert table.loc[table["session"] == "tracker", "azimuth"].notna().all()
@@ -152,12 +141,11 @@ def test_every_session_keeps_the_variant_of_the_history(several_methods: list[st
             assert models[::step] == names
 
 
-def test_history_of_several_sessions(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_history_of_several_sessions(sessions: list[str], verb: Verb) -> None:
     """It is listed, undone, and identified from, in whatever order the sessions are given."""
     paths = [Path(name) for name in sessions]
     opened = [open_measurement(path) for path in paths]
-    assert run(["history", *sessions]) == 1
-    assert "no model was tried yet" in capsys.readouterr().err
+    assert "no model was tried yet" in verb.refused("history", *sessions)
     aside = (3, 5)
     parts = tuple(
         Part(label=path.name, model="rigid_body", data=fingerprint(session), set_aside=own)
@@ -174,13 +162,13 @@ def test_history_of_several_sessions(sessions: list[str], capsys: pytest.Capture
     parts = (parts[0], parts[1].model_copy(update={"set_aside": tuple(rows)}))
     history = History().grown([entry.model_copy(update={"sessions": parts}) for entry in (first, second)])
     update_history(history_path(*paths), lambda old: history)
-    text = said(capsys, "history", *reversed(sessions))
+    text = verb("history", *reversed(sessions)).text
     assert "Sessions fitted together: monday, tuesday" in text and "backlash_y" in text
-    document = json.loads(said(capsys, "identify", *reversed(sessions), "--from-history", "--json"))
+    document = verb("identify", *reversed(sessions), "--from-history", "--json").document
     assert document["effects"] == ["backlash_y"]
     assert (document["observations"], document["used"]) == (288, 286)
     left = [{"session": "tuesday", "row": row, "reason": "set aside by model 2 of the history"} for row in rows]
     assert document["rejected"] == left
-    assert "with backlash_y" in said(capsys, "identify", *sessions, "--from-history")
-    said(capsys, "history", *sessions, "--undo")
-    assert json.loads(said(capsys, "history", *sessions, "--json"))["current"] == 1
+    assert "with backlash_y" in verb("identify", *sessions, "--from-history").text
+    verb("history", *sessions, "--undo")
+    assert verb("history", *sessions, "--json").document["current"] == 1

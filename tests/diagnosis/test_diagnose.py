@@ -108,7 +108,7 @@ def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() ->
 def test_chips_are_named_by_row_and_nothing_else() -> None:
     simulated = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02)))
     found = diagnose(simulated.session)
-    rows = {o.row for o in found.outliers}
+    rows = {o.row for o in found.gross_errors}
     truth = {int(row) for row in simulated.truth.document()["outliers"]}
     assert found.verdict == "outliers"
     assert len(rows & truth) >= 0.8 * len(truth)

@@ -65,7 +65,7 @@ def test_rows_that_scatter_together_are_no_effect(plates: ModuleType, many: Any)
 def test_far_holes_are_named(plates: ModuleType) -> None:
     session, far = plates.plate(3, far=4, scales=(4e-5, 4e-5), tails=None)
     found = diagnose(session)
-    assert [o.row for o in sorted(found.outliers, key=lambda o: o.row)] == far
+    assert [o.row for o in sorted(found.gross_errors, key=lambda o: o.row)] == far
     assert found.accepted == ("scale",)
 
 
@@ -87,7 +87,7 @@ def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> N
     along_y = np.flatnonzero(readings.columns["gy"] == 1.0)
     change[along_y[40:49]] = 2e-4
     found = diagnose(session.with_readings(replace(readings, displacement=readings.displacement + change)))
-    assert found.outliers == ()
+    assert found.gross_errors == ()
 
 
 def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) -> None:

@@ -116,7 +116,7 @@ def test_a_gross_error_that_was_lost_in_what_an_effect_leaves_is_set_aside_once_
     displacement[30] += 6e-5
     found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)))
     assert found.accepted == ("backlash_y",)
-    assert [outlier.row for outlier in found.outliers] == [30]
+    assert [outlier.row for outlier in found.gross_errors] == [30]
 
 
 def test_an_effect_that_gross_errors_hid_while_it_hid_them_is_found_with_them() -> None:
@@ -130,4 +130,4 @@ def test_an_effect_that_gross_errors_hid_while_it_hid_them_is_found_with_them() 
     found = diagnose(with_added(session, change))
     assert found.verdict == "missing_effect"
     assert found.accepted == ("reversal_ECY",)
-    assert sorted(outlier.row for outlier in found.outliers) == hit.tolist()
+    assert sorted(outlier.row for outlier in found.gross_errors) == hit.tolist()

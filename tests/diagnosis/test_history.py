@@ -49,11 +49,6 @@ def test_the_same_model_is_not_kept_twice_but_another_outcome_is() -> None:
 
 
 def test_a_history_that_contradicts_itself_is_refused() -> None:
-    for models, current in (
-        ([entry(), entry()], 1),
-        ([entry()], 3),
-        ([entry(parent=9)], 1),
-        ([entry(parent=1)], 1),
-    ):
+    for models, current in (([entry(), entry()], 1), ([entry()], 3), ([entry(parent=9)], 1), ([entry(parent=1)], 1)):
         with pytest.raises(ValidationError):
             History(models=tuple(models), current=current)

@@ -84,6 +84,5 @@ def test_weights_are_of_the_inverse_variance() -> None:
     half = Reweighted(own.parts[0], np.full(N, 0.25))
     nothing = np.zeros((0, 0))
     np.testing.assert_allclose(
-        scaled_residuals(half, TRUTH, nothing),
-        0.5 * scaled_residuals(own.parts[0], TRUTH, nothing),
+        scaled_residuals(half, TRUTH, nothing), 0.5 * scaled_residuals(own.parts[0], TRUTH, nothing)
     )

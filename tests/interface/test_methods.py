@@ -13,7 +13,8 @@ import pandas as pd
 import pytest
 
 import machine_tool_calibration as mtcal
-from machine_tool_calibration.cli.main import run
+
+from ..told import Verb
 
 MACHINE = Path(__file__).parents[2] / "config" / "machines" / "five_axis_vertical.yaml"
 SESSIONS: dict[str, dict[str, Any]] = {
@@ -23,12 +24,6 @@ SESSIONS: dict[str, dict[str, Any]] = {
     "direct": {"plan": "iso230_2", "effects": {"backlash_x": 1.5e-6}, "repeats": 2},
     "step_diagonal": {"plan": "step_diagonal", "repeats": 1, "blocks": 4},
 }
-
-
-def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    capsys.readouterr()
-    assert run(list(words)) == 0
-    return capsys.readouterr().out
 
 
 @pytest.fixture(scope="module", params=SESSIONS)
@@ -52,10 +47,10 @@ def motion(fit: mtcal.Fit, name: str) -> pd.DataFrame:
     return fit.error_motions[fit.error_motions["motion"] == name]
 
 
-def test_identify_says_what_the_command_says(folder: Path, fit: mtcal.Fit, capsys: pytest.CaptureFixture[str]) -> None:
-    document = json.loads(said(capsys, "identify", str(folder), "--json"))
+def test_identify_says_what_the_command_says(folder: Path, fit: mtcal.Fit, verb: Verb) -> None:
+    document = verb("identify", str(folder), "--json").document
     assert json.loads(json.dumps(fit.document())) == document
-    assert fit.report() == said(capsys, "identify", str(folder))
+    assert fit.report() == verb("identify", str(folder)).out
     known = fit.parameters[fit.parameters["determined"]]
     assert [*known.index] == [entry["name"] for entry in document["parameters"]]
     np.testing.assert_array_equal(known["value"], [entry["value"] for entry in document["parameters"]])
@@ -124,10 +119,10 @@ def test_error_motions_are_those_of_the_document(fit: mtcal.Fit) -> None:
         assert fit.workpiece.empty
 
 
-def test_compare_says_what_the_command_says(folder: Path, fit: mtcal.Fit, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compare_says_what_the_command_says(folder: Path, fit: mtcal.Fit, verb: Verb) -> None:
     assert fit.rejected.empty  # the command holds the model against all readings
     comparison = fit.compare()
-    document = json.loads(said(capsys, "compare", str(folder), "--json"))
+    document = verb("compare", str(folder), "--json").document
     assert json.loads(json.dumps(comparison.document())) == document
     assert [*comparison.setups["name"]] == [entry["name"] for entry in document["setups"]]
     np.testing.assert_array_equal(
@@ -163,39 +158,39 @@ def test_the_loop(folder: Path, fit: mtcal.Fit) -> None:
 
 
 def test_diagnose_and_improve_say_what_the_commands_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, verb: Verb, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("machine_tool_calibration.plots.improve.save_improvement", lambda done, folder: [])
     mtcal.simulate(seed=3, **SESSIONS["direct"]).save(tmp_path / "run")
     session = str(tmp_path / "run")
     improvement = mtcal.improve(session)
     diagnosis = improvement.diagnosis
-    diagnosed = json.loads(said(capsys, "diagnose", session, "--json"))
+    diagnosed = verb("diagnose", session, "--json").document
     assert json.loads(json.dumps(diagnosis.document())) == diagnosed
     for entry in diagnosed["candidates"]:
         assert diagnosis.probability[entry["effect"]] == entry["probability"]
     assert diagnosis.candidates.loc["backlash_x", "plausible"]
     assert 0 <= diagnosis.nothing < 0.01
-    improved = json.loads(said(capsys, "improve", session, "--no-history", "--json"))
+    improved = verb("improve", session, "--no-history", "--json").document
     assert json.loads(json.dumps(improvement.document())) == improved
     rms = [step["rms_residual"] for step in improved["steps"]]
     np.testing.assert_array_equal(improvement.history["rms_residual"], rms)
     assert diagnosis.effects == improvement.best.effects == ("backlash_x",)
     assert improvement.best.document() == improvement.document()["result"]
     # The texts of the same diagnosis and improvement, without searching again.
-    package = "machine_tool_calibration"
-    monkeypatch.setattr(f"{package}.diagnosis.diagnose.diagnose", lambda *a, **k: diagnosis.found)
-    monkeypatch.setattr(f"{package}.planning.what_to_measure.conclude", lambda *a, **k: diagnosis.conclusions)
-    monkeypatch.setattr(f"{package}.diagnosis.improve.improve", lambda *a, **k: improvement.found)
-    assert diagnosis.report() == said(capsys, "diagnose", session)
-    assert improvement.report() == said(capsys, "improve", session, "--no-history")
+    package = "machine_tool_calibration.budget.complete"
+    monkeypatch.setattr(f"{package}.look_for_effects", lambda *a, **k: diagnosis)
+    monkeypatch.setattr(f"{package}.conclude_from", lambda *a, **k: diagnosis.conclusions)
+    monkeypatch.setattr(f"{package}.improve_models", lambda *a, **k: improvement)
+    assert diagnosis.report() == verb("diagnose", session).out
+    assert improvement.report() == verb("improve", session, "--no-history").out
     assert improvement.plot().canvas.manager is None
     for shown in (diagnosis, improvement):
         assert "\n" not in repr(shown)
         assert "<pre>" in shown._repr_html_()
 
 
-def test_several_sessions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_sessions(tmp_path: Path, verb: Verb) -> None:
     for name, plan in (("square", {"plan": "grid_plate", "count": 5}), ("line", {"plan": "iso230_2"})):
         mtcal.simulate(**plan, repeats=1, seed=2, machine=MACHINE).save(tmp_path / name)  # type: ignore[arg-type]
     paths = [tmp_path / "square", tmp_path / "line"]
@@ -204,16 +199,16 @@ def test_several_sessions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert [*session.readings["session"].unique()] == ["square", "line"]
     fit = mtcal.identify(session)
     words = [str(path) for path in paths]
-    document = json.loads(said(capsys, "identify", *words, "--json"))
+    document = verb("identify", *words, "--json").document
     assert json.loads(json.dumps(fit.document())) == document
-    assert fit.report() == said(capsys, "identify", *words)
+    assert fit.report() == verb("identify", *words).out
     content = document["error_map"]
     np.testing.assert_array_equal(fit.error_map[["ex", "ey", "ez"]], numbers(content["position_error"]))
     np.testing.assert_array_equal(fit.error_map[["ux", "uy", "uz"]], numbers(content["position_error_u"]))
     np.testing.assert_array_equal(motion(fit, "EXX")["value"], numbers(content["tables"]["EXX"]["value"]))
     assert motion(fit, "C0Y")["value"].item() == content["tables"]["C0Y"]["value"]
     comparison = fit.compare()
-    assert comparison.report() == said(capsys, "compare", *words)
+    assert comparison.report() == verb("compare", *words).out
     assert {*comparison.trends["session"]} == {"square", "line"}
     assert len(comparison.residuals) == len(fit.residuals) == document["used"]
     assert fit.plot("error_motions").canvas.manager is None

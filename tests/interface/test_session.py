@@ -97,7 +97,7 @@ def test_readings_that_do_not_belong_are_out_of_the_last_fits() -> None:
     session = mtcal.simulate("iso230_2", effects={"backlash_x": 1.5e-6}, chips=0.04, seed=8)
     improvement = mtcal.improve(session)
     aside = improvement.diagnosis.outliers
-    assert len(aside) == len(improvement.found.steps[-1].set_aside[0]) > 0
+    assert len(aside) == len(improvement.steps[-1].set_aside[0]) > 0
     assert [len(fit.measurement.readings) for fit in improvement.fits][-1] == len(session.readings) - len(aside)
     assert improvement.history["readings"].iloc[-1] == len(session.readings) - len(aside)
     left = improvement.residuals.set_index("row")["residual_after"]

@@ -11,12 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import (
-    lever_arm,
-    motion_field,
-    parse_motion,
-    squareness_field,
-)
+from machine_tool_calibration.machine.error_motions import lever_arm, motion_field, parse_motion, squareness_field
 
 X, Y, Z = 0.3, -0.2, 0.1
 PLACE = np.array([[X, Y, Z]])

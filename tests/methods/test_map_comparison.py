@@ -80,7 +80,7 @@ def test_maps_of_a_plane_are_drawn_where_they_were_found_and_listed() -> None:
     first[2, 0] = 2e-5
     roots = (alone(1e-6, (4, 3), False), alone(1e-6, (4, 3), True))
     compared = compare_maps(SQUARE, first, np.zeros((4, 3)), roots, labels=("new", "old"))
-    found = MapComparison(compared)
+    found = MapComparison.of(compared)
     left, right = found.plot().axes
     drawn = {line.get_label(): line.get_xydata() for line in left.lines}
     magnified = drawn["new"] - drawn["commanded"]
@@ -136,8 +136,8 @@ def test_two_instruments_agree_on_one_machine_and_not_on_two() -> None:
     # Both maps are in the datum of all their points already: their uncertainties stay what they are.
     stated = tracked.error_map.uncertainty[:, :2]
     assert found.u_first[:, :2] == pytest.approx(stated, rel=5 / np.sqrt(2 * draws))
-    assert found.beyond == int((np.abs(MapComparison(found).table["normalised"]) > 1.0).sum())
-    assert MapComparison(found).headline == "first and second agree at 20 points"
+    assert found.beyond == int((np.abs(MapComparison.of(found).table["normalised"]) > 1.0).sum())
+    assert MapComparison.of(found).headline == "first and second agree at 20 points"
     contradicting = compare_fits(tracked, other, draws=draws)
     assert not contradicting.agree and contradicting.p_value < 1e-6
 

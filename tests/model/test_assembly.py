@@ -115,14 +115,7 @@ def test_p_value_and_predicted():
 def result_of(model):
     fit = fit_models([model]).fits[0]
     found = error_map(fit)
-    return Result(
-        fit=fit,
-        error_map=found,
-        effects=("scale",),
-        model_name="line",
-        rejected=(),
-        observations=9,
-    )
+    return Result(fit=fit, error_map=found, effects=("scale",), model_name="line", rejected=(), observations=9)
 
 
 def test_published_value_counts_from_its_reference():

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from machine_tool_calibration.nodes.environment import interpolate
 from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.samples import Batch, NotYet, Recent, SimulatedSource, is_steady
+from machine_tool_calibration.nodes.samples import Batch, NotYet, Recent, is_steady
 from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.nodes.simulated_source import SimulatedSource
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, SiteSpec
 from machine_tool_calibration.procedure import read_procedure
 

@@ -4,18 +4,16 @@
 import json
 import re
 from collections.abc import Iterator
-from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.budget.contributor import default_budget
-from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.budget import complete
+from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes import calculation
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
@@ -23,6 +21,7 @@ from machine_tool_calibration.report import sections as room
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.tables import TextTable
@@ -31,6 +30,8 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import words
 from machine_tool_calibration.workbench import models
+
+from ..told import Verb
 
 # One of each method, and of each kind where a method has several.
 KINDS = (
@@ -60,18 +61,18 @@ def no_pictures() -> Iterator[None]:
         yield
 
 
+# The same with a budget that the session states, so that its U is the complete one.
+RUN = "iso230_2 with laser_interferometer"
+WITH_BUDGET = (RUN, "rotary_axis with laser_tracker")
+
+
 @cache
 def session_of(kind: str) -> Session:
+    kind, _, instrument = kind.partition(" with ")
     effects = (FlawSpec(id="backlash_x", amplitude=2e-6),) if kind == "iso230_2" else ()
-    return simulate(SimulationSpec(plan=PRESETS[kind], seed=4, effects=effects)).session
-
-
-def said(*arguments: str) -> str:
-    """What a verb prints."""
-    out = StringIO()
-    with redirect_stdout(out):
-        assert run(list(arguments)) == 0
-    return out.getvalue()
+    session = simulate(SimulationSpec(plan=PRESETS[kind], seed=4, effects=effects)).session
+    lines = template_of(instrument) if instrument else ()
+    return replace(session, description=session.description.model_copy(update={"budget": lines}))
 
 
 def received(kind: str, folder: Path) -> Received:
@@ -107,23 +108,25 @@ def without_origin(document: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in json.loads(json.dumps(document)).items() if key != "provenance"}
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [*KINDS, *WITH_BUDGET])
+def test_a_result_is_the_same_wherever_it_is_told(kind: str, verb: Verb, tmp_path: Path) -> None:
     session, folder = session_of(kind), tmp_path / "session"
     write_session(session, folder)
     found = evaluate(Measured((session,), FitRequest((session,))), diagnosis=False)
     of_report = without_origin(found.document)
+    assert of_report["uncertainty"] == ("budget" if kind in WITH_BUDGET else "identification")
     table = tmp_path / "found.csv"
-    of_terminal = said("identify", str(folder), "--csv", str(table))
+    of_terminal = verb("identify", folder, "--csv", table).out
     shown = models.opened([folder], None, (), lambda *_: None).models[-1]
     for other in (
-        json.loads(said("identify", str(folder), "--json")),
+        verb("identify", folder, "--json").document,
         json.loads(calculation.identified(received(kind, tmp_path), lambda *_: None).document),
         shown.fit.document(),
     ):
         assert compared(of_report, without_origin(other)) > 20
     told = tables(found)
     lines = [re.sub(r"\s+", " ", line).strip() for line in of_terminal.splitlines()]
+    assert kind not in WITH_BUDGET or "without instrument and temperature" not in of_terminal
     assert all(f"{name} {value}" in lines for name, value in summary_rows({**of_report, "not_determined": []}))
     summary = next(block for block in room.sections(found, words("en"))[0].blocks if isinstance(block, TextTable))
     assert summary.rows == tuple(summary_rows({**of_report, "not_determined": []}))
@@ -138,25 +141,26 @@ def test_a_result_is_the_same_wherever_it_is_told(kind: str, tmp_path: Path) -> 
 @cache
 def whole() -> Evaluation:
     """All of a report of a run by ISO 230-2, with a budget."""
-    session = session_of("iso230_2")
-    measured, lines = Measured((session,), FitRequest((session,))), default_budget([session])
-    return evaluate(measured, contributors=lines, tolerances={"A": 20e-6, "EXX": 20e-6})
+    session = session_of(RUN)
+    return evaluate(Measured((session,), FitRequest((session,))), tolerances={"A": 20e-6, "EXX": 20e-6})
 
 
-def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind, folder, found = "iso230_2", tmp_path / "session", whole()
+def test_a_diagnosis_is_the_same_wherever_it_is_told(
+    verb: Verb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind, folder, found = RUN, tmp_path / "session", whole()
     write_session(session_of(kind), folder)
     assert found.improvement is not None and found.conclusions is not None
     diagnosis, then = found.improvement.diagnosis, found.conclusions
-    document = json.loads(said("diagnose", str(folder), "--json"))
+    document = verb("diagnose", folder, "--json").document
     assert document["accepted"] == ["backlash_x"]
-    monkeypatch.setattr(calculation, "diagnose", lambda *_, **__: diagnosis)
+    monkeypatch.setattr(complete, "look_for_effects", lambda *_, **__: diagnosis)
     of_node = calculation.diagnosed(received(kind, tmp_path), lambda *_: None).content
     assert compared(without_origin(document), without_origin(dict(of_node))) > 20
     opened = models.opened([folder], None, (), lambda *_: None)
     of_workbench = models.diagnosed(opened.subject, opened.models[-1], lambda *_: None)
     report = diagnosis_report(diagnosis, then.advice, then.changes)
-    assert report == diagnosis_report(of_workbench[0], of_workbench[1].advice, of_workbench[1].changes)
+    assert report == diagnosis_report(of_workbench, of_workbench.conclusions.advice, of_workbench.conclusions.changes)
     (section,) = (one for one in room.sections(found, words("en")) if one.id == "diagnosis")
     assert tuple(block for block in section.blocks if isinstance(block, str)) == report.words
     written = [block for block in section.blocks if isinstance(block, TextTable)]
@@ -166,6 +170,15 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(tmp_path: Path, monkeypatch
     (told,) = document["candidates"][0]["parameters"]
     (own,) = then.changes["backlash_x"].parameters
     assert (told["value"], told["standard_uncertainty"]) == pytest.approx((own.value, own.standard_uncertainty))
+    # The size that the diagnosis tells is that of the model with it, on the way and as it is identified.
+    steps = improvement_document(found.improvement)
+    told_by_verb = verb("improve", folder, "--json", "-o", tmp_path / "pictures").document
+    assert compared(without_origin(steps), without_origin(told_by_verb)) > 20
+    best = models.improved(opened.subject, opened.models[-1], of_workbench, lambda *_: None)[-1]
+    of_model = [p for p in best.fit.document()["parameters"] if p["name"] == own.name]
+    for parameter in (*found.improvement.steps[-1].parameters, *best.step.parameters):
+        assert parameter.standard_uncertainty == pytest.approx(own.standard_uncertainty)
+    assert [p["standard_uncertainty"] for p in of_model] == pytest.approx([own.standard_uncertainty])
 
 
 def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
@@ -178,7 +191,7 @@ def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
     assert 2 * max(motion) == pytest.approx(expanded)
     assert 2 * max(document["error_map"]["tables"]["EXX"]["value_u"]) == pytest.approx(expanded)
     (run_,) = document["error_map"]["iso230_2"]
-    accuracy = found.conformity.verdicts[0]
+    accuracy = found.conformity.each[0]
     assert run_["A_U"] == pytest.approx(2 * accuracy.u) == pytest.approx(found.budget.largest("A_X").expanded)  # type: ignore[union-attr]
     assert "note" not in run_  # that the instrument's comes on top
     told = tables(found)

@@ -127,7 +127,7 @@ def test_outliers_are_listed_by_row() -> None:
     found, shown = report("outliers")
     assert "do not belong to the rest" in shown.words[0]
     rows = [int(row[0]) for row in table(shown, "Readings that do not belong").rows]
-    assert rows == sorted(o.row for o in found.outliers)
+    assert rows == sorted(o.row for o in found.gross_errors)
 
 
 def test_too_small_a_declared_uncertainty_is_not_blamed_on_an_effect() -> None:

@@ -7,7 +7,6 @@ import pytest
 import yaml
 
 from machine_tool_calibration import simulation
-from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import (
@@ -23,32 +22,10 @@ from machine_tool_calibration.simulation.options import parse_effect, parse_sett
 MACHINES = sorted((Path(__file__).parents[2] / "config" / "machines").glob("*.yaml"))
 
 
-def simulate(capsys, *words):
-    """Exit status, standard output, standard error."""
-    status = run(["simulate", *map(str, words)])
-    out = capsys.readouterr()
-    return status, out.out, out.err
-
-
-def test_written_session_reads_back_to_the_last_bit(tmp_path, capsys):
+def test_written_session_reads_back_to_the_last_bit(tmp_path, verb):
     folder = tmp_path / "out"
-    status, out, _ = simulate(
-        capsys,
-        "--method",
-        "tracking_interferometer",
-        "--dimension",
-        "3",
-        "--seed",
-        "5",
-        "--effect",
-        "backlash_y",
-        "--size",
-        "2e-6",
-        folder,
-        "--json",
-    )
-    assert status == 0
-    summary = json.loads(out)
+    words = ["--method", "tracking_interferometer", "--dimension", "3", "--seed", "5"]
+    summary = verb("simulate", *words, "--effect", "backlash_y", "--size", "2e-6", folder, "--json").document
     assert summary["observations"] == 1000
     assert summary["effects"][0] | {"size": 2e-6} == {"id": "backlash_y", "size": 2e-6, "unit": "m"}
     session = read_session(folder)
@@ -69,48 +46,30 @@ def test_written_session_reads_back_to_the_last_bit(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("method", ["step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct"])
-def test_every_method_is_written_and_read(method, tmp_path, capsys):
-    status, out, err = simulate(capsys, "--method", method, tmp_path / "s")
-    assert (status, err) == (0, "")
-    assert f"mtcal identify {tmp_path / 's'}" in out.replace("\n", "")
+def test_every_method_is_written_and_read(method, tmp_path, verb):
+    told = verb("simulate", "--method", method, tmp_path / "s")
+    assert told.err == "" and f"mtcal identify {tmp_path / 's'}" in told.out.replace("\n", "")
     session = read_session(tmp_path / "s")
     assert session.method == method
     assert np.isfinite(session.readings.displacement).all()
 
 
-def test_a_session_in_the_way_is_kept(tmp_path, capsys):
-    assert simulate(capsys, "--method", "direct", tmp_path)[0] == 0
+def test_a_session_in_the_way_is_kept(tmp_path, verb):
+    verb("simulate", "--method", "direct", tmp_path)
     before = (tmp_path / "observations.csv").read_bytes()
-    status, _, err = simulate(capsys, "--method", "direct", "--seed", "1", tmp_path)
-    assert status == 1
-    assert err.count("\n") == 1
+    verb.refused("simulate", "--method", "direct", "--seed", "1", tmp_path)
     assert (tmp_path / "observations.csv").read_bytes() == before
-    assert simulate(capsys, "--method", "direct", "--seed", "1", "--overwrite", tmp_path)[0] == 0
+    verb("simulate", "--method", "direct", "--seed", "1", "--overwrite", tmp_path)
     assert (tmp_path / "observations.csv").read_bytes() != before
     assert json.loads((tmp_path / "truth.json").read_text())["seed"] == 1
 
 
-def test_spec_file_and_options_on_top(tmp_path, capsys):
+def test_spec_file_and_options_on_top(tmp_path, verb):
     spec = tmp_path / "spec.yaml"
     spec.write_text("plan: {method: probing, part: pins}\nseed: 3\nnoise: 2e-6\neffects: [{id: probe_pretravel}]\n")
-    status, out, _ = simulate(
-        capsys,
-        spec,
-        tmp_path / "s",
-        "--seed",
-        "4",
-        "--plan",
-        "repeats=2",
-        "--json",
-        "--effect",
-        "workpiece_thermal:amplitude=5e-6",
-        "--chips",
-        "0.03",
-        "--missing",
-        "0.01",
-    )
-    assert status == 0
-    summary = json.loads(out)
+    words = ["--seed", "4", "--plan", "repeats=2", "--effect", "workpiece_thermal:amplitude=5e-6"]
+    words += ["--chips", "0.03", "--missing", "0.01"]
+    summary = verb("simulate", spec, tmp_path / "s", *words, "--json").document
     assert (summary["seed"], summary["observations"], summary["standard_uncertainty"]) == (4, 2 * 704, 2e-6)
     assert [e["id"] for e in summary["effects"]] == ["probe_pretravel", "workpiece_thermal"]
     assert summary["outliers"] > 0
@@ -138,11 +97,8 @@ def test_spec_file_and_options_on_top(tmp_path, capsys):
         (["missing_spec.yaml"], "missing_spec.yaml: no such file"),
     ],
 )
-def test_wrong_requests_get_one_line(words, said, tmp_path, capsys):
-    status, out, err = simulate(capsys, *words, tmp_path / "s")
-    assert (status, out) == (1, "")
-    assert said in err
-    assert err.count("\n") == 1
+def test_wrong_requests_get_one_line(words, said, tmp_path, verb):
+    assert said in verb.refused("simulate", *words, tmp_path / "s")
     assert not (tmp_path / "s").exists()
 
 
@@ -156,22 +112,20 @@ def test_spec_errors_name_file_line_and_key(tmp_path):
         read_spec(spec)
 
 
-def test_list_and_help(capsys):
-    status, out, _ = simulate(capsys, "--list")
-    assert status == 0
+def test_list_and_help(verb):
+    out = verb("simulate", "--list").out
     for word in ("tracking_3d", "backlash_x", "unlisted_step", "station_drift"):
         assert word in out
-    listed = json.loads(simulate(capsys, "--list", "--json")[1])
+    listed = verb("simulate", "--list", "--json").document
     assert listed["presets"]["probing_pins"] == "probing"
     assert {"id", "formula", "unit", "typical", "methods", "listed"} == set(listed["effects"][0])
-    assert run(["simulate", "--help"]) == 0
-    assert "mtcal simulate SPEC.yaml OUT" in capsys.readouterr().out
+    assert "mtcal simulate SPEC.yaml OUT" in verb("simulate", "--help").out
 
 
-def test_wrong_command_line_is_status_2(tmp_path, capsys):
-    assert simulate(capsys, "--method", "direct")[0] == 2
-    assert simulate(capsys, "--method", "direct", "--size", "1e-6", tmp_path / "s")[0] == 2
-    assert simulate(capsys, "--method", "nonsense", tmp_path / "s")[0] == 2
+def test_wrong_command_line_is_status_2(tmp_path, verb):
+    verb("simulate", "--method", "direct", status=2)
+    verb("simulate", "--method", "direct", "--size", "1e-6", tmp_path / "s", status=2)
+    verb("simulate", "--method", "nonsense", tmp_path / "s", status=2)
 
 
 def test_effects_and_settings_from_words():
@@ -196,10 +150,10 @@ def test_example_machines_can_be_built_and_written_again(path):
     )
 
 
-def test_a_machine_file_decides_the_errors(tmp_path, capsys):
+def test_a_machine_file_decides_the_errors(tmp_path, verb):
     file = tmp_path / "machine.yaml"
     file.write_text("random: null\nsquareness: {C0Y: 2e-5}\n")
-    assert simulate(capsys, "--preset", "tracking_2d", "--machine", file, tmp_path / "s")[0] == 0
+    verb("simulate", "--preset", "tracking_2d", "--machine", file, tmp_path / "s")
     truth = json.loads((tmp_path / "s" / "truth.json").read_text())
     points, error = np.array(truth["points"]), np.array(truth["position_error"])
     np.testing.assert_allclose(error[:, 0], -2e-5 * points[:, 1], atol=1e-12)

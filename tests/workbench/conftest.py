@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions with a hidden effect, and the page's libraries."""
 
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,3 +21,24 @@ def hidden(tmp_path: Path) -> Path:
     folder = tmp_path / "cube"
     simulate("tracking_2d", effects={"backlash_y": 2e-6}, seed=3).save(folder)
     return folder
+
+
+@pytest.fixture
+def state(hidden: Path) -> Any:
+    """A window's work on it."""
+    from machine_tool_calibration.workbench.state import State
+
+    made = State()
+    made.opened(hidden)()
+    return made
+
+
+@pytest.fixture
+def document() -> Iterator[Any]:
+    """Of a window, in which its pages are made."""
+    from bokeh.document import Document
+    from panel.io.state import set_curdoc
+
+    made = Document()
+    with set_curdoc(made):
+        yield made

@@ -2,7 +2,6 @@
 """What the pages show of a diagnosis and of an effect of the user's own."""
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +12,6 @@ from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
 
 
-@pytest.fixture
-def state(hidden: Path) -> State:
-    made = State()
-    made.opened(hidden)()
-    return made
-
-
 def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None:
     with pytest.raises(CalibrationError, match="no diagnosis"):
         state.improved()
@@ -27,7 +19,7 @@ def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None
     # As it goes to another process and comes back.
     job = pickle.loads(pickle.dumps(state.diagnosed().work))
     state.diagnosed().take(pickle.loads(pickle.dumps(job(lambda what, share: told.append(share)))))
-    assert state.diagnosis is not None and state.diagnosis[0].accepted == ("backlash_y",)
+    assert state.diagnosis is not None and state.diagnosis.accepted == ("backlash_y",)
     assert told == sorted(told) and told[-1] <= 1.0
     first = state.model.fit.rms_residual
     state.improved()()

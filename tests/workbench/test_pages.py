@@ -2,7 +2,6 @@
 """Pages without a browser: what they show of the models, and how a browser is told of it."""
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +13,6 @@ from bokeh.protocol import Protocol
 from bokeh.server.connection import ServerConnection
 from bokeh.server.protocol_handler import ProtocolHandler
 from bokeh.server.session import ServerSession
-from panel.io.state import set_curdoc
 
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
@@ -30,20 +28,6 @@ from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
 pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
-
-
-@pytest.fixture
-def state(hidden: Path) -> State:
-    made = State()
-    made.opened(hidden)()
-    return made
-
-
-@pytest.fixture
-def document() -> Iterator[Document]:
-    made = Document()
-    with set_curdoc(made):
-        yield made
 
 
 def shown(kind: Any, state: State) -> Any:

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -87,6 +89,21 @@ def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> N
     known = now.uncertainty > 0
     assert len(then) > 1 and all(np.all(one.uncertainty[known] < 1.001 * now.uncertainty[known]) for one in then)
     assert min(one.typical for one in then) < 0.9 * now.typical
+
+
+def test_what_a_budget_adds_stays_whatever_is_measured_next() -> None:
+    measurement, every = simulate("rotary_axis", seed=3), []
+    for lines in ((), template_of("laser_tracker")):
+        described = measurement.sessions[0].description.model_copy(update={"budget": lines})
+        own = replace(measurement, sessions=(replace(measurement.sessions[0], description=described),))
+        subject = Subject(own)
+        model = subject.tried(None, "", own.chosen(None, (), ()), frozenset(), frozenset())
+        every.append({one.words: one.uncertainty**2 for one in looked_ahead(subject, model, lambda what, share: None)})
+    read, complete = every
+    both = read.keys() & complete.keys()
+    assert len(both) > 1 and np.nanmax(complete[""] - read[""]) > 0.01 * np.nanmax(read[""])
+    for words in both:
+        np.testing.assert_allclose(complete[words] - read[words], complete[""] - read[""], atol=1e-18)
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")

@@ -11,7 +11,6 @@ from typing import Any
 import panel as pn
 import pytest
 from bokeh.document import Document
-from panel.io.state import set_curdoc
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.history_file import history_path, read_history
@@ -38,13 +37,6 @@ class Endless:
 
     def end(self) -> None:
         self.over.set()
-
-
-@pytest.fixture
-def document() -> Iterator[Document]:
-    made = Document()
-    with set_curdoc(made):
-        yield made
 
 
 @pytest.fixture

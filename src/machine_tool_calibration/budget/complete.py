@@ -1,23 +1,108 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A result with the uncertainty of its budget, so that whatever is told of it states the same."""
+"""What is found out, with the uncertainty of its budget, so that whatever is told of it states the same.
+
+Commands, nodes and pages identify, improve and conclude by these: a session that states a budget has one complete
+uncertainty everywhere. Without one it is what the readings show, which their words say.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.budget.propagate import Budget
+from machine_tool_calibration.budget.contributor import known_contributors
+from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES, POSITION_ERROR, Quantity
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.diagnose import diagnose as look_for_effects
+from machine_tool_calibration.diagnosis.improve import Improvement, Step
+from machine_tool_calibration.diagnosis.improve import improve as improve_models
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.iso230_2 import of_diagonals
-from machine_tool_calibration.model.result import Identified
+from machine_tool_calibration.model.result import Identified, Result, map_rms
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
+from machine_tool_calibration.planning.what_to_measure import conclude as conclude_from
+from machine_tool_calibration.session.contributor import Contributor
+from machine_tool_calibration.session.session import Session
 
-__all__ = ["completed"]
+__all__ = ["completed", "completed_steps", "conclude", "diagnose", "identify", "improve", "stated"]
 
 Either = TypeVar("Either", bound=Identified)
+
+
+def stated(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
+    """Contributors of the budgets that sessions state; none unless every one of them states one."""
+    return known_contributors(sessions)[0] if all(session.description.budget for session in sessions) else ()
+
+
+def identify(chosen: FitRequest) -> Result | JointResult:
+    """Identify one machine from one session or several, with the complete uncertainty where they state a budget.
+
+    Raises:
+        ModelError: as for `identify_sessions`.
+    """
+    result, lines = identify_sessions(chosen), stated(chosen.sessions)
+    return completed(result, propagate(fitted_sessions(result), lines)) if lines else result
+
+
+def improve(
+    subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
+) -> Improvement:
+    """Make a model better step by step, each with the complete uncertainty where the sessions state a budget.
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    chosen = FitRequest.of(subject)
+    return completed_steps(improve_models(chosen, progress=progress), stated(chosen.sessions))
+
+
+def diagnose(chosen: FitRequest, *, progress: Callable[[str, float], None]) -> tuple[Diagnosis, Conclusions]:
+    """Look for the effects that a model lacks, and draw the conclusions (`conclude`).
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    found = look_for_effects(chosen, progress=lambda what, share: progress(what, SEARCH * share))
+    return found, conclude(found, progress=progress)
+
+
+def conclude(
+    found: Diagnosis,
+    contributors: Sequence[Contributor] | None = None,
+    *,
+    seed: int = 1,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Conclusions:
+    """What follows from a diagnosis, the sizes of effects with their complete uncertainty.
+
+    Args:
+        found: the diagnosis.
+        contributors: of the budget; those that the sessions state if absent. The readings' uncertainty without any.
+        seed: of random draws.
+        progress: called with what is being done and the share of the whole, which begins at `SEARCH`.
+    """
+    lines = stated(found.chosen.sessions) if contributors is None else contributors
+
+    def added(fitted: FittedSessions) -> Mapping[str, float]:
+        return _of_unknowns(propagate(fitted, lines, seed=seed)) if lines else {}
+
+    return conclude_from(found, progress=progress, added=added)
+
+
+def completed_steps(done: Improvement, contributors: Sequence[Contributor], seed: int = 1) -> Improvement:
+    """The same with every step's result completed by the budget of its own model; as it is without contributors."""
+
+    def complete(step: Step) -> Step:
+        result = completed(step.result, propagate(fitted_sessions(step.result), contributors, seed=seed))
+        return replace(step, result=result, map_uncertainty=map_rms(result.error_map.uncertainty))
+
+    return replace(done, steps=tuple(map(complete, done.steps))) if contributors else done
 
 
 def completed(result: Either, budget: Budget) -> Either:
@@ -27,9 +112,7 @@ def completed(result: Either, budget: Budget) -> Either:
         result: of an identification.
         budget: of its fit.
     """
-    # What instrument and temperature add to the square of what the readings show.
-    square = np.maximum((budget.expanded / 2.0) ** 2 - budget.numbers.u**2, 0.0)
-    more = {name: square[q.members] for name, q in budget.numbers.by_name.items()}
+    more = _added(budget)
     content = _content(result.error_map.content, more, budget.numbers.by_name)
     own = more.get(POSITION_ERROR)
     found = result.error_map
@@ -40,8 +123,18 @@ def completed(result: Either, budget: Budget) -> Either:
         found = replace(found, uncertainty=u, covariance=spread)
         if f"{POSITION_ERROR}_u" in content:
             content[f"{POSITION_ERROR}_u"] = u
-    single = {name: float(square[0]) for name, square in more.items() if len(square) == 1}
-    return replace(result, error_map=replace(found, content=content), variance_added=single)
+    return replace(result, error_map=replace(found, content=content), variance_added=_of_unknowns(budget))
+
+
+def _added(budget: Budget) -> dict[str, Array]:
+    """What instrument and temperature add to the square of what the readings show, by the quantity."""
+    square = np.maximum((budget.expanded / 2.0) ** 2 - budget.numbers.u**2, 0.0)
+    return {name: square[q.members] for name, q in budget.numbers.by_name.items()}
+
+
+def _of_unknowns(budget: Budget) -> dict[str, float]:
+    """The same of what is a single number, as every unknown is."""
+    return {name: float(square[0]) for name, square in _added(budget).items() if len(square) == 1}
 
 
 def _grown(u: Any, square: Array) -> Array:

@@ -80,14 +80,14 @@ class Conformity:
     """Verdicts by one decision rule.
 
     Attributes:
-        verdicts: in the order of the tolerances.
+        each: in the order of the tolerances.
         rule: of decision.
         level: conformance probability of the rule.
         uncertainty: `identification` or `budget`: whose uncertainties these are.
         origin: what they were made from.
     """
 
-    verdicts: tuple[Verdict, ...]
+    each: tuple[Verdict, ...]
     rule: str
     level: float
     uncertainty: str
@@ -96,7 +96,7 @@ class Conformity:
     @property
     def decision(self) -> str:
         """Of all tolerances together: the worst of them, fail before what is open."""
-        found = {verdict.decision for verdict in self.verdicts}
+        found = {verdict.decision for verdict in self.each}
         return next((d for d in ("fail", "not determined", "undecided") if d in found), "pass")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,7 +14,6 @@ from machine_tool_calibration.cli.output import (
     PATH,
     PictureFile,
     json_option,
-    note,
     progress_bar,
     save_picture,
     seed_option,
@@ -22,15 +21,7 @@ from machine_tool_calibration.cli.output import (
 )
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from machine_tool_calibration.budget.propagate import Budget
-    from machine_tool_calibration.cli.output import Report
-    from machine_tool_calibration.methods.fitted import FittedSessions
-    from machine_tool_calibration.session.session import Session
-
-__all__ = ["budget_option", "command", "complete_budget", "fitted"]
+__all__ = ["budget_option", "command"]
 
 
 def budget_option(text: str) -> Callable[[Any], Any]:
@@ -85,52 +76,18 @@ def command(
     mtcal budget session --budget mine.yaml --plot budget.png
     mtcal budget session --quantity EXX --quantity C0Y --draws 500
     """
-    from machine_tool_calibration.budget.contributor import contributors_of, template
-    from machine_tool_calibration.budget.propagate import propagate
-    from machine_tool_calibration.budget.published import check_names
-    from machine_tool_calibration.interface.budget import Budget
-
     if instrument is not None:
         if measurements:
             raise click.UsageError("--template is without SESSION.")
+        from machine_tool_calibration.budget.contributor import template
+
         click.echo(template(instrument), nl=False)
         return
     if not measurements:
         raise click.UsageError("Missing argument 'SESSION'.")
     with progress_bar() as progress:
-        sessions, found = fitted(wanted, measurements, progress)
-        contributors = contributors_of(budgets or None, sessions)
-        check_names(found, names)
-        budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
-    answer = Budget(budget, names)
-    save_picture(answer.plot, plot, budget.origin)
+        fit = wanted.fit(measurements, progress)
+        wanted.note_unused(fit, measurements)
+        answer = fit.budget(budgets or None, quantities=names, draws=draws or 0, seed=seed, progress=progress)
+    save_picture(answer.plot, plot, answer.origin)
     tell(answer, as_json)
-
-
-def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:
-    """The sessions as they were read, and the fit of them as `mtcal identify` makes it; a better model is named."""
-    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
-
-    measured = wanted.open(paths)
-    progress("identifying")
-    result = identify_sessions(measured.chosen)
-    if better := wanted.unused(measured, paths, result.joint):
-        note(better)
-    return measured.recorded, fitted_sessions(result)
-
-
-def complete_budget(
-    files: Sequence[Path], sessions: Sequence[Session], own: FittedSessions, seed: int, progress: Report
-) -> Budget | None:
-    """The budget that a verdict needs; where there is none, what to do is said on standard error."""
-    from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
-    from machine_tool_calibration.budget.propagate import propagate
-
-    lines, why = (contributors_of(files, sessions), "") if files else known_contributors(sessions)
-    if not lines:
-        note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
-        return None
-    if not files and not all(session.description.budget for session in sessions):
-        names = ", ".join(dict.fromkeys(str(session.instrument) for session in sessions))
-        note(f"note: U is by the budget to begin with of {names}; yours: `mtcal budget --template`, then --budget FILE")
-    return propagate(own, lines, seed=seed, progress=progress)

@@ -53,18 +53,17 @@ def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | N
     mtcal compare-maps tracking grid --plot comparison.png
     mtcal compare-maps before after --from-history
     """
-    from machine_tool_calibration.interface.map_comparison import MapComparison
-    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
-    from machine_tool_calibration.methods.map_comparison import compare_fits
+    from machine_tool_calibration.interface.identification import Fit
+    from machine_tool_calibration.interface.session import Measurement
+    from machine_tool_calibration.methods.identify import identify_sessions
 
     one, two = session_labels([first, second])
     with progress_bar() as progress:
-        fitted = []
+        fits = []
         for own, label in zip(_measured(wanted, (first, second)), (one, two), strict=True):
             progress(f"identifying {label}")
-            fitted.append(fitted_sessions(identify_sessions(own.chosen)))
-        comparison = compare_fits(fitted[0], fitted[1], (one, two), seed=seed, progress=progress)
-    answer = MapComparison(comparison, tuple(one.provenance for one in fitted))
+            fits.append(Fit(Measurement(own.recorded, (label,)), identify_sessions(own.chosen), own.chosen))
+        answer = fits[0].compare_map(fits[1], (one, two), seed=seed, progress=progress)
     save_picture(answer.plot, plot)
     tell(answer, as_json)
 

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.budget.conformity import RULES, conformity
-from machine_tool_calibration.cli.budget import budget_option, complete_budget, fitted
+from machine_tool_calibration.budget.conformity import RULES
+from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
-from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, seed_option, tell
+from machine_tool_calibration.cli.output import PATH, json_option, note, progress_bar, seed_option, tell
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["command"]
 
@@ -66,21 +71,29 @@ def command(
     mtcal conformity session --tolerances tolerances.yaml --budget mine.yaml --json
     """
     from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
-    from machine_tool_calibration.interface.budget import Conformity
 
     tolerances = (read_tolerances(file) if file is not None else {}) | parse_tolerances(texts)
     if not tolerances:
         raise click.UsageError("Missing --tolerance NAME=VALUE or --tolerances FILE.")
     with progress_bar() as progress:
-        sessions, own = fitted(wanted, measurements, progress)
-        budget = complete_budget(budgets, sessions, own, seed, progress)
-        found = conformity(
-            own,
-            tolerances,
-            rule="simple" if rule == "shared-risk" else rule,
-            level=probability,
-            budget=budget,
-            seed=seed,
-            progress=progress,
-        )
-    tell(Conformity(found), as_json)
+        fit = wanted.fit(measurements, progress)
+        wanted.note_unused(fit, measurements)
+        if not budgets:
+            _note_budget(fit.measurement.sessions)
+        budget = fit.budget(budgets, seed=seed, progress=progress) if budgets else None
+        named = "simple" if rule == "shared-risk" else rule
+        answer = fit.conformity(tolerances, rule=named, level=probability, budget=budget, seed=seed, progress=progress)
+    tell(answer, as_json)
+
+
+def _note_budget(sessions: Sequence[Session]) -> None:
+    """Say whose budget decides where none is given, or what to do where there is none."""
+    from machine_tool_calibration.budget.complete import stated
+    from machine_tool_calibration.budget.contributor import known_contributors
+
+    lines, why = known_contributors(sessions)
+    if not lines:
+        note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
+    elif not stated(sessions):
+        names = ", ".join(dict.fromkeys(str(session.instrument) for session in sessions))
+        note(f"note: U is by the budget to begin with of {names}; yours: `mtcal budget --template`, then --budget FILE")

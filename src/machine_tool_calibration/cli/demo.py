@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rigid_motions, rms
 from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.model.result import Result
@@ -38,15 +38,25 @@ class MapError:
 
     Attributes:
         difference: (n, d) identified minus true position error, m.
-        rms: root mean square length of the difference, m.
-        largest: greatest length of the difference, m.
-        before: the same RMS for a map that says that the machine has no errors, m.
+        before: RMS length of the difference for a map that says that the machine has no errors, m.
     """
 
     difference: Array
-    rms: float
-    largest: float
     before: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square length of the difference, m."""
+        return _rms_length(self.difference)
+
+    @property
+    def largest(self) -> float:
+        """Greatest length of the difference, m."""
+        return float(np.linalg.norm(self.difference, axis=1).max())
+
+
+def _rms_length(field: Array) -> float:
+    return rms(np.linalg.norm(field, axis=1))
 
 
 def map_error(points: Array, identified: Array, true: Array, free: Array | None = None) -> MapError:
@@ -63,30 +73,17 @@ def map_error(points: Array, identified: Array, true: Array, free: Array | None 
     """
     known = np.all(np.isfinite(identified), axis=1)
     points, identified, true = points[known], identified[known], true[known]
-    more = np.zeros((0, *points.shape)) if free is None else free[:, known]
-    difference = _without(points, identified - true, more)
-    before = _without(points, true, more)
-    length = np.linalg.norm(difference, axis=1)
-    return MapError(
-        difference=difference,
-        rms=float(np.sqrt(np.mean(length**2))),
-        largest=float(length.max()),
-        before=float(np.sqrt(np.mean(np.sum(before**2, axis=1)))),
-    )
+    count, d = points.shape
+    # In a plane, what leaves it is nothing.
+    motions = rigid_motions(np.pad(points, ((0, 0), (0, 3 - d))))[:, :d].reshape(count * d, -1)
+    if free is not None:
+        motions = np.hstack([motions, free[:, known].reshape(len(free), -1).T])
 
+    def without(field: Array) -> Array:
+        found = np.linalg.lstsq(motions, field.ravel(), rcond=None)[0]
+        return np.asarray(field - (motions @ found).reshape(count, d))
 
-def _without(points: Array, field: Array, more: Array) -> Array:
-    """A field of small displacements without its best-fitting shift and turn, and what else is free."""
-    n, d = points.shape
-    turns = [(0, 1)] if d == 2 else [(0, 1), (0, 2), (1, 2)]
-    columns = np.zeros((n, d, d + len(turns)))
-    columns[:, range(d), range(d)] = 1.0
-    for index, (i, j) in enumerate(turns):
-        columns[:, i, d + index] = -points[:, j]
-        columns[:, j, d + index] = points[:, i]
-    flat = np.hstack([columns.reshape(n * d, -1), more.reshape(len(more), n * d).T])
-    motion, *_ = np.linalg.lstsq(flat, field.ravel(), rcond=None)
-    return np.asarray(field - (flat @ motion).reshape(n, d))
+    return MapError(without(identified - true), _rms_length(without(true)))
 
 
 COMPARED = {
@@ -160,13 +157,7 @@ def _deviations(site: Site, result: Result) -> MapError:
         true.append((site.functional_point(moment) - position) @ observations.direction[k])
     actual = np.array(true) - np.mean(true)
     found = readings.displacement - result.fit.residuals
-    difference = (found - found.mean() - actual)[:, None]
-    return MapError(
-        difference=difference,
-        rms=float(np.sqrt(np.mean(difference**2))),
-        largest=float(np.abs(difference).max()),
-        before=float(np.sqrt(np.mean(actual**2))),
-    )
+    return MapError((found - found.mean() - actual)[:, None], rms(actual))
 
 
 # What may be hidden with each method, with the smallest and the largest size; and what is measured.
@@ -229,14 +220,7 @@ class _Demonstration:
 @graph_options
 @json_option
 def command(
-    method: str,
-    dimension: str,
-    seed: int | None,
-    hide: str | None,
-    output: Path | None,
-    domain_id: int | None,
-    namespace: str,
-    as_json: bool,
+    method: str, dimension: str, seed: int | None, hide: str | None, output: Path | None, as_json: bool, **graph: Any
 ) -> None:
     """Measure a simulated machine that hides a physical effect, find it out, add it, and watch the error fall.
 
@@ -249,10 +233,7 @@ def command(
     hidden = _hidden(method, number, hide)
     procedure = _PROCEDURES.get(method, f"tracking_{dimension}d")
     setting = Setting(
-        output=free_folder("demo", output),
-        site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()),
-        domain=domain_id,
-        namespace=namespace,
+        output=free_folder("demo", output), site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()), **graph
     )
     with readings_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)

@@ -42,20 +42,19 @@ def command(
     mtcal diagnose measurements/cube --json
     mtcal diagnose measurements/cube measurements/cube_again
     """
-    from machine_tool_calibration.diagnosis.diagnose import diagnose
+    from machine_tool_calibration.budget import complete
     from machine_tool_calibration.interface.diagnosis import Diagnosis
-    from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
 
     chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
-        found = diagnose(chosen, progress=lambda what, share: progress(what, SEARCH * share))
-        answer = Diagnosis(found, conclude(found, progress=progress))
+        found, then = complete.diagnose(chosen, progress=progress)
+    answer = Diagnosis.of(found, concluded=then)
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
         with progress_bar() as progress:
             progress("drawing")
-            drawn = save_diagnosis(found, answer.conclusions.changes, output)
+            drawn = save_diagnosis(answer, answer.conclusions.changes, output)
         note_written(drawn)
     if as_json:
         write_json(answer.document())

@@ -15,6 +15,9 @@ from machine_tool_calibration.cli.output import FILE, PATH, note, options, sessi
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
+    from machine_tool_calibration.cli.output import Report
+    from machine_tool_calibration.interface.identification import Fit
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.reports.measured import Measured
     from machine_tool_calibration.session.session import Session
@@ -85,9 +88,38 @@ class Wanted:
         chosen = entry.request(sessions, labels, [fingerprint(session) for session in sessions], own)
         return Measured(sessions, chosen, history.way_to(entry.number))
 
-    def unused(self, measured: Measured, paths: Sequence[Path], fit: JointFit) -> str | None:
-        """That the history holds a better model, where it was not asked for: see `unused_model`."""
-        return None if self.from_history else unused_model(measured.recorded, paths, measured.chosen.effects, fit)
+    def fit(
+        self,
+        paths: Sequence[Path],
+        progress: Report,
+        choose: Callable[[Measured], FitRequest] = lambda measured: measured.chosen,
+        topics: dict[str, str] | None = None,
+    ) -> Fit:
+        """Read measurements, and identify as `mtcal identify` does.
+
+        Args:
+            paths: as for `open`.
+            progress: told what is done.
+            choose: the model of what was read, if another one than was asked for.
+            topics: as for `open`.
+
+        Raises:
+            CalibrationError: as for `open`, or the data does not allow the model.
+        """
+        from machine_tool_calibration.interface.identification import fitted
+        from machine_tool_calibration.interface.session import Measurement
+
+        measured = self.open(paths, topics)
+        progress("identifying")
+        measurement = Measurement(measured.recorded, tuple(session_labels(paths)))
+        return fitted(measurement, choose(measured), measured.history)
+
+    def note_unused(self, fit: Fit, paths: Sequence[Path]) -> None:
+        """Say that the history holds a better model, where it was not asked for: see `unused_model`."""
+        if not self.from_history:
+            better = unused_model(fit.measurement.sessions, paths, fit.chosen.effects, fit.result.joint)
+            if better:
+                note(better)
 
 
 def unused_model(

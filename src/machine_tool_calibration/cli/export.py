@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +21,10 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from machine_tool_calibration.export.compensation import Compensation, Exported
+    from machine_tool_calibration.export.compensation import Exported
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.model.fit import JointFit
+    from machine_tool_calibration.reports.measured import Measured
 
 __all__ = ["bad_fit", "command"]
 
@@ -85,18 +88,25 @@ def command(
     mtcal export x_axis plate --format json       two sessions together
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
+    from machine_tool_calibration.export.compensation import compensation
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.compensation import harm_words
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
+    from machine_tool_calibration.session.checks.suspicion import suspicions
 
     if wanted.from_history and (len(measurements) > 1 or wanted.effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
+    # beside the history's a model can be named, since not every one has tables
+    asked = replace(wanted, model=None) if wanted.from_history else wanted
     with progress_bar() as progress:
-        progress("identifying")
-        found = _identified(measurements, wanted, topics)
+        fit = asked.fit(measurements, progress, partial(_with_tables, wanted), topics)
         progress("writing and reading tables")
-        made = found.compensation.exported(form)
-    origin, tables = found.compensation.origin, found.compensation.tables
+        source = " + ".join(session.source for session in fit.measurement.sessions)
+        found = compensation(fit.result, source, fit.chosen.own)
+        made = found.exported(form)
+    result, origin, tables = fit.result, found.origin, found.tables
+    suspicious = suspicions(fit.chosen.sessions, fit.chosen.labels)
     folder = output or Path(f"compensation_{form}")
     picture = folder / _PICTURE
     _save(folder, made.files, pictures=(_PICTURE,) if plot else ())
@@ -104,7 +114,7 @@ def command(
         from machine_tool_calibration.plots.compensation import draw_compensation
         from machine_tool_calibration.plots.style import save_as
 
-        save_as(draw_compensation(made.errors, f"{form}: {found.compensation.source}"), picture, origin)
+        save_as(draw_compensation(made.errors, f"{form}: {source}"), picture, origin)
     if as_json:
         write_json(
             {
@@ -113,10 +123,10 @@ def command(
                 "folder": folder,
                 "files": list(made.files),
                 "pictures": [picture] if plot else [],
-                "model": found.models[0] if len(found.models) == 1 else list(found.models),
-                "reduced_chi_square": found.fit.reduced_chi_square,
-                "p_value": found.fit.p_value,
-                "suspicious": found.suspicious,
+                "model": result.model_name if isinstance(result, Result) else list(result.model_names),
+                "reduced_chi_square": result.joint.reduced_chi_square,
+                "p_value": result.joint.p_value,
+                "suspicious": suspicious,
                 "provenance": origin.document(),
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
@@ -129,55 +139,32 @@ def command(
         )
     else:
         _show(console(), [*(folder / name for name in made.files), *([picture] if plot else [])], made)
-        show_suspicions(console(), found.suspicious)
+        show_suspicions(console(), suspicious)
         for why, names in group_by_reason((entry.name, entry.why) for entry in tables.left_out):
             note(f"not determined: {names}: {why}")
-    for text in found.warnings:
-        note(text)
+    if bad := bad_fit(result.joint, result.error_map.content):
+        note(bad)
+    if isinstance(result, Result):
+        asked.note_unused(fit, measurements)
+    else:
+        note(result.agreement.statement)
+        for opened, path in zip(fit.measurement.sessions, measurements, strict=True):
+            if better := unused_model([opened], [path], fit.chosen.effects, None, effects_only=True):
+                note(better)
     if harm := harm_words(made):
         note(f"warning: {harm}")
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What was identified of one measurement or of several together, what they are called, and what to say of it."""
-
-    compensation: Compensation
-    models: tuple[str, ...]
-    fit: JointFit
-    warnings: tuple[str, ...]
-    suspicious: list[str]
-
-
-def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str]) -> _Found:
-    from machine_tool_calibration.export.compensation import compensation
-    from machine_tool_calibration.methods.identify import identify_sessions
-    from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.session.checks.suspicion import suspicions
-
-    # beside the history's a model can be named, since not every one has tables
-    measured = replace(wanted, model=None if wanted.from_history else wanted.model).open(paths, topics)
-    chosen, recorded = measured.chosen, measured.recorded
-    source = " + ".join(session.source for session in recorded)
-    if chosen.labels is None:
-        if wanted.from_history:
-            number = measured.history[-1].number
-            note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
-        model = wanted.model or (None if chosen.model == "free" else chosen.model)
-        chosen = replace(chosen, model=model or spec_of(chosen.sessions[0]).tables)
-    result = identify_sessions(chosen)
-    said = [bad_fit(result.joint, result.error_map.content)]
-    if isinstance(result, Result):
-        models: tuple[str, ...] = (result.model_name,)
-        said.append(wanted.unused(measured, paths, result.joint))
-    else:
-        models = result.model_names
-        note(result.agreement.statement)
-        for opened, path in zip(recorded, paths, strict=True):
-            said.append(unused_model([opened], [path], chosen.effects, None, effects_only=True))
-    warnings = tuple(text for text in said if text)
-    made = compensation(result, source, chosen.own)
-    return _Found(made, models, result.joint, warnings, suspicions(chosen.sessions, chosen.labels))
+def _with_tables(wanted: Wanted, measured: Measured) -> FitRequest:
+    """What is to be identified, of one session by a model that has tables."""
+    chosen = measured.chosen
+    if chosen.labels is not None:
+        return chosen
+    if measured.history:
+        number = measured.history[-1].number
+        note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
+    model = wanted.model or (None if chosen.model == "free" else chosen.model)
+    return replace(chosen, model=model or spec_of(chosen.sessions[0]).tables)
 
 
 def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:

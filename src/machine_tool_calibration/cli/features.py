@@ -16,6 +16,7 @@ from machine_tool_calibration.cli.output import (
     PictureFile,
     json_option,
     note,
+    progress_bar,
     save_picture,
     seed_option,
     tell,
@@ -100,15 +101,12 @@ def command(
     session: Path,
     listed: Path | None,
     through: dict[str, tuple[str, ...]],
-    frame: tuple[str, str] | None,
-    distances: tuple[tuple[str, str], ...],
-    angles: tuple[tuple[str, ...], ...],
     draws: int,
-    distribution: str,
     seed: int,
     wanted: Wanted,
     plot: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Find the pins, holes, spheres and walls of a probed part, each with its uncertainty.
 
@@ -122,24 +120,14 @@ def command(
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
     from machine_tool_calibration.cli.export import bad_fit
-    from machine_tool_calibration.interface.features import Features
-    from machine_tool_calibration.methods.identify import identify_sessions
-    from machine_tool_calibration.methods.probing.features import features
-    from machine_tool_calibration.methods.probing.propagation import monte_carlo
-    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.feature_points import read_feature_points
 
     named = None if listed is None else read_feature_points(listed)
-    measured = wanted.open([session])
-    result = identify_sessions(measured.chosen)
-    assert isinstance(result, Result)  # of a single session
-    unused = wanted.unused(measured, [session], result.joint)
-    fit = result.fit
-    found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
-    drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
-    answer = Features(found, drawn, result.provenance)
+    with progress_bar() as progress:
+        fit = wanted.fit([session], progress)
+        answer = fit.features(named=named, centres=through, draws=draws, seed=seed, **asked)
     save_picture(answer.plot, plot, answer.origin)
     tell(answer, as_json)
-    for text in (bad_fit(result.joint, result.error_map.content), unused):
-        if text is not None:
-            note(text)
+    if bad := bad_fit(fit.result.joint, fit.result.error_map.content):
+        note(bad)
+    wanted.note_unused(fit, [session])

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +10,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
-from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import plain, to_json, write_table
-from machine_tool_calibration.reports.identification import show_profiles, show_result
+from machine_tool_calibration.reports.identification import show_profiles
 
 if TYPE_CHECKING:
+    from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
-    from machine_tool_calibration.methods.identify import JointResult
-    from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.session.session import Session
 
 __all__ = ["command"]
 
@@ -69,43 +66,39 @@ def command(
     mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
     """
-    from machine_tool_calibration.methods.identify import identify_sessions
-
     if formulation and (wanted.from_history or table):
         raise click.UsageError("--formulation is without --from-history and --csv.")
-    folder, written = output or (Path() if plot else None), []
-    result: Result | JointResult | None = None
+    folder, written = output or (Path() if plot else None), list[Path]()
+    fit: Fit | None = None
     with progress_bar() as progress:
-        measured = wanted.open(sessions)
-        chosen, recorded = measured.chosen, measured.recorded
-        progress("identifying")
         if formulation is not None:
-            document = plain(_by_formulation(chosen, formulation))
+            document = plain(_by_formulation(wanted.open(sessions).chosen, formulation))
         else:
-            result = identify_sessions(replace(chosen, keep_all=keep_all or chosen.keep_all))
-            document = measured.document(result)
+            fit = wanted.fit(
+                sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all)
+            )
+            document = fit.document()
         if folder:
             progress("drawing")
-            written = _write(document, result, recorded, folder, result_file=output is not None)
-        if table and result is not None:
+            written = _write(document, fit, folder, result_file=output is not None)
+        if table and fit is not None:
             from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
 
-            values = in_shop_units(tidy(result)) if units == "um" else tidy(result)
+            values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
             try:
-                written.append(write_table(values, table, result.provenance))
+                written.append(write_table(values, table, fit.result.provenance))
             except OSError as error:
                 raise CalibrationError(f"{table}: cannot be written: {error.strerror}") from None
-    better = None if result is None else wanted.unused(measured, sessions, result.joint)
     if as_json:
         write_json(document)
-    elif result is None:
+    elif fit is None:
         show_profiles(console(), document)
     else:
-        show_result(console(), document, recorded, result)
+        fit.show(console())
     for path in () if as_json else written:
         console().print(f"written: {path}")
-    if better:
-        note(better)
+    if fit is not None:
+        wanted.note_unused(fit, sessions)
 
 
 def _by_formulation(chosen: FitRequest, formulation: str) -> dict[str, Any]:
@@ -131,29 +124,15 @@ def _by_formulation(chosen: FitRequest, formulation: str) -> dict[str, Any]:
     }
 
 
-def _write(
-    document: dict[str, Any],
-    result: Result | JointResult | None,
-    opened: Sequence[Session],
-    folder: Path,
-    *,
-    result_file: bool,
-) -> list[Path]:
-    from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.plots.pictures import draw
-    from machine_tool_calibration.plots.style import save
-    from machine_tool_calibration.plots.tracking import draw_residuals
-
+def _write(document: dict[str, Any], fit: Fit | None, folder: Path, *, result_file: bool) -> list[Path]:
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if result_file:
             written.append(folder / "result.json")
             written[0].write_text(to_json(document) + "\n", encoding="utf-8")
-        if result is not None:
-            written += draw(opened, document, folder)
-        if isinstance(result, Result):
-            written += save({"residuals": draw_residuals(result.fit)}, folder, result.provenance)
+        if fit is not None:
+            written += fit.save_pictures(folder)
     except OSError as error:
         raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
     return written

@@ -13,24 +13,24 @@ import click
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import (
     FOLDER,
-    console,
     json_option,
     note,
     note_written,
     progress_bar,
-    write_json,
+    session_labels,
+    tell,
 )
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import History
-    from machine_tool_calibration.diagnosis.improve import Improvement
+    from machine_tool_calibration.diagnosis.improve import Improvement as Done
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["command"]
 
 
-def _keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> tuple[list[Path], str]:
+def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[list[Path], str]:
     """Put the models into the history: the file, if it was changed, and a remark.
 
     Raises:
@@ -82,12 +82,14 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     mtcal improve measurements/cube --effect backlash_y
     mtcal improve measurements/cube measurements/cube_again
     """
-    from machine_tool_calibration.diagnosis.improve import improve
+    from machine_tool_calibration.budget.complete import improve
+    from machine_tool_calibration.interface.improvement import Improvement
+    from machine_tool_calibration.interface.session import Measurement
     from machine_tool_calibration.plots.improve import save_improvement
     from machine_tool_calibration.reports.history_file import history_path, read_history
-    from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 
-    chosen, kept = wanted.open(measurements).chosen, history_path(*measurements)
+    measured, kept = wanted.open(measurements), history_path(*measurements)
+    chosen = measured.chosen
     if history:
         # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
@@ -113,10 +115,8 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
             why = f"{error.filename or output}: cannot be written: {error.strerror}; -o names another folder"
             failed.insert(0, why)
     try:
-        if as_json:
-            write_json(improvement_document(done))
-        else:
-            show_improvement(console(), done)
+        measurement = Measurement(measured.recorded, tuple(session_labels(measurements)))
+        tell(Improvement.of(done, measurement=measurement), as_json)
     finally:
         note_written(written)
         if words:

@@ -28,7 +28,9 @@ _namespace = click.option(
 
 
 graph_place = options(
-    click.option("--domain-id", type=_DOMAIN, help="ROS domain id of the graph; by default ROS_DOMAIN_ID, else 0."),
+    click.option(
+        "--domain-id", "domain", type=_DOMAIN, help="ROS domain id of the graph; by default ROS_DOMAIN_ID, else 0."
+    ),
     _namespace,
 )
 """Of a graph that runs already."""
@@ -39,6 +41,7 @@ graph_options = options(
     ),
     click.option(
         "--domain-id",
+        "domain",
         type=_DOMAIN,
         help="ROS domain id; by default ROS_DOMAIN_ID, else the first that no other measurement here uses.",
     ),

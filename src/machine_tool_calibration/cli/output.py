@@ -127,7 +127,7 @@ def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenan
         note_written([file])
 
 
-def tell(answer: Answer[Any], as_json: bool) -> None:
+def tell(answer: Answer, as_json: bool) -> None:
     """Say what was found: the document for programs, or the text for people."""
     if as_json:
         write_json(answer.document())

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -29,7 +30,10 @@ __all__ = ["command"]
     show_default=True,
     help="Before the first message, s: a subscriber that is not found by then misses what is not latched.",
 )
-@click.option("--keep", is_flag=True, help="Stay at the end, so that late subscribers get what is latched.")
+@click.option(
+    "--keep", "exit_at_end", is_flag=True, flag_value=False, default=True,
+    help="Stay at the end, so that late subscribers get what is latched.",
+)  # fmt: skip
 @click.option(
     "--clock-rate", type=click.FloatRange(0, 10000), default=40.0, help="Rate of /clock, Hz; 0: do not publish it."
 )
@@ -40,14 +44,9 @@ def command(
     topics: tuple[str, ...],
     rate: float,
     fast: bool,
-    offset: float,
-    loop: bool,
-    paused: bool,
-    delay: float,
-    keep: bool,
-    clock_rate: float,
     remap: tuple[str, ...],
     as_json: bool,
+    **parameters: Any,
 ) -> None:
     """Play a recording: publish its messages at their pace, with /clock.
 
@@ -69,16 +68,7 @@ def command(
         if not joined or not all(part and RosName.FORM.fullmatch(part) for part in (before, after)):
             raise click.UsageError(f"--remap {entry}: write FROM:=TO, such as /reading:=/cell/reading")
     BagReader(bag)  # a bag that cannot be read is refused in the same words as everywhere
-    parameters = {
-        "bag": str(bag),
-        "rate": 0.0 if fast else rate,
-        "offset": offset,
-        "loop": loop,
-        "paused": paused,
-        "delay": delay,
-        "clock_rate": clock_rate,
-        "exit_at_end": not keep,
-    }
+    parameters |= {"bag": str(bag), "rate": 0.0 if fast else rate}
     if topics:
         parameters["topics"] = list(topics)
     player = run_here(Player, parameters, remap)

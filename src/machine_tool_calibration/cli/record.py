@@ -21,25 +21,22 @@ __all__ = ["command"]
 @click.command("record")
 @click.argument("topics", nargs=-1, type=RosName())
 @click.option("--output", "-o", type=PATH, help="Folder of the bag; recording_DATE_TIME by default.")
-@click.option("--all", "-a", "everything", is_flag=True, help="Every topic that there is, also those that come later.")
+@click.option("--all", "-a", "all_topics", is_flag=True, help="Every topic that there is, also those that come later.")
 @click.option("--namespace", type=RosName(space=True), default="", help="Namespace of the measurement's graph.")
 @click.option("--split-size", type=click.IntRange(min=0), default=0, help="Begin a new file at this size, bytes.")
 @click.option(
     "--split-duration", type=click.FloatRange(min=0), default=0.0, help="Begin a new file after this time, s."
 )
 @click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="Stop after this time, s.")
-@click.option("--sim-time", is_flag=True, help="Date messages by /clock.")
+@click.option("--sim-time", "use_sim_time", is_flag=True, help="Date messages by /clock.")
 @json_option
 def command(
     topics: tuple[str, ...],
     output: Path | None,
-    everything: bool,
     namespace: str,
-    split_size: int,
-    split_duration: float,
     duration: float | None,
-    sim_time: bool,
     as_json: bool,
+    **parameters: Any,
 ) -> None:
     """Record topics into an MCAP bag, as `ros2 bag record` does, until Ctrl-C.
 
@@ -53,8 +50,6 @@ def command(
     from machine_tool_calibration.nodes.recorder import Recorder
     from machine_tool_calibration.nodes.ros.process import run_here
 
-    parameters: dict[str, Any] = {"all_topics": everything, "use_sim_time": sim_time}
-    parameters |= {"split_size": split_size, "split_duration": split_duration}
     if output is not None:
         parameters["folder"] = str(output)
     if topics:

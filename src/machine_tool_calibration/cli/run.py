@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -29,8 +30,9 @@ __all__ = ["command"]
     help="`simulated`, or the YAML file of a real instrument's driver (needs --real-time).",
 )
 @click.option(
-    "--real-time", is_flag=True, help="Move and wait as long as it takes, instead of as fast as the computer can."
-)
+    "--real-time", "simulated_time", is_flag=True, flag_value=False, default=True,
+    help="Move and wait as long as it takes, instead of as fast as the computer can.",
+)  # fmt: skip
 @click.option(
     "--external",
     multiple=True,
@@ -38,31 +40,28 @@ __all__ = ["command"]
     help="A node that runs elsewhere and is not started, such as a real machine's axes. May be repeated.",
 )
 @click.option(
-    "--params-file", type=PATH, help="ROS parameter file for the nodes, such as the package's config/nodes.yaml."
+    "--params-file",
+    "parameters",
+    type=PATH,
+    help="ROS parameter file for the nodes, such as the package's config/nodes.yaml.",
 )
 @click.option("--model", default="", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 @click.option(
     "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
 )
-@click.option("--no-identify", is_flag=True, help="Measure and record only.")
-@click.option("--no-record", is_flag=True, help="No recording (MCAP bag).")
+@click.option(
+    "--no-identify", "identify", is_flag=True, flag_value=False, default=True, help="Measure and record only."
+)
+@click.option("--no-record", "record", is_flag=True, flag_value=False, default=True, help="No recording (MCAP bag).")
 @json_option
 def command(
     procedure: str,
     output: Path | None,
-    domain_id: int | None,
-    namespace: str,
     site: Path | None,
     seed: int | None,
-    driver: str,
-    real_time: bool,
-    external: tuple[str, ...],
-    params_file: Path | None,
-    model: str,
-    effects: tuple[str, ...],
-    no_identify: bool,
-    no_record: bool,
+    parameters: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Run a measurement procedure: start the nodes, measure, record, identify.
 
@@ -79,16 +78,8 @@ def command(
     setting = Setting(
         output=free_folder(read_procedure(file).name, output),
         site=world,
-        simulated_time=not real_time,
-        driver=driver,
-        namespace=namespace,
-        domain=domain_id,
-        record=not no_record,
-        identify=not no_identify,
-        model=model,
-        effects=effects,
-        external=external,
-        parameters=params_file.resolve() if params_file is not None else None,
+        parameters=None if parameters is None else parameters.resolve(),
+        **asked,
     )
     with readings_bar() as progress:
         measured = measure(file, setting, progress)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -26,14 +27,7 @@ __all__ = ["command"]
 )
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser, or print its address only.")
 def command(
-    measurements: tuple[Path, ...],
-    live: bool,
-    domain_id: int | None,
-    namespace: str,
-    model: str | None,
-    files: tuple[Path, ...],
-    port: int,
-    browser: bool,
+    measurements: tuple[Path, ...], live: bool, model: str | None, files: tuple[Path, ...], browser: bool, **place: Any
 ) -> None:
     """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
 
@@ -74,4 +68,4 @@ def command(
 
             webbrowser.open(address)
 
-    serve(measurements, own, model, live=live, domain=domain_id, namespace=namespace, port=port, ready=ready)
+    serve(measurements, own, model, live=live, ready=ready, **place)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from machine_tool_calibration.arrays import Array, rms
@@ -16,7 +16,10 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates, effect_signal, map_change
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Consequence", "before_and_after", "consequences"]
+__all__ = ["Added", "Consequence", "before_and_after", "consequences"]
+
+Added = Callable[[FittedSessions], Mapping[str, float]]
+"""What a budget adds to the variance of a fit's unknowns, by name."""
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 4
@@ -48,13 +51,14 @@ class Consequence:
 
 
 @single_blas()
-def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequence]:
+def consequences(diagnosis: Diagnosis, added: Added = lambda fitted: {}, most: int = _MOST) -> dict[str, Consequence]:
     """What each of the best candidates would change; of those accepted, what each did change, in their order.
 
     The coefficients of accepted effects are those with all of them in the model.
 
     Args:
         diagnosis: the candidates.
+        added: of which the coefficients' uncertainties are told with.
         most: how many candidates beside those accepted.
 
     Returns:
@@ -62,14 +66,15 @@ def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequen
     """
     out = {}
     accepted, fitted = diagnosis.accepted, diagnosis.fitted
+    more = added(fitted[-1]) if accepted else {}
     for name, before, after in zip(accepted, fitted[:-1], fitted[1:], strict=True):
-        out[name] = _consequence(name, before, after, fitted[-1].joint)
+        out[name] = _consequence(name, before, after, fitted[-1].joint, more)
     for name in [f.name for f in diagnosis.ranked if f.rank and f.name not in accepted][:most]:
         try:
             alone = fit_sessions(diagnosis.searched.adding([name]))
         except ModelError:
             continue
-        out[name] = _consequence(name, fitted[0], alone, alone.joint)
+        out[name] = _consequence(name, fitted[0], alone, alone.joint, added(alone))
     return out
 
 
@@ -80,11 +85,13 @@ def before_and_after(diagnosis: Diagnosis, found: Finding, changes: Mapping[str,
     return rms(Pool(diagnosis.fits[0]).residuals), found.rms_after
 
 
-def _consequence(name: str, before: FittedSessions, after: FittedSessions, final: JointFit) -> Consequence:
+def _consequence(
+    name: str, before: FittedSessions, after: FittedSessions, final: JointFit, added: Mapping[str, float]
+) -> Consequence:
     signal, uncertainty = effect_signal(final, name)
     old, new = Pool(before.joint).residuals, Pool(after.joint).residuals
     return Consequence(
-        parameters=effect_estimates(final, [name]),
+        parameters=tuple(one.with_variance(added) for one in effect_estimates(final, [name])),
         signal=signal if rms(uncertainty) < _TOLD * rms(signal) else None,
         rms_before=rms(old),
         rms_after=rms(new),

@@ -80,7 +80,7 @@ class Diagnosis:
         return tuple(fitted.joint for fitted in self.fitted)
 
     @property
-    def outliers(self) -> tuple[Outlier, ...]:
+    def gross_errors(self) -> tuple[Outlier, ...]:
         """Readings of all sessions that were set aside."""
         return tuple(outlier for own in self.set_aside for outlier in own)
 
@@ -329,7 +329,7 @@ def _verdict(found: Diagnosis) -> str:
     # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
     if search.nothing < 1.0 - priors.SURE and not _good_enough(found):
         return "unexplained"
-    return "outliers" if found.outliers else "adequate"
+    return "outliers" if found.gross_errors else "adequate"
 
 
 @single_blas()

@@ -12,7 +12,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Coefficient, Entry, Part
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.model.result import Estimate, Result, effect_estimates, map_change, map_rms
+from machine_tool_calibration.model.result import Estimate, Result, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.provenance import Provenance
@@ -102,7 +102,7 @@ class Step:
     @property
     def parameters(self) -> tuple[Estimate, ...]:
         """Coefficients of the effects in the model."""
-        return effect_estimates(self.result.joint, self.result.effects)
+        return self.result.sizes(self.result.effects)
 
 
 @dataclass(frozen=True)
@@ -160,8 +160,8 @@ def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) ->
         progress: called with what is being done and the share that is finished.
     """
     start = found.chosen
-    if found.outliers:
-        yield words_set_aside(len(found.outliers)), start
+    if found.gross_errors:
+        yield words_set_aside(len(found.gross_errors)), start
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
         yield name, start.adding(found.accepted[: k + 1])

@@ -28,12 +28,14 @@ class Exported:
         errors: at the points of the map before and after, as the controller reads the files.
         left: figures of them.
         absent: what is in the model, displaces the tool, and is not in the files: effects first, then error motions.
+        complete: whether the uncertainties are those of a budget.
     """
 
     files: dict[str, str]
     errors: ResidualErrors
     left: tuple[ResidualError, ...]
     absent: list[str]
+    complete: bool = False
 
     @property
     def worse(self) -> bool:
@@ -55,12 +57,14 @@ class Compensation:
         states: the errors at the points of the map, with what effects do in each direction of approach.
         source: which measurement it is from.
         origin: what it was made from.
+        complete: whether the uncertainties are those of a budget.
     """
 
     tables: AxisTables
     states: ErrorStates
     source: str
     origin: Provenance
+    complete: bool = False
 
     def exported(self, form: str) -> Exported:
         """The files of a controller, read back as it does.
@@ -75,7 +79,7 @@ class Compensation:
         files = write_tables(form, self.tables, "\n".join([self.source, *told]))
         held = read_tables(form, files, self.tables)
         errors = residual_errors(self.states.error_map, held, self.states.directions)
-        return Exported(files, errors, summary(errors), _absent(self.tables, held, self.states.effects))
+        return Exported(files, errors, summary(errors), _absent(self.tables, held, self.states.effects), self.complete)
 
 
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
@@ -88,7 +92,7 @@ def compensation(result: Result | JointResult, source: str, own: Sequence[Effect
     """
     tables = joint_axis_tables(result) if isinstance(result, JointResult) else axis_tables(result)
     states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
-    return Compensation(tables, states, source, result.provenance)
+    return Compensation(tables, states, source, result.provenance, result.variance_added is not None)
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from machine_tool_calibration.budget.conformity import Conformity as Verdicts
+from machine_tool_calibration.budget.conformity import Conformity as Judged
 from machine_tool_calibration.budget.propagate import Budget as Propagated
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.budget import draw_budget
@@ -25,7 +25,7 @@ __all__ = ["Budget", "Conformity"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Budget(Answer[Propagated]):
+class Budget(Answer, Propagated):
     """Who contributes what to the uncertainty of everything that was identified.
 
     Attributes:
@@ -75,7 +75,7 @@ class Budget(Answer[Propagated]):
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        count = f"{len(self.found.lines)} contributors"
+        count = f"{len(self.lines)} contributors"
         if not self._document["quantities"]:
             return f"uncertainty budget of {count}: nothing is determined"
         first = self._document["quantities"][0]
@@ -88,15 +88,15 @@ class Budget(Answer[Propagated]):
 
     def show(self, screen: Console, /) -> None:
         """Print what `mtcal budget` prints."""
-        show_budget(screen, self.found, self.names)
+        show_budget(screen, self, self.names)
 
     def plot(self) -> Figure:
         """The bar chart of `mtcal budget --plot`, a figure that no window shows; a notebook does."""
-        return notebook(draw_budget(self.found, self.names))
+        return notebook(draw_budget(self, self.names))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return budget_document(self.found, self.names)
+        return budget_document(self, self.names)
 
 
 _QUANTITIES = {
@@ -108,13 +108,9 @@ _QUANTITIES = {
 """Columns of the quantities by their keys in the document."""
 
 
-class Conformity(Answer[Verdicts]):
+@dataclass(frozen=True, eq=False, repr=False)
+class Conformity(Answer, Judged):
     """Whether tolerances are kept, and how sure that is."""
-
-    @property
-    def decision(self) -> str:
-        """Of all tolerances together: pass, fail, undecided or not determined."""
-        return self.found.decision
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
@@ -124,19 +120,19 @@ class Conformity(Answer[Verdicts]):
         within the tolerance, `decision` (pass, fail, undecided, not determined) and `why` it is not determined.
         """
         columns = ["tolerance", "value", "u", "unit", "probability", "decision", "why"]
-        rows = [[v.name, *(getattr(v, name) for name in columns)] for v in self.found.verdicts]
+        rows = [[v.name, *(getattr(v, name) for name in columns)] for v in self.each]
         return pd.DataFrame(rows, columns=["name", *columns]).set_index("name")
 
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        told = ", ".join(f"{v.name} {v.decision}" for v in self.found.verdicts)
+        told = ", ".join(f"{v.name} {v.decision}" for v in self.each)
         return f"conformity: {self.decision} ({told})"
 
     def show(self, screen: Console, /) -> None:
         """Print what `mtcal conformity` prints."""
-        show_conformity(screen, self.found)
+        show_conformity(screen, self)
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return conformity_document(self.found)
+        return conformity_document(self)

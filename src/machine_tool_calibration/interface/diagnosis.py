@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from machine_tool_calibration.budget.complete import conclude
 from machine_tool_calibration.diagnosis.compare import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.compare import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.session import one_below_the_other
 from machine_tool_calibration.interface.show import Answer, chosen, notebook, printed
-from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
+from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.compare import draw_setups, figures
 from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
 from machine_tool_calibration.reports.comparison import comparison_document
@@ -32,8 +33,15 @@ if TYPE_CHECKING:
 __all__ = ["Comparison", "Diagnosis"]
 
 
-class Comparison(Answer[OneComparison | JointComparison]):
-    """A model held against its readings: how well it fits, and where it fails."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Answer):
+    """A model held against its readings: how well it fits, and where it fails.
+
+    Attributes:
+        found: all that was calculated, of one session or of several.
+    """
+
+    found: OneComparison | JointComparison
 
     @property
     def residuals(self) -> pd.DataFrame:
@@ -129,7 +137,7 @@ class Comparison(Answer[OneComparison | JointComparison]):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Answer[Found]):
+class Diagnosis(Answer, Found):
     """Which physical effects a model lacks, how sure that is, and what to measure to be surer.
 
     Attributes:
@@ -139,25 +147,20 @@ class Diagnosis(Answer[Found]):
     concluded: Conclusions | None = None
 
     @property
-    def verdict(self) -> str:
-        """`adequate`, `missing_effect`, `unexplained` or `outliers`."""
-        return self.found.verdict
-
-    @property
     def effects(self) -> tuple[str, ...]:
         """Ids of the effects that are missing, the surest first, as `fit.add` takes them; empty where none is named."""
-        return self.found.accepted
+        return self.accepted
 
     @property
     def probability(self) -> pd.Series[float]:
         """Probability that each effect is missing, by its id, the most probable first."""
-        ranked = {finding.name: finding.probability for finding in self.found.ranked if finding.rank}
+        ranked = {finding.name: finding.probability for finding in self.ranked if finding.rank}
         return pd.Series(ranked, name="probability", dtype=float).rename_axis("effect")
 
     @property
     def nothing(self) -> float:
         """Probability that nothing is missing, neither an effect of the catalogue nor anything unknown."""
-        return self.found.search.nothing
+        return self.search.nothing
 
     @cached_property
     def candidates(self) -> pd.DataFrame:
@@ -167,7 +170,7 @@ class Diagnosis(Answer[Found]):
         `plausible` (whether such a size occurs), `rms_before` and `rms_after` of the residuals (m), `map_change_rms`
         (m; NaN where it was not worked out).
         """
-        return candidate_table(self.found, self.conclusions.changes).set_index("effect")
+        return candidate_table(self, self.conclusions.changes).set_index("effect")
 
     @property
     def outliers(self) -> pd.DataFrame:
@@ -175,10 +178,10 @@ class Diagnosis(Answer[Found]):
 
         Columns: `row` of the recording, `studentized`, `deviation` (m); of several sessions `session` first.
         """
-        labels = self.found.chosen.labels
+        labels = self.chosen.labels
         rows = [
             (label, outlier.row, outlier.studentized, outlier.deviation)
-            for label, own in zip(labels or ("",), self.found.set_aside, strict=True)
+            for label, own in zip(labels or ("",), self.set_aside, strict=True)
             for outlier in own
         ]
         table = pd.DataFrame(rows, columns=["session", "row", "studentized", "deviation"])
@@ -187,12 +190,12 @@ class Diagnosis(Answer[Found]):
     @cached_property
     def conclusions(self) -> Conclusions:
         """What each candidate would change, and what to measure next; worked out when it is first asked for."""
-        return self.concluded or conclude(self.found, progress=lambda what, share: None)
+        return self.concluded or conclude(self)
 
     @property
     def headline(self) -> str:
         """The verdict in one line."""
-        return verdict_line(self.found)
+        return verdict_line(self)
 
     def show(self, screen: Console, /, most: int = 8, *, details: bool = False) -> None:
         """Print what `mtcal diagnose` prints: the verdict, the effects and the next step.
@@ -202,7 +205,7 @@ class Diagnosis(Answer[Found]):
             most: effects beside those found that are listed; all if 0.
             details: with confounded effects, what to measure next and what is hidden, as with `--details`.
         """
-        show_diagnosis(screen, self.found, self.conclusions, most, details=details)
+        show_diagnosis(screen, self, self.conclusions, most, details=details)
 
     def report(self, *, details: bool = False) -> str:
         """What `show` prints, as text."""
@@ -210,8 +213,8 @@ class Diagnosis(Answer[Found]):
 
     def plot(self) -> Figure:
         """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""
-        return notebook(draw_diagnosis(self.found, self.conclusions.changes))
+        return notebook(draw_diagnosis(self, self.conclusions.changes))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)
+        return diagnosis_document(self, self.conclusions.advice, self.conclusions.changes)

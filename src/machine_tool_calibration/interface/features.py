@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ _NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Features(Answer[Found]):
+class Features(Answer, Found):
     """Pins, holes, spheres and walls of a probed part, distances and angles between them.
 
     Attributes:
@@ -40,13 +40,8 @@ class Features(Answer[Found]):
         origin: what it was made from.
     """
 
-    drawn: MonteCarlo | None
-    origin: Provenance
-
-    @property
-    def datum(self) -> str:
-        """The frame in words, and what the lengths are relative to."""
-        return self.found.datum
+    drawn: MonteCarlo | None = None
+    origin: Provenance = field(kw_only=True)
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -55,33 +50,33 @@ class Features(Answer[Found]):
         Columns: `nominal`, `deviation` (actual minus nominal) and its standard uncertainty `u` in `unit`,
         `determined`; with draws `u_draws` and the ends of the interval of the deviation, `low` and `high`.
         """
-        found, drawn = self.found, self.drawn
+        drawn = self.drawn
         columns: dict[str, Any] = {
-            "nominal": [asked.nominal for asked in found.quantities],
-            "deviation": found.deviation,
-            "u": found.uncertainty,
-            "unit": [asked.unit for asked in found.quantities],
-            "determined": pd.notna(found.deviation),
+            "nominal": [asked.nominal for asked in self.quantities],
+            "deviation": self.deviation,
+            "u": self.uncertainty,
+            "unit": [asked.unit for asked in self.quantities],
+            "determined": pd.notna(self.deviation),
         }
         if drawn is not None:
             columns |= {"u_draws": drawn.uncertainty}
-            columns |= {"low": found.deviation + drawn.low, "high": found.deviation + drawn.high}
+            columns |= {"low": self.deviation + drawn.low, "high": self.deviation + drawn.high}
         return pd.DataFrame(columns, index=pd.Index(self._names, name="quantity"))
 
     @cached_property
     def covariance(self) -> pd.DataFrame:
         """Joint covariance of all quantities of the table, in the products of their units."""
-        return pd.DataFrame(self.found.covariance, self._names, self._names)
+        return pd.DataFrame(self.uncertainty_matrix, self._names, self._names)
 
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        return f"{', '.join(one.name for one in self.found.elements)}; frame: {self.datum}"
+        return f"{', '.join(one.name for one in self.elements)}; frame: {self.datum}"
 
     def show(self, screen: Console, /) -> None:
         """Print the features with expanded uncertainty (k = 2), their frame, and what gives none."""
         drawn, rows = self.drawn, []
-        for asked, row in zip(self.found.quantities, self.table.to_dict("records"), strict=True):
+        for asked, row in zip(self.quantities, self.table.to_dict("records"), strict=True):
             told, interval = NOT_DETERMINED, ""
             if row["determined"]:
                 told = "0 (datum)" if row["u"] < _NOTHING else quantity(row["deviation"], asked.unit, row["u"])
@@ -92,19 +87,20 @@ class Features(Answer[Found]):
         draws = f"{100 * COVERAGE:.4g} % of {drawn.draws} draws, touches {drawn.distribution}" if drawn else ""
         heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
         title = "Features of the workpiece, ± U (k = 2)"
-        show_table(screen, TextTable(title, heads, tuple(rows), f"frame: {self.datum}"))
-        for name, why in self.found.left_out.items():
+        note = f"frame: {self.datum}; U is without instrument and temperature"
+        show_table(screen, TextTable(title, heads, tuple(rows), note))
+        for name, why in self.left_out.items():
             screen.print(f"Not a feature: {name}: {why}.")
 
     def plot(self) -> Figure:
         """Where the features are, deviations magnified, with ellipses of their uncertainty."""
-        return notebook(draw_features(self.found))
+        return notebook(draw_features(self))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        found, drawn = self.found, self.drawn
+        drawn = self.drawn
         quantities = []
-        for asked, row in zip(found.quantities, self.table.to_dict("records"), strict=True):
+        for asked, row in zip(self.quantities, self.table.to_dict("records"), strict=True):
             entry = {"features": list(asked.of), "quantity": asked.what, "unit": asked.unit, "nominal": asked.nominal}
             entry |= {"deviation": row["deviation"], "standard_uncertainty": row["u"]}
             if drawn is not None:
@@ -112,11 +108,11 @@ class Features(Answer[Found]):
             quantities.append(entry)
         document: dict[str, Any] = {
             "format": "mtcal-features/1",
-            "datum": found.datum,
-            "features": [{"name": one.name, "kind": _kind(one), "points": len(one.index)} for one in found.elements],
-            "left_out": [{"name": name, "why": why} for name, why in found.left_out.items()],
+            "datum": self.datum,
+            "features": [{"name": one.name, "kind": _kind(one), "points": len(one.index)} for one in self.elements],
+            "left_out": [{"name": name, "why": why} for name, why in self.left_out.items()],
             "quantities": quantities,
-            "covariance": found.covariance,
+            "covariance": self.uncertainty_matrix,
             "provenance": self.origin.document(),
         }
         if drawn is not None:
@@ -125,7 +121,7 @@ class Features(Answer[Found]):
 
     @property
     def _names(self) -> list[str]:
-        return [asked.name for asked in self.found.quantities]
+        return [asked.name for asked in self.quantities]
 
 
 def _nominal(asked: Quantity) -> str:

@@ -13,13 +13,15 @@ import numpy.typing as npt
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.budget.contributor import contributors_of, known_contributors
-from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.propagate import Progress, propagate
 from machine_tool_calibration.budget.published import check_names
 from machine_tool_calibration.budget.tolerances import tolerance
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.arguments import require_kind, require_whole
@@ -31,15 +33,17 @@ from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Shown, chosen
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import compare_fits
 from machine_tool_calibration.methods.probing.propagation import Distribution, monte_carlo
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.plots.tracking import draw_residuals
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import show_result
+from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.contributor import Contributor
 
@@ -47,7 +51,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-__all__ = ["Fit", "identify", "split_effects"]
+__all__ = ["Fit", "fitted", "identify", "split_effects"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,11 +62,13 @@ class Fit(Shown):
         measurement: the readings.
         result: all that was calculated, as the package itself uses it.
         chosen: the model that was asked for, and the user's own effects, known beside the catalogue.
+        history: the models from the first to this one, where it is that of a history.
     """
 
     measurement: Measurement
     result: Result | JointResult
     chosen: FitRequest
+    history: tuple[Entry, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -217,6 +223,10 @@ class Fit(Shown):
         """
         return chosen(self._figures(), picture)
 
+    def save_pictures(self, folder: Path) -> list[Path]:
+        """Write all of them as PNG files into a folder, each with what it was made from at its foot."""
+        return save(self._figures(), folder, self.result.provenance)
+
     def features(
         self,
         *,
@@ -254,19 +264,27 @@ class Fit(Shown):
         fit = self.result.fit
         found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
         drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None
-        return Features(found, drawn, self.result.provenance)
+        return Features.of(found, drawn=drawn, origin=self.result.provenance)
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
         return Comparison(compare(self.result))
 
-    def compare_map(self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1) -> MapComparison:
+    def compare_map(
+        self,
+        other: Fit,
+        labels: tuple[str, str] = ("first", "second"),
+        *,
+        seed: int = 1,
+        progress: Progress = lambda what, share: None,
+    ) -> MapComparison:
         """Hold the map against that of another measurement of the same machine, independent of this one.
 
         Args:
             other: of any method.
             labels: names of both.
             seed: of the draws by which the uncertainties are carried over to a common datum.
+            progress: told what is done, and which share of it.
 
         Raises:
             CalibrationError: the maps have no point, or no direction at any, in common.
@@ -274,7 +292,8 @@ class Fit(Shown):
         require_whole(seed=seed)
         require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
-        return MapComparison(compare_fits(*pair, labels, seed=seed), tuple(one.provenance for one in pair))
+        found = compare_fits(*pair, labels, seed=seed, progress=progress)
+        return MapComparison.of(found, origins=tuple(one.provenance for one in pair))
 
     def diagnose(self) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
@@ -282,7 +301,7 @@ class Fit(Shown):
         Raises:
             ModelError: the data does not allow the model.
         """
-        return Diagnosis(diagnose(self.chosen))
+        return Diagnosis.of(diagnose(self.chosen))
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
         """The same measurement with further effects in the model.
@@ -294,35 +313,37 @@ class Fit(Shown):
             ModelError: an effect is unknown, in the model already, or needs what was not recorded.
         """
         ids, own = split_effects(effects, self.chosen.own)
-        return _fitted(self.measurement, replace(self.chosen.adding(ids), own=own))
+        return fitted(self.measurement, replace(self.chosen.adding(ids), own=own))
 
     def budget(
         self,
-        contributors: str | Path | Sequence[Contributor | Mapping[str, Any]] | None = None,
+        contributors: str | Path | Sequence[Path | Contributor | Mapping[str, Any]] | None = None,
         *,
         quantities: str | Sequence[str] = (),
         draws: int = 0,
         seed: int = 1,
+        progress: Progress = lambda what, share: None,
     ) -> Budget:
         """Who contributes what to the uncertainty of everything that was identified.
 
         Args:
-            contributors: a YAML file, or its lines as mappings; those of the sessions, else of
+            contributors: a YAML file, or several and lines as mappings; those of the sessions, else of
                 their instruments to begin with, if absent.
             quantities: names to tell in detail, such as EXX, C0Y or an unknown; the usual ones if absent.
             draws: of a Monte Carlo check (JCGM 101); 0 without one.
             seed: of random draws.
+            progress: told what is done, and which share of it.
 
         Raises:
             CalibrationError: the file or a line is wrong, the instrument has no budget to begin with, or a quantity is
                 not published.
         """
         require_whole(draws=draws, seed=seed)
-        fitted = fitted_sessions(self.result)
+        own = fitted_sessions(self.result)
         lines = contributors_of(contributors, self.measurement.sessions)
         names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
-        check_names(fitted, names)
-        return Budget(propagate(fitted, lines, draws=draws, seed=seed), names)
+        check_names(own, names)
+        return Budget.of(propagate(own, lines, draws=draws, seed=seed, progress=progress), names=names)
 
     def conformity(
         self,
@@ -332,6 +353,7 @@ class Fit(Shown):
         level: float = 0.95,
         budget: Budget | None = None,
         seed: int = 1,
+        progress: Progress = lambda what, share: None,
     ) -> Conformity:
         """Whether tolerances are kept: pass, fail or undecided with the probability.
 
@@ -343,6 +365,7 @@ class Fit(Shown):
             budget: whose uncertainties are taken; if absent that of the sessions or of their instruments to begin
                 with, and where there is none, nothing passes or fails.
             seed: of random draws.
+            progress: told what is done, and which share of it.
 
         Raises:
             CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
@@ -352,14 +375,15 @@ class Fit(Shown):
         if budget is not None:
             require_kind(budget, Budget, "budget must be one, as Fit.budget gives it")
         sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
-        fitted = fitted_sessions(self.result)
-        lines = () if budget else known_contributors(self.measurement.sessions)[0]
-        held = budget.found if budget else propagate(fitted, lines, seed=seed) if lines else None
-        return Conformity(conformity(fitted, sizes, rule=rule, level=level, budget=held, seed=seed))
+        own = fitted_sessions(self.result)
+        if budget is None and (lines := known_contributors(self.measurement.sessions)[0]):
+            budget = self.budget(lines, seed=seed, progress=progress)
+        found = conformity(own, sizes, rule=rule, level=level, budget=budget, seed=seed, progress=progress)
+        return Conformity.of(found)
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return self.result.document()
+        return Measured(self.measurement.sessions, self.chosen, self.history).document(self.result)
 
     def _figures(self) -> dict[str, Figure]:
         more = {"residuals": draw_residuals(self.result.fit)} if isinstance(self.result, Result) else {}
@@ -390,11 +414,12 @@ def identify(
     """
     ids, known = split_effects(effects, own)
     measurement = load(session)
-    return _fitted(measurement, measurement.chosen(model, ids, known, keep_all))
+    return fitted(measurement, measurement.chosen(model, ids, known, keep_all))
 
 
-def _fitted(measurement: Measurement, asked: FitRequest) -> Fit:
-    return Fit(measurement, identify_sessions(asked), asked)
+def fitted(measurement: Measurement, asked: FitRequest, history: tuple[Entry, ...] = ()) -> Fit:
+    """What is asked for, identified; of a history with the models on the way to it."""
+    return Fit(measurement, complete.identify(asked), asked, history)
 
 
 def split_effects(

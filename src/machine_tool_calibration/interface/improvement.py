@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import pandas as pd
 
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.improve import Improvement as Done
 from machine_tool_calibration.diagnosis.improve import Step, step_after
-from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -32,26 +32,28 @@ __all__ = ["Improvement", "improve", "plot_improvement"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Improvement(Answer[Done]):
+class Improvement(Answer, Done):
     """The models on the way from the first one to the best.
 
     Attributes:
+        diagnosis: of the first model.
         measurement: the readings.
     """
 
+    diagnosis: Diagnosis
     measurement: Measurement
 
-    @property
-    def diagnosis(self) -> Diagnosis:
-        """Of the first model."""
-        return Diagnosis(self.found.diagnosis)
+    @classmethod
+    def of(cls, found: Done, **more: Any) -> Self:
+        """As `Answer.of`, the diagnosis too."""
+        return super().of(replace(found, diagnosis=Diagnosis.of(found.diagnosis)), **more)
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
         """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
         return tuple(
             Fit(replace(self.measurement, sessions=step.chosen.sessions), step.result, step.chosen)
-            for step in self.found.steps
+            for step in self.steps
         )
 
     @property
@@ -67,20 +69,20 @@ class Improvement(Answer[Done]):
         `reduced_chi_square`, and of the position errors `map_rms` (m), `map_change_rms` (m, against the row before),
         `map_uncertainty_rms` and `left_at_tool_rms` (standard uncertainties, m); NaN where the method maps none.
         """
-        table = step_table(self.found)
+        table = step_table(self)
         numbers = [name for name in table if name not in ("change", "effects", "readings")]
         return table.astype(dict.fromkeys(numbers, float))
 
     @property
     def residuals(self) -> pd.DataFrame:
         """Every reading with `residual_before` and `residual_after` (m; NaN where it was set aside)."""
-        return residuals_before_and_after(self.found)
+        return residuals_before_and_after(self)
 
     @property
     def headline(self) -> str:
         """What was added and how far the residual fell, in one line."""
-        first, last = self.found.steps[0].result, self.found.steps[-1].result
-        added = self.found.diagnosis.accepted
+        first, last = self.steps[0].result, self.steps[-1].result
+        added = self.diagnosis.accepted
         return (
             f"{'added ' + ', '.join(added) if added else 'nothing added'}; residual "
             f"{micrometres(first.rms_residual)} → {micrometres(last.rms_residual)} µm RMS"
@@ -88,15 +90,15 @@ class Improvement(Answer[Done]):
 
     def show(self, screen: Console, /) -> None:
         """Print what `mtcal improve` prints: a row for every step, before and after side by side."""
-        show_improvement(screen, self.found)
+        show_improvement(screen, self)
 
     def plot(self) -> Figure:
         """The picture of `mtcal improve`: the error falling, and the residuals before and after."""
-        return notebook(draw_improvement(self.found))
+        return notebook(draw_improvement(self))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return improvement_document(self.found)
+        return improvement_document(self)
 
 
 def improve(
@@ -123,7 +125,7 @@ def improve(
     """
     measurement = load(session)
     ids, known = split_effects(effects, own)
-    return Improvement(improve_models(measurement.chosen(model, ids, known)), measurement)
+    return Improvement.of(complete.improve(measurement.chosen(model, ids, known)), measurement=measurement)
 
 
 def plot_improvement(fits: Sequence[Fit]) -> Figure:

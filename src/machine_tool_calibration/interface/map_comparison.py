@@ -32,7 +32,7 @@ _COLUMNS = ("first", "second", "difference", "u", "normalised")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(Answer[Compared]):
+class MapComparison(Answer, Compared):
     """Whether two measurements of one machine agree within their joint uncertainty.
 
     Attributes:
@@ -41,16 +41,6 @@ class MapComparison(Answer[Compared]):
 
     origins: tuple[Provenance, ...] = ()
 
-    @property
-    def agree(self) -> bool:
-        """By the p-value of all differences together."""
-        return self.found.agree
-
-    @property
-    def p_value(self) -> float | None:
-        """Of all differences together; None where there are too many for it."""
-        return self.found.p_value
-
     @cached_property
     def table(self) -> pd.DataFrame:
         """One component a row: x, y, z of the place and the direction; m.
@@ -58,23 +48,23 @@ class MapComparison(Answer[Compared]):
         Columns: `first`, `second`, their `difference` with its standard uncertainty `u`, and `normalised`, the
         difference over its expanded uncertainty (E_n).
         """
-        k, j = np.nonzero(np.isfinite(self.found.difference))
-        columns = {name: getattr(self.found, name)[k, j] for name in _COLUMNS}
-        places = [*self.found.points[k].T, np.array(list("xyz"))[j]]
+        k, j = np.nonzero(np.isfinite(self.difference))
+        columns = {name: getattr(self, name)[k, j] for name in _COLUMNS}
+        places = [*self.points[k].T, np.array(list("xyz"))[j]]
         return pd.DataFrame(columns, pd.MultiIndex.from_arrays(places, names=["x", "y", "z", "direction"]))
 
     @property
     def headline(self) -> str:
         """What it is, in one line."""
         verdict = "agree" if self.agree else "contradict each other"
-        return f"{' and '.join(self.found.labels)} {verdict} at {len(self.found.points)} points"
+        return f"{' and '.join(self.labels)} {verdict} at {len(self.points)} points"
 
     def show(self, screen: Console, /) -> None:
         """Print the differences, the motion between the datums and the verdict."""
-        show_table(screen, _differences(self.found))
+        show_table(screen, _differences(self))
         moved = [
             f"{m.name} {quantity(m.value, m.unit, m.u)}"
-            for m in self.found.motion
+            for m in self.motion
             if np.isfinite(m.value) and max(abs(m.value), m.u) > _NOTHING
         ]
         screen.print()
@@ -83,31 +73,30 @@ class MapComparison(Answer[Compared]):
             if moved
             else "Both maps have the same datum at these points: there is no common motion to take out."
         )
-        screen.print(_verdict(self.found))
+        screen.print(_verdict(self))
 
     def plot(self) -> Figure:
         """Both maps, and the normalised differences."""
-        return notebook(draw_map_comparison(self.found))
+        return notebook(draw_map_comparison(self))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        found = self.found
         return {
             "format": "mtcal-map-comparison/1",
-            "maps": list(found.labels),
-            "agree": found.agree,
-            "p_value": found.p_value,
-            "compared": found.count,
-            "beyond_1": found.beyond,
-            "motion": [asdict(m) for m in found.motion],
-            "points": found.points,
-            "first": found.first,
-            "first_u": found.u_first,
-            "second": found.second,
-            "second_u": found.u_second,
-            "difference": found.difference,
-            "difference_u": found.u,
-            "normalised": found.normalised,
+            "maps": list(self.labels),
+            "agree": self.agree,
+            "p_value": self.p_value,
+            "compared": self.count,
+            "beyond_1": self.beyond,
+            "motion": [asdict(m) for m in self.motion],
+            "points": self.points,
+            "first": self.first,
+            "first_u": self.u_first,
+            "second": self.second,
+            "second_u": self.u_second,
+            "difference": self.difference,
+            "difference_u": self.u,
+            "normalised": self.normalised,
             "provenance": [one.document() for one in self.origins],
         }
 
@@ -135,7 +124,10 @@ def _differences(comparison: Compared) -> TextTable:
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
     order = np.flatnonzero(told.any(axis=1))
-    note = f"± U (k = 2); E_n is the difference over its U; 1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
+    note = (
+        "± U (k = 2), without instrument and temperature; E_n is the difference over its U; "
+        f"1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
+    )
     if len(order) > _MOST:
         worst = np.nanmax(np.abs(comparison.normalised[order]), axis=1)
         note += f"; the {_MOST} of {len(order)} points that differ most, all with --json"

@@ -6,10 +6,10 @@ from __future__ import annotations
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import fields
 from functools import cached_property, partial
 from html import escape
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import plain
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Answer", "Shown", "chosen", "notebook", "printed"]
 
-Found = TypeVar("Found")
 # Columns of a text, as the commands have in a file.
 _WIDTH = 120
 
@@ -49,15 +48,13 @@ class Shown(ABC):
         return f"<p><b>{escape(self.headline)}</b></p>\n<pre>{escape(self.report())}</pre>"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Answer(Shown, Generic[Found]):
-    """What was found out.
+class Answer(Shown):
+    """What was found out, by a record of a room below that shows itself besides."""
 
-    Attributes:
-        found: all that was calculated, as the package itself uses it.
-    """
-
-    found: Found
+    @classmethod
+    def of(cls, found: Any, **more: Any) -> Self:
+        """The record that a room below has made, with what comes on top."""
+        return cls(**{one.name: getattr(found, one.name) for one in fields(found)} | more)
 
     @cached_property
     @abstractmethod
@@ -79,13 +76,7 @@ def printed(show: Callable[[Console], None]) -> str:
     text = io.StringIO()
     # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
     kind = Console(
-        file=text,
-        width=_WIDTH,
-        highlight=False,
-        markup=False,
-        force_terminal=False,
-        force_jupyter=False,
-        no_color=True,
+        file=text, width=_WIDTH, highlight=False, markup=False, force_terminal=False, force_jupyter=False, no_color=True
     )
     show(kind)
     return text.getvalue()

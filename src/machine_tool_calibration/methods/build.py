@@ -19,7 +19,15 @@ from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import together
 
-__all__ = ["build_model", "error_map", "model_names", "rejected_readings", "sharing_variant", "suspicious_fits"]
+__all__ = [
+    "build_model",
+    "doubtful",
+    "error_map",
+    "model_names",
+    "rejected_readings",
+    "sharing_variant",
+    "suspicious_fits",
+]
 
 
 class _Method(Protocol):
@@ -74,8 +82,17 @@ def error_map(fit: Fit) -> ErrorMap:
 def suspicious_fits(fits: Sequence[Fit], labels: Sequence[str] | None = None) -> list[str]:
     """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated."""
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
-    found = [together((name, one.words), "") for name, fit in zip(named, fits, strict=True) for one in _elsewhere(fit)]
+    each = [
+        (name, [*(one.words for one in _elsewhere(fit)), *doubtful(fit)]) for name, fit in zip(named, fits, strict=True)
+    ]
+    found = [together((name, words), "") for name, own in each for words in own]
     return [*suspicions([fit.model.observations.session for fit in fits], labels), *found]
+
+
+def doubtful(fit: Fit) -> list[str]:
+    """Places whose readings no others check and that stand out, in words."""
+    where = spec_of(fit.model.observations.session).doubtful
+    return [] if where is None or len(fit.joint.fits) > 1 else [one.words for one in load(where)(fit)]
 
 
 def _elsewhere(fit: Fit) -> Iterator[Misplaced]:

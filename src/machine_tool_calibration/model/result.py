@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,12 @@ class Estimate:
         in_table = parameter.kind is Kind.MOTION and not parameter.session
         position = at if in_table and not isinstance(at, str) else None
         return Estimate(parameter.name, published, u, parameter.unit, parameter.owner, position)
+
+    def with_variance(self, added: Mapping[str, float]) -> Estimate:
+        """With what a budget adds to the variance of unknowns, by name."""
+        if self.name not in added:
+            return self
+        return replace(self, standard_uncertainty=float(np.sqrt(self.standard_uncertainty**2 + added[self.name])))
 
     def document(self) -> dict[str, Any]:
         """As an entry of a document."""
@@ -208,8 +214,11 @@ class Identified(ABC):
 
     def estimate(self, parameter: Parameter, value: float, standard_uncertainty: float) -> Estimate:
         """Of an unknown as the fit has it, with what a budget adds."""
-        more = (self.variance_added or {}).get(parameter.name, 0.0)
-        return Estimate.of(parameter, value, float(np.sqrt(standard_uncertainty**2 + more)))
+        return Estimate.of(parameter, value, standard_uncertainty).with_variance(self.variance_added or {})
+
+    def sizes(self, effects: Sequence[str]) -> tuple[Estimate, ...]:
+        """Coefficients of effects in the model, with what a budget adds."""
+        return tuple(own.with_variance(self.variance_added or {}) for own in effect_estimates(self.joint, effects))
 
     @property
     def joint(self) -> JointFit:
@@ -252,11 +261,13 @@ class Result(Identified):
         fit: the fit.
         rejected: readings that were kept out.
         observations: number of readings recorded.
+        doubtful: places whose readings no others check and that stand out, in words.
     """
 
     fit: Fit
     rejected: tuple[Rejected, ...]
     observations: int
+    doubtful: tuple[str, ...] = ()
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -304,7 +315,11 @@ class Result(Identified):
             "rejected": [r.document() for r in self.rejected],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.fit.model.datum,
-            "suspicious": [*suspicions([session]), *(p.words for p in misplaced(session, self.error_map.content))],
+            "suspicious": [
+                *suspicions([session]),
+                *(p.words for p in misplaced(session, self.error_map.content)),
+                *self.doubtful,
+            ],
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }

@@ -31,7 +31,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 

@@ -4,27 +4,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.consequence import Consequence
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.improve import Improvement, improve
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.improve import Improvement
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.services import Progress
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session
 
 __all__ = ["Diagnosed", "Identified", "Improved", "Request", "compared", "diagnosed", "identified", "improved"]
-
-Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def identified(request: Request, progress: Progress) -> Identified:
         CalibrationError: the readings do not allow it.
     """
     progress("fitting the model", 0.0)
-    return _identified(identify_sessions(request.chosen()))
+    return _identified(complete.identify(request.chosen()))
 
 
 def compared(request: Request, progress: Progress) -> tuple[Mapping[str, Any], str]:
@@ -119,7 +118,7 @@ def diagnosed(request: Request, progress: Progress) -> Diagnosed:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    return _diagnosed(_searched(diagnose, request, progress), progress)
+    return _diagnosed(*complete.diagnose(request.chosen(), progress=progress))
 
 
 def improved(request: Request, progress: Progress) -> Improved:
@@ -128,17 +127,13 @@ def improved(request: Request, progress: Progress) -> Improved:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    steps = _searched(improve, request, progress)
+    steps = complete.improve(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
     return Improved(
         steps=steps,
-        diagnosed=_diagnosed(steps.diagnosis, progress),
+        diagnosed=_diagnosed(steps.diagnosis, complete.conclude(steps.diagnosis, progress=progress)),
         identified=_identified(steps.steps[-1].result),
         document=_json(improvement_document(steps)),
     )
-
-
-def _searched(search: Callable[..., Found], request: Request, progress: Progress) -> Found:
-    return search(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
 
 
 def _identified(result: Result | JointResult) -> Identified:
@@ -146,8 +141,7 @@ def _identified(result: Result | JointResult) -> Identified:
     return Identified(result, _json(result.document()))
 
 
-def _diagnosed(found: Diagnosis, progress: Progress) -> Diagnosed:
-    then = conclude(found, progress=progress)
+def _diagnosed(found: Diagnosis, then: Conclusions) -> Diagnosed:
     content = diagnosis_document(found, then.advice, then.changes)
     return Diagnosed(found, then.changes, then.advice, content, _json(content))
 

@@ -33,8 +33,9 @@ from machine_tool_calibration.nodes.calculation import (
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
-from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Goals, Progress, Reply, offer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.session.collect import Reading, Received
 

@@ -39,9 +39,11 @@ from machine_tool_calibration.nodes.ros.messages import (
     rotation_of,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
-from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, SimulatedSource, Window
+from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, Window
+from machine_tool_calibration.nodes.simulated_source import SimulatedSource
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
 __all__ = ["Instrument"]

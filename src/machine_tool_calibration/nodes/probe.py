@@ -42,8 +42,9 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.simulation.disturbance import Sight

@@ -45,8 +45,9 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import answer_by, goal_of, offer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.procedure import events, plan, read_procedure
 from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer

@@ -32,7 +32,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     quaternion_along,
     seconds,
 )
-from machine_tool_calibration.nodes.ros.node import ManagedNode, StatusTopic
+from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup

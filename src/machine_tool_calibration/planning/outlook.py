@@ -14,7 +14,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
-from machine_tool_calibration.methods.identify import JointResult
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
@@ -102,6 +102,7 @@ def outlooks(
     """
     progress("what is known now", 0.0)
     labels, published = chosen.labels, result.error_map
+    read = fitted_sessions(result).error_map.uncertainty
     angular = angular_size(result.joint.assembly.models[0])
     now = _fitted(chosen, angular)[1].uncertainty
     options = [(k, option) for k, session in enumerate(chosen.sessions) for option in further_options(session)]
@@ -119,8 +120,11 @@ def outlooks(
             _to_be_read(option.session, observations.readings.select(new)),
             observations.position[new],
             published.points,
-            # What the datum fixes is known before and after.
-            published.uncertainty * np.divide(error_map.uncertainty, now, out=np.ones_like(now), where=now != 0.0),
+            # What the datum fixes is known before and after, and what a budget adds to the readings stays.
+            np.sqrt(
+                np.maximum(published.uncertainty**2 - read**2, 0.0)
+                + (read * np.divide(error_map.uncertainty, now, out=np.ones_like(now), where=now != 0.0)) ** 2
+            ),
             option.seconds,
             option.aside,
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
+from machine_tool_calibration.diagnosis.consequence import Added, Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
@@ -263,15 +263,18 @@ class Conclusions:
     advice: Advice
 
 
-def conclude(found: Diagnosis, *, progress: Callable[[str, float], None]) -> Conclusions:
+def conclude(
+    found: Diagnosis, *, progress: Callable[[str, float], None], added: Added = lambda fitted: {}
+) -> Conclusions:
     """Draw the conclusions.
 
     Args:
         found: the diagnosis.
         progress: called with what is being done and the share of the whole, which begins at `SEARCH`.
+        added: with which the uncertainties of the candidates' sizes are told.
     """
     progress("what the candidates would change", SEARCH)
-    changes = consequences(found)
+    changes = consequences(found, added)
     done = SEARCH + _CHANGES
     advice = what_to_measure(found, progress=lambda what, share: progress(what, done + (1.0 - done) * share))
     return Conclusions(changes, advice)

@@ -88,7 +88,7 @@ def _ends(found: Features, wall: Line, index: list[int]) -> tuple[Array, Array, 
     """The nominal ends of a wall (2, 2), how far each is off along the normal (2,), and its standard uncertainty."""
     t = np.array([-wall.reach, wall.reach])
     design = np.column_stack([np.ones(2), t])
-    covariance = design @ found.covariance[np.ix_(index, index)] @ design.T
+    covariance = design @ found.uncertainty_matrix[np.ix_(index, index)] @ design.T
     places = wall.place + t[:, None] * wall.along
     return places, design @ found.deviation[index], np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
@@ -103,7 +103,7 @@ def _draw_centre(panel: Axes, one: Circle, found: Features, index: list[int], sc
         _label(panel, say("picture.name_lost", name=one.name), nominal)
         return
     moved = nominal + 1e3 * scale * deviation
-    values, vectors = np.linalg.eigh(found.covariance[np.ix_(index, index)])
+    values, vectors = np.linalg.eigh(found.uncertainty_matrix[np.ix_(index, index)])
     axes = vectors * np.sqrt(np.maximum(values, 0.0)) * _ELLIPSE
     ring = moved[:, None] + 1e3 * scale * axes @ np.array([np.cos(_ROUND), np.sin(_ROUND)])
     panel.plot(*ring, color=BAND, lw=1.0)

@@ -4,20 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from machine_tool_calibration.budget.complete import completed
+from machine_tool_calibration.budget.complete import completed, completed_steps, conclude, stated
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
-from machine_tool_calibration.diagnosis.improve import Improvement, Step, improve
+from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
-from machine_tool_calibration.model.result import Result, map_rms
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.session.contributor import Contributor
 
@@ -86,34 +86,21 @@ def evaluate(
     result = identify_sessions(measured.chosen)
     held = compare(result)
     improved = then = None
-    if diagnosis:
-        improved = improve(measured.chosen, progress=lambda what, share: progress(what, SEARCH * share))
-        then = conclude(improved.diagnosis, progress=progress)
     fitted = fitted_sessions(result)
     budget = None
-    general = not contributors and not all(session.description.budget for session in measured.recorded)
-    contributors = contributors or _stated(measured, decide=bool(tolerances))
+    own = stated(measured.recorded)
+    general = not contributors and not own
+    contributors = contributors or own or (known_contributors(measured.recorded)[0] if tolerances else ())
+    if diagnosis:
+        improved = improve(measured.chosen, progress=lambda what, share: progress(what, SEARCH * share))
+        improved = completed_steps(improved, contributors, seed)
+        then = conclude(improved.diagnosis, contributors, seed=seed, progress=progress)
     if contributors:
         progress("uncertainty budget", 0.0)
         budget = propagate(fitted, contributors, seed=seed)
         result = completed(result, budget)
-        if improved is not None:
-            improved = replace(improved, steps=tuple(_complete(step, contributors, seed) for step in improved.steps))
     verdicts = None
     if tolerances:
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
     return Evaluation(measured, result, held.sessions, improved, then, budget, general, verdicts)
-
-
-def _stated(measured: Measured, *, decide: bool) -> tuple[Contributor, ...]:
-    """Contributors that the sessions state, or to decide on tolerances those of their instruments to begin with."""
-    sessions = measured.recorded
-    stated = all(session.description.budget for session in sessions)
-    return known_contributors(sessions)[0] if decide or stated else ()
-
-
-def _complete(step: Step, contributors: Sequence[Contributor], seed: int) -> Step:
-    """A step whose map has the uncertainty of the budget."""
-    result = completed(step.result, propagate(fitted_sessions(step.result), contributors, seed=seed))
-    return replace(step, result=result, map_uncertainty=map_rms(result.error_map.uncertainty))

@@ -21,7 +21,7 @@ def left_table(found: Exported) -> TextTable:
         say("compensation.table"),
         heads("direction", "rms_now", "rms_left", "largest_now", "largest_left", "U_rms"),
         tuple(rows),
-        say("compensation.left"),
+        say("compensation.left_complete" if found.complete else "compensation.left"),
     )
 
 

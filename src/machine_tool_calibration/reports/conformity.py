@@ -36,7 +36,7 @@ def conformity_table(found: Conformity) -> TextTable:
     return TextTable(
         say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %"),
         heads("figure", "tolerance", "measured_u", "probability", "decision", "why"),
-        tuple(map(_row, found.verdicts)),
+        tuple(map(_row, found.each)),
         say("conformity.by_budget" if found.uncertainty == "budget" else "conformity.nothing_decided"),
     )
 
@@ -81,7 +81,7 @@ def conformity_document(found: Conformity) -> dict[str, Any]:
         "decision": found.decision,
         "figures": [
             {"standard_uncertainty" if key == "u" else key: value for key, value in vars(verdict).items()}
-            for verdict in found.verdicts
+            for verdict in found.each
         ],
     }
     return dict(plain(document))

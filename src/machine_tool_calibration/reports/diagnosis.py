@@ -250,7 +250,7 @@ def _held_out(diagnosis: Diagnosis, name: str) -> str:
 def _outliers(diagnosis: Diagnosis) -> TextTable:
     rows = tuple(
         (str(o.row), f"{o.studentized:+.1f}", micrometres(o.deviation, signed=True))
-        for o in sorted(diagnosis.outliers, key=lambda o: o.row)
+        for o in sorted(diagnosis.gross_errors, key=lambda o: o.row)
     )
     columns = heads("row", "times_expected", "deviation_um")
     return TextTable(say("found.outliers"), columns, rows, say("found.note_outliers"))

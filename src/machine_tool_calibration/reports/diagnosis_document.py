@@ -49,7 +49,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "suspicious": suspicious_fits(diagnosis.fits[0].fits, diagnosis.chosen.labels),
         "provenance": diagnosis.fitted[0].provenance.document(),
         "accepted": list(diagnosis.accepted),
-        "observations": sum(len(session.readings) for session in diagnosis.chosen.sessions) + len(diagnosis.outliers),
+        "observations": sum(len(one.readings) for one in diagnosis.chosen.sessions) + len(diagnosis.gross_errors),
         "noise": {
             "declared": noise.declared,
             "from_repeats": noise.from_repeats,

@@ -82,7 +82,7 @@ def _words(done: Improvement) -> str:
         key = "improved.added_grows" if grows else "improved.added"
         return say(key, names=", ".join(found.accepted), fell=fell, grows=grows)
     if found.verdict == "outliers":
-        return say("improved.set_aside", n=len(found.outliers), fell=fell)
+        return say("improved.set_aside", n=len(found.gross_errors), fell=fell)
     return say("improved.unexplained" if found.verdict == "unexplained" else "improved.nothing")
 
 

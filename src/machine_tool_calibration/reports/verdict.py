@@ -78,8 +78,8 @@ def verdict_words(
     if brief:
         yield from _noise(diagnosis)
         return
-    if diagnosis.outliers and diagnosis.verdict != "outliers":
-        yield say("diagnosis.set_aside_before", n=len(diagnosis.outliers))
+    if diagnosis.gross_errors and diagnosis.verdict != "outliers":
+        yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
     yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
 
@@ -93,7 +93,7 @@ def verdict_line(diagnosis: Diagnosis) -> str:
         )
         return say("verdict.missing", names=together(found, ", "))
     if diagnosis.verdict == "outliers":
-        return say("verdict.stand_out", what=stand_out(len(diagnosis.outliers)))
+        return say("verdict.stand_out", what=stand_out(len(diagnosis.gross_errors)))
     return say("verdict.nothing" if diagnosis.verdict == "adequate" else "verdict.unexplained")
 
 
@@ -125,7 +125,7 @@ def _verdict(diagnosis: Diagnosis) -> Said:
         return say("diagnosis.unexplained")
     if diagnosis.verdict == "outliers":
         without = f"diagnosis.without_them_{'matters' if good_enough(diagnosis) else 'shown'}"
-        return together((say("diagnosis.outliers", n=len(diagnosis.outliers)), say(without, residual=residual)))
+        return together((say("diagnosis.outliers", n=len(diagnosis.gross_errors)), say(without, residual=residual)))
     if diagnosis.likely:
         return together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
     if spec_of(diagnosis.chosen.sessions[0]).reads_machine and fits(look.fit.p_value) == "bad":

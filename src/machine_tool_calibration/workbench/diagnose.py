@@ -10,7 +10,6 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
-from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
 from machine_tool_calibration.reports.signs import negative_words
@@ -122,16 +121,17 @@ class DiagnosePage:
             self._against.param.update(options=options, value=self._readings.ranked[0])
         self._draw_against()
         self._forget()
-        self._ranking.visible = state.diagnosis is not None
         self._effect.param.update(options=["", *addable(state)], value="")
-        self._all.disabled = state.diagnosis is None or not state.diagnosis[0].accepted + state.diagnosis[0].outliers
-        if state.diagnosis is None:
+        found = state.diagnosis
+        self._ranking.visible = found is not None
+        self._all.disabled = found is None or not found.accepted + found.gross_errors
+        if found is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
             self._words.object = paragraphs([said])
             self._more.object = self._tables.object = ""
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
-        found, then = state.diagnosis
+        then = found.conclusions
         report = diagnosis_report(found, then.advice, then.changes)
         self._words.object = f"<b>{paragraphs(report.words[:1])}</b>"
         self._more.object = paragraphs((*report.words[1:], *report.forecast))
@@ -181,7 +181,7 @@ class DiagnosePage:
         ends = [float(np.nanmin(pattern)), float(np.nanmax(pattern))]
         self._line.data = {"x": ends, "y": ends}
         name = trial.step.change
-        sizes = sizes_in_words(effect_estimates(trial.fit.result.joint, [name]))
+        sizes = sizes_in_words(trial.fit.result.sizes([name]))
         moved = trial.step.map_change
         words = f"With {name}: {sizes} (k = 2); {residual_change(now.rms_residual, then.rms_residual)}"
         words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"

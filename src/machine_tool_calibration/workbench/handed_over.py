@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.export.compensation import Exported, compensation
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.plots.compensation import draw_compensation
 from machine_tool_calibration.plots.style import save_as
 from machine_tool_calibration.report.evaluation import evaluate
@@ -53,9 +54,7 @@ def reported(
         The files.
     """
     measured = Measured(
-        subject.without((), model.kept).sessions,
-        subject.chosen(model),
-        tuple(history) if len(history) > 1 else (),
+        subject.without((), model.kept).sessions, subject.chosen(model), tuple(history) if len(history) > 1 else ()
     )
     found = evaluate(measured, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
     progress("drawing", 0.9)
@@ -88,7 +87,7 @@ def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple
         variant = spec_of(sessions[0]).tables
         if variant is not None and variant != result.model_name:
             progress(f"fitting with the model {variant}", 0.1)
-            result = identify(sessions[0], model=variant, effects=fit.effects, own=subject.own, keep_all=True)
+            result = complete.identify(FitRequest(sessions, None, variant, fit.effects, subject.own, keep_all=True))
     source = " + ".join(session.source for session in sessions)
     made = compensation(result, source, subject.own)
     progress("writing and reading the tables", 0.5)

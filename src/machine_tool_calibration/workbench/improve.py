@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from html import escape
 
 import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
@@ -191,13 +188,12 @@ class ImprovePage:
 
     def _improve(self) -> None:
         """As `mtcal improve`: nothing is added unless the diagnosis names it."""
-        job = self._state.diagnosed()
 
-        def take_and_add(found: tuple[Diagnosis, Conclusions]) -> None:
-            job.take(found)
-            if found[0].accepted or found[0].outliers:
+        def add() -> None:
+            found = self._state.diagnosis
+            if found is not None and (found.accepted or found.gross_errors):
                 self._work.run("adding what was found", self._state.improved())
             else:
                 self._note.object = escape("Nothing was found that is missing: see Diagnose.")
 
-        self._work.run("looking for what is missing", replace(job, take=take_and_add))
+        self._work.run("looking for what is missing", self._state.diagnosed().then(add))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from html import escape
 from typing import Any
@@ -21,10 +20,19 @@ from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.quantities import millimetres, quantity
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.live_feed import Feed
-from machine_tool_calibration.workbench.look import bar_button, beside, new_figure, setup_color, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    beside,
+    html_table,
+    new_figure,
+    setup_color,
+    tables,
+    text,
+    when_changed,
+)
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
-from machine_tool_calibration.workbench.models import Opened
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
@@ -192,28 +200,20 @@ class LivePage:
         if found is None:
             return said
         factor = magnification([found.error_map])
-        rows = list(found.rows)
-        if factor:
-            rows.append(("drawn", f"{spaced(factor)} times magnified; ellipses: U (k = 2)"))
-        body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
-        return f"{said}<h3>The map, {escape(found.whose)}</h3><table>{body}</table>"
+        drawn = [("drawn", f"{spaced(factor)} times magnified; ellipses: U (k = 2)")] if factor else []
+        return said + tables([TextTable(f"The map, {found.whose}", ("", ""), (*found.rows, *drawn))])
 
     def _setup_table(self) -> str:
         """Readings, the last one and the residual of each setup."""
         if not self._counts:
             return ""
-        found = self._feed.map
-        rows = ""
+        found, rows = self._feed.map, []
         for setup, (count, last) in sorted(self._counts.items()):
             own = found.residual[found.setup == setup] if found is not None else np.zeros(0)
             left = f"{1e6 * rms(own):.3f}" if len(own) else ""
             mark = f'<span style="color:{setup_color(setup)}">■</span>'
-            rows += (
-                f"<tr><td>{mark} {escape(self._name(setup))}</td><td>{count}</td>"
-                f"<td>{_displacement(last)}</td><td>{left}</td></tr>"
-            )
-        head = "".join(f"<th>{one}</th>" for one in ("setup", "readings", "last one", "RMS residual / µm"))
-        return f"<h3>Setups</h3><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+            rows.append((f"{mark} {escape(self._name(setup))}", str(count), _displacement(last), left))
+        return html_table("Setups", ("setup", "readings", "last one", "RMS residual / µm"), rows)
 
     def _name(self, setup: int) -> str:
         names = self._feed.heard.setups
@@ -317,13 +317,8 @@ class LivePage:
         except (CalibrationError, OSError) as error:
             self._work.fail(error)
             return
-        job = self._state.opened(path)
-
-        def take(found: Opened) -> None:
-            job.take(found)
-            self._work.say(f"{path} is open in the other pages.")
-
-        self._work.run("taking the readings over", replace(job, take=take))
+        said = partial(self._work.say, f"{path} is open in the other pages.")
+        self._work.run("taking the readings over", self._state.opened(path).then(said))
 
 
 def _displacement(value: float) -> str:
@@ -356,7 +351,7 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
         states: of the nodes.
         now: s of the clock that `NodeState.at` is of.
     """
-    rows = ""
+    rows = []
     for one in states:
         silent = one.silent(now)
         if silent:
@@ -368,13 +363,9 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
             told.append(f"{one.entries['ignored']} messages ignored ({one.entries.get('ignored_last', '')})")
         more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""
         device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
-        rows += (
-            f'<tr><td><span style="white-space:nowrap"><span style="color:{color}">{mark}</span> '
-            f"{escape(one.node)}</span>{device}</td>"
-            f'<td style="white-space:nowrap">{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>'
-        )
-    head = "<th>node</th><th>state</th><th>what it says</th>"
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if rows else ""
+        named = f'<span class="short"><span style="color:{color}">{mark}</span> {escape(one.node)}</span>{device}'
+        rows.append((named, f'<span class="short">{escape(word)}</span>', escape(one.message) + more))
+    return html_table("", ("node", "state", "what it says"), rows) if rows else ""
 
 
 def _says(state: NodeState, key: str) -> bool:

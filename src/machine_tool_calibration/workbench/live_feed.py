@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.model.result import ErrorMap, Result
 from machine_tool_calibration.nodes.heard import Heard, Offer, Published
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.session.collect import Reading, live_session
@@ -65,7 +66,8 @@ class LiveMap:
         Raises:
             CalibrationError: they do not allow it.
         """
-        result = identify(session, model=variant, own=own)
+        result = complete.identify(FitRequest((session,), None, variant, (), tuple(own)))
+        assert isinstance(result, Result)  # of a single session
         readings = result.fit.model.observations.readings
         return LiveMap(
             whose=f"calculated here from {len(session.readings)} readings",

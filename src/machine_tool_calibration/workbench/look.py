@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 from weakref import WeakKeyDictionary, WeakMethod
 
+import numpy as np
 import panel as pn
 from bokeh.document.callbacks import invoke_with_curdoc
 from bokeh.models import HoverTool
@@ -26,13 +27,16 @@ __all__ = [
     "bar_button",
     "beside",
     "controls",
+    "draw_stations",
     "folded",
+    "html_table",
     "in_order",
     "legend_above",
     "new_figure",
     "packed",
     "paragraphs",
     "setup_color",
+    "stations_of",
     "tables",
     "tell_faults",
     "text",
@@ -71,6 +75,22 @@ def setup_color(index: int) -> str:
     return COLORS[index % len(COLORS)]
 
 
+def stations_of(setups: Sequence[Any], which: Iterable[int]) -> dict[str, Any]:
+    """Stations among setups, by their numbers, as columns of a plot: `id`, `x y z` (mm) and `color`."""
+    at = [(setups[k], setup_color(k)) for k in which if hasattr(setups[k], "position")]
+    place = 1e3 * np.array([one.position for one, _ in at]).reshape(-1, 3)
+    names, colors = [one.id for one, _ in at], [color for _, color in at]
+    return {"id": names, "color": colors, **dict(zip("xyz", place.T, strict=True))}
+
+
+def draw_stations(plot: Any, source: Any, across: str, upwards: str) -> list[Any]:
+    """Have a plot show the stations of a source with their names; what draws them."""
+    return [
+        plot.scatter(across, upwards, source=source, size=11, marker="triangle", color="color", line_color="black"),
+        plot.text(across, upwards, text="id", source=source, x_offset=9, text_baseline="middle", text_font_size="12px"),
+    ]
+
+
 def packed(color: str) -> int:
     """A colour such as #0072b2 as plots take it in a column of uint32: a browser reads texts one by one."""
     return int(color.removeprefix("#") + "ff", 16)
@@ -107,16 +127,23 @@ def tables(every: Iterable[TextTable]) -> str:
 
 def _table(table: TextTable) -> str:
     used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
-    head = "".join(f"<th>{escape(table.columns[k])}</th>" for k in used)
-    body = "".join("<tr>" + "".join(_cell(row[k]) for k in used) + "</tr>" for row in table.rows)
+    rows = [[escape(row[k]) for k in used] for row in table.rows]
     note = paragraphs([table.note]).replace("<p>", '<p class="note">') if table.note else ""
-    return f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{note}"
+    return html_table(table.title, [table.columns[k] for k in used], rows) + note
 
 
-def _cell(words: str) -> str:
+def html_table(title: str, heads: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are HTML already, under a title if that is not empty."""
+    head = "".join(f"<th>{escape(one)}</th>" for one in heads)
+    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+    named = f"<h3>{escape(title)}</h3>" if title else ""
+    return f"{named}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(html: str) -> str:
     """A number keeps its unit beside it."""
-    short = ' class="short"' if len(words) <= _SHORT else ""
-    return f"<td{short}>{escape(words)}</td>"
+    short = ' class="short"' if len(re.sub("<[^>]*>|&[a-z0-9#]+;", ".", html)) <= _SHORT else ""
+    return f"<td{short}>{html}</td>"
 
 
 def new_figure(

@@ -18,9 +18,10 @@ from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.workbench.look import (
     DIM,
     beside,
+    draw_stations,
     new_figure,
     paragraphs,
-    setup_color,
+    stations_of,
     tables,
     text,
     when_changed,
@@ -64,13 +65,7 @@ class MeasurementPage:
         self._tilt = pn.widgets.IntSlider(name="Tilt the view, °", start=0, end=90, step=5, value=25, width=220)
         for slider in (self._turn, self._tilt):
             when_changed(slider, lambda _: self._look())
-        space = new_figure(
-            "Places of readings and stations",
-            "",
-            "",
-            hover=_HOVER,
-            match_aspect=True,
-        )
+        space = new_figure("Places of readings and stations", "", "", hover=_HOVER, match_aspect=True)
         space.multi_line("u", "v", source=self._edges, color="#bbbbbb")
         space.axis.visible = False
         space.grid.visible = False
@@ -84,10 +79,7 @@ class MeasurementPage:
             across, upwards = ("3d:u", "3d:v") if name == "3d" else tuple(name)
             plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **DIM)
             ends = ("u", "v") if name == "3d" else tuple(name)
-            plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
-            plot.text(
-                *ends, text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
-            )
+            draw_stations(plot, self._stations, *ends)
         self._space = pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width")
         self.view = pn.Column(
             self._words,
@@ -121,20 +113,14 @@ class MeasurementPage:
         self._words.object = fits + (said or "<p>In the recording itself nothing is suspicious.</p>")
         self._setups.object, self._more.object = placed, more
         setups = [setup for session in measurement.sessions for setup in session.description.setups]
-        at = [(s.id, s.position, setup_color(k)) for k, s in enumerate(setups) if hasattr(s, "position")]
-        place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
+        stations = stations_of(setups, range(len(setups)))
+        place = np.column_stack([stations[axis] for axis in "xyz"])
         read = np.column_stack([self._readings.data[axis] for axis in "xyz"])
         extent = np.nanmax([*place, *read], axis=0) > np.nanmin([*place, *read], axis=0)
         self._space.visible = bool(extent.all())
         for view, across in VIEWS.items():
             self._plots[view].visible = bool(extent[list(across)].all())
-        self._stations.data = {
-            "id": [name for name, _, _ in at],
-            "color": [color for _, _, color in at],
-            **dict(zip("xyz", place.T, strict=True)),
-            "u": place[:, 0],
-            "v": place[:, 1],
-        }
+        self._stations.data = {**stations, "u": place[:, 0], "v": place[:, 1]}
         self._look()
 
     def _look(self) -> None:

@@ -14,23 +14,23 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
+from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import Step, accepted_models, entry_of, step_after, words_set_aside
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
-from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
 from machine_tool_calibration.procedure import Procedure
 from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+from machine_tool_calibration.residuals.gross_errors import Outlier
 
 __all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "looked_ahead", "opened", "planned"]
 
@@ -93,6 +93,11 @@ class Subject:
         """Numbers of rows of a session's recording."""
         return np.asarray(rows + self.first[session])
 
+    def deviations(self, outliers: Iterable[Iterable[Outlier]]) -> dict[int, float]:
+        """What the readings of each session that stand out deviate by, m, by their number."""
+        every = zip(self.first, outliers, strict=True)
+        return {first + outlier.row: outlier.deviation for first, own in every for outlier in own}
+
     def name(self, number: int) -> str:
         """Of a reading: its row, of several sessions with the session's name, as `--keep` takes it."""
         k = int(np.searchsorted(self.first, number, side="right")) - 1
@@ -114,12 +119,7 @@ class Subject:
         return replace(model.fit.chosen, own=self.own)
 
     def tried(
-        self,
-        before: Model | None,
-        words: str,
-        chosen: FitRequest,
-        aside: frozenset[int],
-        kept: frozenset[int],
+        self, before: Model | None, words: str, chosen: FitRequest, aside: frozenset[int], kept: frozenset[int]
     ) -> Model:
         """A model, fitted.
 
@@ -135,7 +135,7 @@ class Subject:
         """
         measurement = self.without(aside, kept)
         chosen = replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True)
-        result = identify_sessions(chosen)
+        result = complete.identify(chosen)
         rows = tuple(self._rows(k, aside) for k in range(len(self.first)))
         step = step_after(before.step if before else None, words, chosen, result, rows)
         return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept)
@@ -229,11 +229,8 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     if entry is not None and entry.data != fingerprint(*sessions):
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
-    found = {}
     first = measurement.chosen(variant, (), tuple(own))
-    for k, sifted in enumerate(gross_errors(first)):
-        for outlier in sifted.outliers:
-            found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
+    found = subject.deviations([sifted.outliers for sifted in gross_errors(first)])
     progress("fitting", 0.5)
     models: list[Model] = []
     if entry is not None:
@@ -248,16 +245,10 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     return Opened(subject, prints, models, found, history, remark)
 
 
-def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagnosis, Conclusions]:
-    """Effects that a model lacks, and what would tell them apart.
-
-    Args:
-        subject: the measurement.
-        model: the model.
-        progress: told what is being done.
-    """
-    found = diagnose(subject.chosen(model), progress=lambda what, share: progress(what, SEARCH * share))
-    return found, conclude(found, progress=progress)
+def diagnosed(subject: Subject, model: Model, progress: Progress) -> Diagnosis:
+    """Effects that a model lacks, and what would tell them apart."""
+    found, then = complete.diagnose(subject.chosen(model), progress=progress)
+    return Diagnosis.of(found, concluded=then)
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
@@ -272,8 +263,7 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     Returns:
         The models, each made from the one before.
     """
-    more = {int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own}
-    aside = model.aside | more
+    aside = model.aside | subject.deviations(found.set_aside).keys()
     models = [model]
     for change, chosen in accepted_models(found, progress):
         models.append(subject.tried(models[-1], change, chosen, aside, model.kept))

@@ -30,14 +30,7 @@ __all__ = ["window"]
 
 
 # Each has a title, what it is about, how many blocks it has, these as `view`, and shows the model in use on `refresh`.
-_PAGES: tuple[Any, ...] = (
-    MeasurementPage,
-    ComparePage,
-    DiagnosePage,
-    ImprovePage,
-    PlanPage,
-    ExportPage,
-)
+_PAGES: tuple[Any, ...] = (MeasurementPage, ComparePage, DiagnosePage, ImprovePage, PlanPage, ExportPage)
 
 
 # All roots one below the other.
@@ -80,12 +73,7 @@ def window(
 
 class _Window:
     def __init__(
-        self,
-        targets: Sequence[Path],
-        own: Sequence[PhysicalEffect],
-        variant: str | None,
-        feed: Feed,
-        live: bool,
+        self, targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str | None, feed: Feed, live: bool
     ) -> None:
         self._document = pn.state.curdoc
         self._state, self._work = State(own, variant), Work()

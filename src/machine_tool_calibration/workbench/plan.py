@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import panel as pn
@@ -24,10 +22,12 @@ from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
     controls,
+    draw_stations,
     folded,
     legend_above,
     new_figure,
     setup_color,
+    stations_of,
     tables,
     text,
     typed_out,
@@ -85,12 +85,7 @@ class PlanPage:
             "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
         )
         self._dots = self._where.scatter("x", "y", source=self._new, size=5, color="color", legend_label="with it")
-        self._marks = self._where.scatter(
-            "x", "y", source=self._stations, size=11, marker="triangle", color="color", line_color="black"
-        )
-        self._names = self._where.text(
-            "x", "y", text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
-        )
+        self._marks = draw_stations(self._where, self._stations, "x", "y")
         self._maps = {}
         self._map = new_figure("Uncertainty of the map", "", "", height=360, hover=_MAP_HOVER, match_aspect=True)
         for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
@@ -180,7 +175,7 @@ class PlanPage:
         self._readings.draw(place_a=a, place_b=b)
         for plot in (self._where, self._map):
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
-        for glyph in (self._dots, self._marks, self._names):
+        for glyph in (self._dots, *self._marks):
             glyph.glyph.x, glyph.glyph.y = a, b
         for _, glyph in self._maps.values():
             glyph.glyph.update(x=a, y=b, width=f"w{a}", height=f"w{b}")
@@ -206,14 +201,7 @@ class PlanPage:
             "setup": [session.setup_ids[int(s)] for s in session.readings.setup],
             "color": [setup_color(int(s)) for s in session.readings.setup],
         }
-        setups: Sequence[Any] = session.description.setups
-        at = [(setups[s].id, setups[s].position, setup_color(s)) for s in used if hasattr(setups[s], "position")]
-        place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
-        self._stations.data = {
-            **dict(zip("xyz", place.T, strict=True)),
-            "id": [name for name, _, _ in at],
-            "color": [color for _, _, color in at],
-        }
+        self._stations.data = stations_of(session.description.setups, used)
 
     def _write(self) -> None:
         """The procedure's file, or a session folder whose readings are to be filled in."""

@@ -10,23 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.planning.what_to_measure import Conclusions
+from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.reports.history_file import history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.workbench.models import (
-    Model,
-    Opened,
-    Progress,
-    Subject,
-    diagnosed,
-    improved,
-    opened,
-)
+from machine_tool_calibration.workbench.models import Model, Opened, Progress, Subject, diagnosed, improved, opened
 
 __all__ = ["Job", "State", "measurements_in"]
 
@@ -56,6 +47,15 @@ class Job:
     work: Callable[[Progress], Any]
     take: Callable[[Any], None]
 
+    def then(self, act: Callable[[], object]) -> Job:
+        """The same, with something done after the outcome has been shown."""
+
+        def take(found: Any) -> None:
+            self.take(found)
+            act()
+
+        return replace(self, take=take)
+
     def __call__(self) -> None:
         """Do it here and now."""
         self.take(self.work(lambda what, share: None))
@@ -78,7 +78,7 @@ class State:
         self.paths: tuple[Path, ...] = ()
         self.models: list[Model] = []
         self.variant = variant
-        self.diagnosis: tuple[Diagnosis, Conclusions] | None = None
+        self.diagnosis: Diagnosis | None = None
         self.found: dict[int, float] = {}
         self.remark = ""
         self.history = History()
@@ -192,10 +192,9 @@ class State:
     def diagnosed(self) -> Job:
         """Look for effects that the model in use lacks, and for what would tell them apart."""
 
-        def take(found: tuple[Diagnosis, Conclusions]) -> None:
+        def take(found: Diagnosis) -> None:
             self.diagnosis = found
-            for number, outlier in self._outliers(found[0]):
-                self.found.setdefault(number, outlier)
+            self.found = self.subject.deviations(found.set_aside) | self.found
             self._tell()
 
         return Job(partial(diagnosed, self.subject, self.model), take)
@@ -225,7 +224,7 @@ class State:
         """
         if self.diagnosis is None:
             raise CalibrationError("there is no diagnosis of this model yet: make one first")
-        work = partial(improved, self.subject, self.model, self.diagnosis[0])
+        work = partial(improved, self.subject, self.model, self.diagnosis)
         return Job(work, lambda models: self.use(*models))
 
     def undo(self) -> None:
@@ -259,11 +258,6 @@ class State:
     def entries(self) -> list[Entry]:
         """The models as entries of a history."""
         return self.subject.entries(self.models, self._prints, datetime.now(UTC).isoformat(timespec="seconds"))
-
-    def _outliers(self, found: Diagnosis) -> Iterable[tuple[int, float]]:
-        for k, own in enumerate(found.set_aside):
-            for outlier in own:
-                yield self.subject.first[k] + outlier.row, outlier.deviation
 
     def _tell(self) -> None:
         for tell in self._watchers:

@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -56,6 +57,24 @@ class Peer:
         self.socket.sendall(data)
 
 
+Streaming = Callable[..., tuple[AsciiLineDriver, Peer]]
+
+
+@pytest.fixture
+def streaming(server: socket.socket) -> Iterator[Streaming]:
+    """Opens a driver with changed settings, and says what its peer is; closes it in the end."""
+    opened: list[AsciiLineDriver] = []
+
+    def begin(**changes: Any) -> tuple[AsciiLineDriver, Peer]:
+        own = {name: changes.pop(name) for name in ("clock", "connect") if name in changes}
+        opened.append(AsciiLineDriver(settings(server, **changes), **own))
+        return opened[-1], Peer(server, opened[-1])
+
+    yield begin
+    for driver in opened:
+        driver.close()
+
+
 def read(driver: AsciiLineDriver, number: int) -> list[Sample]:
     """That many samples, however they arrive."""
     samples: list[Sample] = []
@@ -72,9 +91,8 @@ def until(driver: AsciiLineDriver, condition: Callable[[], bool]) -> None:
         assert driver.read(0.02) == []
 
 
-def test_readings_in_metres_and_garbage_counted(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    peer = Peer(server, driver)
+def test_readings_in_metres_and_garbage_counted(streaming: Streaming) -> None:
+    driver, peer = streaming()
     peer.send(b"# LASER 1.0\r\n1.25")
     assert driver.read(0.05) == []
     peer.send(b"0 OK 1\r\n\xff\xfe\x00\r\n-2.500 OK 1\r\n1.0 OK\r\n\r\n#note\r\n3.0 OK 1")
@@ -85,45 +103,37 @@ def test_readings_in_metres_and_garbage_counted(server: socket.socket) -> None:
     assert (health.state, health.samples, health.rejected, health.last_rejected) == ("streaming", 2, 2, "1.0 OK")
     peer.send(b"\r\n")
     assert read(driver, 1)[0].displacement == pytest.approx(3.0e-3)
-    driver.close()
 
 
-def test_the_first_line_of_a_stream_may_be_the_end_of_one(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    peer = Peer(server, driver)
+def test_the_first_line_of_a_stream_may_be_the_end_of_one(streaming: Streaming) -> None:
+    driver, peer = streaming()
     peer.send(b"345.0 OK 1\r\n12345.0 OK 1\r\n")
     assert [s.displacement for s in read(driver, 1)] == [pytest.approx(12.345)]
     assert driver.health().rejected == 0
-    driver.close()
 
 
-def test_broken_beam_gives_no_number(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    peer = Peer(server, driver)
+def test_broken_beam_gives_no_number(streaming: Streaming) -> None:
+    driver, peer = streaming()
     peer.send(b"\r\n1.0 OK 1\r\n1.0 OK 0\r\n0.0 OVERSPEED 1\r\n1.0 OK 1\r\n")
     samples = read(driver, 4)
     assert [s.displacement is None for s in samples] == [False, True, True, False]
     assert [s.beam for s in samples] == [True, False, True, True]
     assert samples[2].status == "OVERSPEED"
-    driver.close()
 
 
-def test_time_is_that_of_the_arrival(server: socket.socket) -> None:
+def test_time_is_that_of_the_arrival(streaming: Streaming) -> None:
     now = [100.0]
-    driver = AsciiLineDriver(settings(server), clock=lambda: now[0])
-    peer = Peer(server, driver)
+    driver, peer = streaming(clock=lambda: now[0])
     peer.send(b"\r\n1.0 OK 1\r\n")
     assert [s.time for s in driver.read(LONG)] == [100.0]
     now[0] = 101.5
     peer.send(b"2.0 OK 1\r\n")
     assert [s.time for s in driver.read(LONG)] == [101.5]
-    driver.close()
 
 
-def test_silence_is_seen_and_ends(server: socket.socket) -> None:
+def test_silence_is_seen_and_ends(streaming: Streaming) -> None:
     ahead = [0.0]
-    driver = AsciiLineDriver(settings(server), clock=lambda: time.monotonic() + ahead[0])
-    peer = Peer(server, driver)
+    driver, peer = streaming(clock=lambda: time.monotonic() + ahead[0])
     peer.send(b"\r\n1.0 OK 1\r\n")
     driver.read(LONG)
     assert driver.health().state == "streaming"
@@ -136,21 +146,17 @@ def test_silence_is_seen_and_ends(server: socket.socket) -> None:
     peer.send(b"1.0 OK 1\r\n")
     assert len(driver.read(LONG)) == 1
     assert driver.health().state == "streaming"
-    driver.close()
 
 
-def test_reading_without_data_returns_within_its_timeout(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    Peer(server, driver)
+def test_reading_without_data_returns_within_its_timeout(streaming: Streaming) -> None:
+    driver, _ = streaming()
     start = time.monotonic()
     assert driver.read(0.15) == []
     assert 0.15 <= time.monotonic() - start < LONG
-    driver.close()
 
 
-def test_a_lost_connection_is_made_again(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    peer = Peer(server, driver)
+def test_a_lost_connection_is_made_again(server: socket.socket, streaming: Streaming) -> None:
+    driver, peer = streaming()
     peer.send(b"\r\n1.0 OK 1\r\n77.")
     assert len(read(driver, 1)) == 1
     peer.socket.close()
@@ -161,10 +167,9 @@ def test_a_lost_connection_is_made_again(server: socket.socket) -> None:
     assert driver.health().state == "streaming"
     assert driver.health().samples == 2
     again.close()
-    driver.close()
 
 
-def test_while_the_instrument_is_away_the_driver_says_so_and_tries_on(server: socket.socket) -> None:
+def test_while_the_instrument_is_away_the_driver_says_so_and_tries_on(streaming: Streaming) -> None:
     absent = [0]
 
     def attempt(connection: Connection, timeout: float) -> Transport:
@@ -173,8 +178,7 @@ def test_while_the_instrument_is_away_the_driver_says_so_and_tries_on(server: so
             raise InstrumentError("nobody there")
         return connect(connection, timeout)
 
-    driver = AsciiLineDriver(settings(server), connect=attempt)
-    peer = Peer(server, driver)
+    driver, peer = streaming(connect=attempt)
     absent[0] = 3
     peer.socket.close()
     seen = set()
@@ -186,7 +190,6 @@ def test_while_the_instrument_is_away_the_driver_says_so_and_tries_on(server: so
     assert ("disconnected", "nobody there") in seen
     assert driver.health().state == "streaming"
     assert driver.health().problem == ""
-    driver.close()
 
 
 def test_an_instrument_that_is_not_there_is_one_clear_line() -> None:
@@ -199,9 +202,8 @@ def test_an_instrument_that_is_not_there_is_one_clear_line() -> None:
     assert "refused" in driver.health().problem
 
 
-def test_datum_is_sent_by_command(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    peer = Peer(server, driver)
+def test_datum_is_sent_by_command(server: socket.socket, streaming: Streaming) -> None:
+    driver, peer = streaming()
     assert driver.set_datum()
     assert peer.socket.recv(100) == b"ZERO\r\n"
     driver.close()
@@ -210,9 +212,8 @@ def test_datum_is_sent_by_command(server: socket.socket) -> None:
     assert not AsciiLineDriver(settings(server, datum=None)).set_datum()
 
 
-def test_start_command_is_sent_at_every_connection(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server, start="STREAM\r\n"))
-    peer = Peer(server, driver)
+def test_start_command_is_sent_at_every_connection(server: socket.socket, streaming: Streaming) -> None:
+    driver, peer = streaming(start="STREAM\r\n")
     assert peer.socket.recv(100) == b"STREAM\r\n"
     peer.send(b"1.0 OK 1\r\n")  # what a command has started begins with a whole line
     assert len(read(driver, 1)) == 1
@@ -222,26 +223,22 @@ def test_start_command_is_sent_at_every_connection(server: socket.socket) -> Non
     again.settimeout(LONG)
     assert again.recv(100) == b"STREAM\r\n"
     again.close()
-    driver.close()
 
 
-def test_requests_are_answered_one_by_one(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server, request={"text": "R?\r\n"}, timeouts={"answer": LONG}))
-    peer = Peer(server, driver)
+def test_requests_are_answered_one_by_one(streaming: Streaming) -> None:
+    driver, peer = streaming(request={"text": "R?\r\n"}, timeouts={"answer": LONG})
     for number in range(3):
         assert driver.read(0.0) == []
         assert peer.socket.recv(100) == b"R?\r\n"
         assert driver.read(0.0) == []  # not asked twice
         peer.send(b"%d.0 OK 1\r\n" % number)
         assert [s.displacement for s in driver.read(LONG)] == [pytest.approx(number * 1e-3)]
-    driver.close()
 
 
-def test_a_request_without_answer_is_counted_and_asked_again(server: socket.socket) -> None:
+def test_a_request_without_answer_is_counted_and_asked_again(streaming: Streaming) -> None:
     now = [0.0]
-    content = settings(server, request={"text": "?"}, timeouts={"answer": 0.5, "silence": 2.0})
-    driver = AsciiLineDriver(content, clock=lambda: now[0])
-    peer = Peer(server, driver)
+    timeouts = {"answer": 0.5, "silence": 2.0}
+    driver, peer = streaming(request={"text": "?"}, timeouts=timeouts, clock=lambda: now[0])
     driver.read(0.0)
     assert peer.socket.recv(100) == b"?"
     peer.send(b"9.0 OK")  # begins to answer and stops
@@ -251,13 +248,11 @@ def test_a_request_without_answer_is_counted_and_asked_again(server: socket.sock
     assert driver.health().unanswered == 1
     peer.send(b"1.0 OK 1\r\n")
     assert [s.displacement for s in driver.read(LONG)] == [pytest.approx(1e-3)]
-    driver.close()
 
 
-def test_requests_keep_their_interval(server: socket.socket) -> None:
+def test_requests_keep_their_interval(streaming: Streaming) -> None:
     now = [0.0]
-    driver = AsciiLineDriver(settings(server, request={"text": "?", "interval": 0.5}), clock=lambda: now[0])
-    peer = Peer(server, driver)
+    driver, peer = streaming(request={"text": "?", "interval": 0.5}, clock=lambda: now[0])
     driver.read(0.0)
     assert peer.socket.recv(100) == b"?"
     peer.send(b"1.0 OK 1\r\n")
@@ -270,12 +265,10 @@ def test_requests_keep_their_interval(server: socket.socket) -> None:
     driver.read(0.0)
     peer.socket.settimeout(LONG)
     assert peer.socket.recv(100) == b"?"
-    driver.close()
 
 
-def test_closing_ends_a_read_in_another_thread(server: socket.socket) -> None:
-    driver = AsciiLineDriver(settings(server))
-    Peer(server, driver)
+def test_closing_ends_a_read_in_another_thread(streaming: Streaming) -> None:
+    driver, _ = streaming()
     result: list[list[Sample]] = []
     reader = threading.Thread(target=lambda: result.append(driver.read(LONG)), daemon=True)
     reader.start()
@@ -286,10 +279,9 @@ def test_closing_ends_a_read_in_another_thread(server: socket.socket) -> None:
     assert driver.health().problem == "closed"
 
 
-def test_a_fast_stream_arrives_whole_and_in_order(server: socket.socket) -> None:
+def test_a_fast_stream_arrives_whole_and_in_order(streaming: Streaming) -> None:
     number = 20_000
-    driver = AsciiLineDriver(settings(server))
-    peer = Peer(server, driver)
+    driver, peer = streaming()
     data = b"\r\n" + b"".join(b"%d.5 OK 1\r\n" % i for i in range(number))
     sender = threading.Thread(target=peer.send, args=(data,), daemon=True)
     sender.start()
@@ -297,4 +289,3 @@ def test_a_fast_stream_arrives_whole_and_in_order(server: socket.socket) -> None
     sender.join(LONG)
     assert [s.displacement for s in samples] == [pytest.approx((i + 0.5) * 1e-3) for i in range(number)]
     assert driver.health().rejected == 0
-    driver.close()

@@ -74,8 +74,8 @@ def test_an_axis_that_stands_still_has_no_error_motions(direct: SimpleNamespace,
     reading = np.where(g[:, 0] > 0, 1e-5 * at[:, 0], 1e-6 * np.sin(20 * at[:, 0]))
     fitted = fit_sessions(direct.written(at, g, reading, datum=datum, terms=["EXX", "EYX", "EXY", "EYY"]))
     found = conformity(fitted, {"EXX": 1e-4, "EXY": 1e-4, "EYY": 1e-4})
-    assert [verdict.decision for verdict in found.verdicts] == ["undecided", "not determined", "not determined"]
-    assert found.verdicts[1].why == "all readings are at one position of Y"
+    assert [verdict.decision for verdict in found.each] == ["undecided", "not determined", "not determined"]
+    assert found.each[1].why == "all readings are at one position of Y"
 
 
 def test_the_datum_is_taken_from_what_was_sensed(direct: SimpleNamespace) -> None:

@@ -64,7 +64,7 @@ class Features:
         elements: the features.
         quantities: of them, in the frame: q.
         deviation: (q,) actual minus nominal; NaN where the touches do not determine it.
-        covariance: (q, q).
+        uncertainty_matrix: (q, q) their joint covariance.
         datum: the frame, and what else was laid down, in words.
         left_out: names of points' features that are neither circle nor line, and why.
     """
@@ -72,14 +72,14 @@ class Features:
     elements: tuple[Element, ...]
     quantities: tuple[Quantity, ...]
     deviation: Array
-    covariance: Array
+    uncertainty_matrix: Array
     datum: str
     left_out: Mapping[str, str]
 
     @property
     def uncertainty(self) -> Array:
         """(q,) standard uncertainties."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.uncertainty_matrix), 0.0)))
 
     @property
     def rows(self) -> Array:

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of a simulated interferometer, from the true positions of simulated axes, and readings of them."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.nodes.optics import OnTool, Optics, Pose
+from machine_tool_calibration.nodes.ros.messages import nanoseconds, seconds
+from machine_tool_calibration.nodes.samples import NOTHING, Batch, NotYet, Window
+from machine_tool_calibration.nodes.site import NO_BEAM, Beam, Moment, Site
+
+__all__ = ["SimulatedSource"]
+
+_IDENTITY = np.eye(3)
+_TURBULENCE = 0.5  # s: within this the air's noise hardly changes, beyond it is independent
+_STILL = 1e-5  # m between two true positions: the axes stand
+_GRACE = 0.3  # s: so long the beam may be beside the retroreflector before it counts as lost
+_STARVED = 1_000_000_000  # ns without true positions: the signal is lost
+
+
+class SimulatedSource:
+    """Exact geometry, noise, and a beam that can be lost.
+
+    Args:
+        site: the simulated world.
+        origin: ROS time at which its time is zero, ns.
+        rate: of the stream, Hz.
+        sample_noise: standard deviation of a single sample's own noise, m.
+        beam_radius: farther beside the beam the retroreflector does not return it, m.
+        seed: of the noise, beside the site's own.
+        keep: how many true positions are kept; two are enough where there is no stream between the readings.
+
+    Attributes:
+        optics: what the instrument looks at.
+        blocked: whether something stands in the beam.
+        hardware_id: of the instrument.
+        setup: id of the present setup, and `setup_index` its place in the description.
+        first: geometric path of the setup's first reading, m.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        origin: int,
+        rate: float,
+        sample_noise: float,
+        beam_radius: float,
+        seed: int = 0,
+        keep: int = 4000,
+    ) -> None:
+        self.site = site
+        self.hardware_id = "simulated interferometer"
+        self.optics: Optics = OnTool(site, tracking=False)
+        self.blocked = False
+        self.setup, self.setup_index = "", 0
+        self.first: float | None = None
+        self._origin, self._step = origin, nanoseconds(1.0 / rate)
+        self._sample_noise, self._radius = sample_noise, beam_radius
+        self._poses: deque[Pose] = deque(maxlen=keep)
+        self._beam = NO_BEAM
+        self._beam_stamp = self._due = self._setup_start = 0
+        self._beside_since: int | None = None
+        self._random = np.random.default_rng([site.spec.seed, 31, seed])
+        self._air = 0.0
+        self._next = 0
+        self._lost = ""
+
+    # --- what the simulated axes and pointer say
+
+    def look_at(self, optics: Optics) -> None:
+        """What the instrument looks at from now on; where another body is says nothing about this one."""
+        if optics.body != self.optics.body:
+            self._poses.clear()
+            self._next = 0
+        self.optics = optics
+
+    def add_pose(self, stamp: int, place: Array, rotation: Array = _IDENTITY) -> None:
+        """The true pose of what carries the target (tool or table) at a time, ns."""
+        if self._poses and stamp < self._poses[-1].stamp:
+            self._poses.clear()  # the axes started anew, or simulated time did
+            self._next = 0
+        if self._poses and stamp == self._poses[-1].stamp:
+            self._poses.pop()
+        self._poses.append(Pose(stamp, place, rotation))
+
+    def set_setup(self, stamp: int, setup: str, index: int, beam: Beam | None = None) -> str:
+        """The setup at which the instrument stands from a time on, and the true beam where it has a pointer.
+
+        Returns:
+            From where to where it was moved, in words; empty if it was not.
+        """
+        before = self.setup
+        if setup != before:
+            self.setup, self._setup_start, self.first = setup, stamp, None
+        self.setup_index, self._beam_stamp = index, stamp
+        self._beam = beam or self._beam
+        return f"the instrument was moved from setup {before} to {setup}" if before not in ("", setup) else ""
+
+    def expect(self, stamp: int) -> None:
+        """Axes and pointer were commanded: what they said before says nothing about where they are now."""
+        self._due = stamp
+
+    # --- geometry
+
+    def _moment(self, time: int) -> Moment:
+        return Moment(seconds(time - self._origin), {}, {}, self.setup_index, seconds(self._setup_start - self._origin))
+
+    def _target(self, pose: Pose) -> Array:
+        return self.optics.target(pose, self._beam, self._moment(pose.stamp))
+
+    def _targets(self, times: IntArray) -> Array:
+        """(n, 3) true targets at times, between the poses that are known."""
+        poses: list[Pose] = []
+        for pose in reversed(self._poses):
+            poses.insert(0, pose)
+            if pose.stamp <= times[0]:
+                break
+        since = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
+        places = np.array([self._target(pose) for pose in poses])
+        at = (times - poses[0].stamp).astype(float)
+        return np.column_stack([np.interp(at, since, places[:, i]) for i in range(3)])
+
+    def _paths(self, times: IntArray) -> Array:
+        """Exact paths; what depends on time beside the geometry is taken at the middle of the samples."""
+        middle = len(times) // 2
+        moment, pose = self._moment(int(times[middle])), self._poses[-1]
+        targets = self._targets(times)
+        paths = self.optics.paths(targets, pose, self._beam, moment)
+        if self.first is None:
+            self.first = float(paths[middle])
+        if not self.site.chosen:
+            return paths
+        look = self.optics.look(targets[middle], pose, self._beam, moment)
+        path = float(paths[middle])
+        return paths + self.site.added(moment, path, look.direction, look.azimuth, self.first, look.incidence)
+
+    def need_answers(self) -> None:
+        """Refuse a reading as long as it is not known where the target and the beam are.
+
+        Raises:
+            NotYet: nothing has come yet, or nothing since the last command.
+        """
+        if self.optics.aims and self._beam is NO_BEAM:
+            raise NotYet("other", "no beam: the rotary pointer has not pointed anywhere yet")
+        if not self._poses:
+            raise NotYet("other", "the axes have not said where they are")
+        if self.optics.aims and self._beam_stamp < self._due:
+            raise NotYet("other", "the rotary pointer has not answered its last command")
+        if self._poses[-1].stamp < self._due:
+            raise NotYet("other", "the axes have not said where they are since their last command")
+
+    def _beside(self, pose: Pose) -> float:
+        return self.optics.beside(self._target(pose), self._beam)
+
+    # --- simulated time: a reading without a stream
+
+    def window(self, length: float) -> Window:
+        """The reading over the newest `length` s of the present dwell.
+
+        Raises:
+            NotYet: the axes or the beam are not where a reading is possible.
+        """
+        if self.blocked:
+            self.lose("the beam is blocked")
+            raise NotYet("beam", self._lost)
+        self.need_answers()
+        if not self.setup:
+            raise NotYet("other", "it is not known at which setup the instrument stands")
+        last = self._poses[-1]
+        end, start = last.stamp, last.stamp - nanoseconds(length)
+        before = self._poses[-2] if len(self._poses) > 1 else Pose(start, last.place, last.rotation)
+        if self._beside(last) > self._radius:
+            raise NotYet("beam", "the beam is beside the retroreflector")
+        if start < before.stamp or np.linalg.norm(self._target(last) - self._target(before)) > _STILL:
+            raise NotYet("unstable", f"the axes have not stood still for {length:g} s")
+        count = max((end - start) // self._step, 1)
+        self.samples = start + self._step * np.arange(1, count + 1)
+        middle = count // 2
+        paths = self._paths(np.insert(self.samples, middle, (start + end) // 2))
+        air = self.site.noise * self._random.normal()
+        noise = self._sample_noise * self._random.normal(size=count)
+        centre = float(paths[middle])
+        self.values = np.delete(paths, middle) + air + noise
+        return Window(
+            start=start,
+            end=end,
+            path=centre + air + float(noise.mean()),
+            spread=float(noise.std()),
+            samples=int(count),
+            inputs={self.optics.body: end, "beam": self._beam_stamp},
+        )
+
+    def stream(self) -> Batch:
+        """The samples that the last window averaged."""
+        return Batch(self.samples, self.values)
+
+    def lose(self, reason: str) -> None:
+        """The count is lost."""
+        self._lost = reason
+
+    # --- real time: the stream
+
+    def take(self, now: int) -> Batch:
+        """As of `DriverSource`, as far as true positions are known."""
+        if not self._poses or (self.optics.aims and self._beam is NO_BEAM):
+            return NOTHING
+        until = self._poses[-1].stamp
+        oldest = self._poses[0].stamp
+        if not self._next or self._next < oldest or until - self._next > _STARVED:
+            if self._next:
+                self._lost = "the true position was not known for a while"
+            self._next = until
+            return NOTHING
+        times = np.arange(self._next, until + 1, self._step)
+        if not len(times):
+            return NOTHING
+        self._next = int(times[-1]) + self._step
+        self._watch_beam(now)
+        if self.blocked:
+            self._lost = "the beam is blocked"
+        if self.blocked or self._is_beside(now):
+            return Batch(times, np.full(len(times), np.nan))
+        return Batch(times, self._paths(times) + self._noise(len(times)))
+
+    def _noise(self, count: int) -> Array:
+        """White noise of the samples, and the air's, which is correlated in time."""
+        step = self._step * 1e-9 / _TURBULENCE
+        kicks = self.site.noise * np.sqrt(-np.expm1(-2.0 * step)) * self._random.normal(size=count)
+        # air[k] = decay air[k-1] + kick[k], summed up; a batch is shorter than the gap that restarts the stream
+        growth = np.exp(step * np.arange(1, count + 1))
+        air = (self._air + np.cumsum(kicks * growth)) / growth
+        self._air = float(air[-1])
+        return np.asarray(air + self._sample_noise * self._random.normal(size=count))
+
+    def _watch_beam(self, now: int) -> None:
+        """The pointer follows the axes while they move; a beam beside the target counts once both stand."""
+        before, last = self._poses[-2 if len(self._poses) > 1 else -1], self._poses[-1]
+        moved = float(np.linalg.norm(self._target(last) - self._target(before)))
+        if moved > _STILL or self._beside(last) <= self._radius:
+            self._beside_since = None
+        elif self._beside_since is None:
+            self._beside_since = now
+
+    def _is_beside(self, now: int) -> bool:
+        if self._beside_since is None or now - self._beside_since < nanoseconds(_GRACE):
+            return False
+        self._lost = "the beam is beside the retroreflector"
+        return True
+
+    def lost(self) -> str:
+        """As of `DriverSource`."""
+        reason, self._lost = self._lost, ""
+        return reason
+
+    def problem(self) -> str:
+        """As of `DriverSource`."""
+        if not self._poses:
+            return "waiting for the axes' true position"
+        if self.optics.aims and self._beam is NO_BEAM:
+            return "waiting for the rotary pointer's beam"
+        return "the beam is blocked" if self.blocked else ""
+
+    def close(self) -> None:
+        """As of `DriverSource`."""
