@@ -23,7 +23,6 @@ from machine_tool_calibration.nodes.graph import graph_parameters, managed_nodes
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.procedure import read_procedure
-from machine_tool_calibration.session.catalogue import method_spec
 
 CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
 ARGUMENTS = {
@@ -68,7 +67,12 @@ def nodes(context):
     site = Path(launch_config.log_dir, "site.yaml")
     site.write_text(yaml.safe_dump(site_document(measured, read_site(given["site"])), sort_keys=False))
     parameters = graph_parameters(
-        procedure, site, simulated_time=is_true["use_sim_time"], driver=given["driver"], bag=given["bag"]
+        measured.session.method,
+        procedure,
+        site,
+        simulated_time=is_true["use_sim_time"],
+        driver=given["driver"],
+        bag=given["bag"],
     )
     if not is_true["axes"]:  # a controller such as ros2_control's has joint_states, but no axes/executed
         parameters["procedure"]["arrival"] = "joint_states"
@@ -76,7 +80,7 @@ def nodes(context):
         name
         for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))
         if not is_true[key]
-    } | set(method_spec(measured.session.method).unneeded)
+    }
     chosen = {name: values for name, values in parameters.items() if name not in left_out}
     said = []
     if is_true["use_sim_time"] and not is_true["axes"]:

@@ -189,7 +189,7 @@ def test_conclusions_go_on_where_the_search_ended(monkeypatch: pytest.MonkeyPatc
             progress("further", share)
         return advice
 
-    monkeypatch.setattr(what_to_measure, "consequences", lambda found: {"play": found})
+    monkeypatch.setattr(what_to_measure, "consequences", lambda found, added: {"play": found})
     monkeypatch.setattr(what_to_measure, "what_to_measure", asked)
     told: list[float] = []
     found: Any = "a diagnosis"

@@ -21,6 +21,7 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.process import default_environment
+from machine_tool_calibration.session.catalogue import method_spec
 
 __all__ = ["Graph", "Program", "end_with_parent", "graph_parameters", "managed_nodes", "refuse_unknown", "switches"]
 
@@ -211,11 +212,12 @@ def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) ->
 
 
 def graph_parameters(
-    procedure: Path | str, site: Path | str, *, simulated_time: bool, driver: str, bag: Path | str
+    method: str, procedure: Path | str, site: Path | str, *, simulated_time: bool, driver: str, bag: Path | str
 ) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes of a graph, by their names.
+    """Parameters of the nodes that a measurement needs, by their names.
 
     Args:
+        method: of it. A probe is instrument and pointer in one, a fixed beam needs no pointer.
         procedure: file.
         site: file of what is true in the simulated workshop.
         simulated_time: whether they live by `/clock`.
@@ -225,7 +227,10 @@ def graph_parameters(
     common = {"use_sim_time": simulated_time}
     # one origin for all simulating nodes, whole seconds so that it is exact
     world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
-    return {
+    spec = method_spec(method)
+    without = {"rotary_pointer", "instrument"} if spec.probes_surface else {"probe"}
+    without |= set() if spec.beam_from_pointer else {"rotary_pointer"}
+    every: dict[str, dict[str, Any]] = {
         "axis_simulator": world,
         "rotary_pointer": world,
         "instrument": {**world, "driver": driver},
@@ -234,6 +239,7 @@ def graph_parameters(
         "procedure": {**common, "procedure": str(procedure)},
         "recorder": {**common, "folder": str(bag)},
     }
+    return {name: values for name, values in every.items() if name not in without}
 
 
 def managed_nodes(

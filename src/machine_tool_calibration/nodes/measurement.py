@@ -19,7 +19,6 @@ from machine_tool_calibration.nodes.graph import Graph, Program, graph_parameter
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
-from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
@@ -244,6 +243,7 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
 
 def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> list[Program]:
     parameters = graph_parameters(
+        method,
         procedure.resolve(),
         site.resolve(),
         simulated_time=setting.simulated_time,
@@ -251,11 +251,7 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         bag=(setting.output / "bag").resolve(),
     )
     parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
-    spec = method_spec(method)
-    # A probe is instrument and pointer in one, a fixed beam needs no pointer.
-    without = {"rotary_pointer", "instrument"} if spec.probes_surface else {"probe"}
-    without |= set() if spec.beam_from_pointer else {"rotary_pointer"}
-    nodes = tuple(name for name in NODES if name not in without)
+    nodes = tuple(name for name in NODES if name in parameters)
     for name in setting.external:
         if name not in nodes:
             raise CalibrationError(f"{name!r} is not a node of the graph; these are {', '.join(nodes)}")

@@ -105,7 +105,13 @@ def candidate_document(diagnosis: Diagnosis, found: Finding, changes: Mapping[st
         "explained_rms": float(np.sqrt(max(before**2 - after**2, 0.0))),
         "cross_validated_gain": min((p.gain for p in predicted), default=None),
         "predicts": [
-            {"left_out": p.what, "gain": p.gain, "parts": list(p.log_gains), "speaks_against": p.speaks_against}
+            {
+                "left_out": p.what,
+                "gain": p.gain,
+                "parts": list(p.log_gains),
+                "not_left_out": p.needed,
+                "speaks_against": p.speaks_against,
+            }
             for p in predicted
         ],
         "parameters": _parameters(found, change),

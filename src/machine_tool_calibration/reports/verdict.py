@@ -185,7 +185,16 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
     words.append(say("diagnosis.probable", p=probability(found.probability)))
     predicted = diagnosis.predicted.get(name, ())
     if predicted:
-        shares = [say("diagnosis.left_out", what=p.what, gain=f"{100 * p.gain:+.0f}") for p in predicted]
+        shares = [
+            say(
+                "diagnosis.needed" if p.needed else "diagnosis.left_out",
+                what=p.what,
+                gain=f"{100 * p.gain:+.0f}",
+                needed=p.needed,
+                count=len(p.log_gains) + p.needed,
+            )
+            for p in predicted
+        ]
         words.append(say("diagnosis.predicted", shares=together(shares, ", ")))
     if not found.plausible:
         words.append(say("diagnosis.implausible"))
