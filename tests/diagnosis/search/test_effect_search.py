@@ -21,6 +21,7 @@ from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import say
 
 EFFECTS = ("backlash_x", "backlash_y", "pointer_radial_error", "retroreflector_form", "pointer_zero_offset")
 
@@ -34,7 +35,8 @@ def session(effect: str | None) -> Session:
 def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ()) -> EffectSearch:
     fit = fit_models([build_model(measured)[0]])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
-    made = [Candidate(name, (Shaped((), columns),)) for name, columns in structures]
+    smooth = say("shape.smooth")
+    made = [Candidate(name, (Shaped((), columns),), dependence=(name, smooth)) for name, columns in structures]
     return search_effects(fit, candidates, made, side_by_side=False)
 
 
@@ -45,7 +47,7 @@ def columns_of(effect: str) -> np.ndarray:
 def test_a_structure_in_the_span_of_an_effect_is_that_effect() -> None:
     """Otherwise it would take a share of its probability."""
     copied = 3.0 * columns_of("backlash_y")
-    look = looked(session("backlash_y"), [("dir_y: its sign", copied)])
+    look = looked(session("backlash_y"), [("dir_y", copied)])
     assert look.structure == ()
     without = looked(session("backlash_y"))
     assert look.unknown == pytest.approx(without.unknown)
@@ -60,7 +62,7 @@ def test_a_structure_of_its_own_is_told_and_no_effect_is() -> None:
     moved = session(None).with_readings(
         replace(readings, displacement=readings.displacement + 1.0 * session(None).sigma * own[0])
     )
-    look = looked(moved, [("temper: smooth", own)])
+    look = looked(moved, [("temper", own)])
     assert look.unknown > 0.99
     assert look.structure[0].covariate == "temper" and look.structure[0].shape == "smooth"
     assert 0.2 < look.structure[0].share < 0.8
