@@ -18,13 +18,16 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 
-@pytest.fixture(scope="package", autouse=True)
+# Of pictures that show the same over the same, whichever test draws them.
+_DRAWN: set[object] = set()
+
+
+@pytest.fixture(scope="module", autouse=True)
 def rough_pictures() -> Iterator[None]:
     """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are.
 
     Of those that show the same over the same, one is drawn; the files of the others are written without it.
     """
-    drawn: set[object] = set()
 
     def save(figure: Figure, file: Any, save: Callable[..., None] = Figure.savefig, **options: Any) -> None:
         panels = (
@@ -32,8 +35,8 @@ def rough_pictures() -> Iterator[None]:
             for panel in figure.axes
         )
         alike = (file.name if isinstance(file, Path) else None, *panels)
-        save(Figure() if alike in drawn else figure, file, **{**options, "dpi": 40})
-        drawn.add(alike)
+        save(Figure() if alike in _DRAWN else figure, file, **{**options, "dpi": 40})
+        _DRAWN.add(alike)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "get_layout_engine", lambda figure: None)
