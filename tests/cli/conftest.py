@@ -17,7 +17,6 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-
 # Of pictures that show the same over the same, whichever test draws them.
 _DRAWN: set[object] = set()
 
