@@ -150,13 +150,20 @@ class Client:
 
     # --- what a program waits for
 
-    def wait(self, until: Callable[[], bool], timeout: float) -> bool:
-        """Hear messages until something holds; False if it does not within the timeout, s."""
+    def wait(self, until: Callable[[], bool], timeout: float, *, watched: bool = True) -> bool:
+        """Hear messages until something holds; False if it does not within the timeout, s.
+
+        Args:
+            until: what is to hold.
+            timeout: s.
+            watched: whether `watch` may end the wait; after it has, there is still to hear what is on its way.
+        """
         deadline = time.monotonic() + timeout
         while not until():
             if time.monotonic() > deadline:
                 return False
-            self._watch()
+            if watched:
+                self._watch()
             self._executor.spin_once(timeout_sec=_SPIN)
         return True
 

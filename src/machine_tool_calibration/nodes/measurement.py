@@ -31,6 +31,7 @@ _IDENTIFY = 600.0
 _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and may blink
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
+_ON_THE_WAY = 5.0
 _LISTENERS = ("estimator", "recorder")
 _STARTS = 4  # of one of these; more do not help it
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
@@ -193,6 +194,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 measured = time.monotonic() - started
                 document = _identify(client, listeners, total, progress) if setting.identify else None
             except (KeyboardInterrupt, CalibrationError) as error:
+                _catch_up(client)
                 kept = _save(client, output)
                 if kept is None:
                     raise
@@ -344,6 +346,11 @@ def _is_identified(client: Client, listeners: _Listeners) -> bool:
     """Have the machine's errors identified; false where the estimator was started again meanwhile."""
     before = len(listeners.remarks)
     return bool(client.outcome("estimator/identify", _IDENTIFY, lambda: len(listeners.remarks) != before))
+
+
+def _catch_up(client: Client) -> None:
+    """Hear the readings that the procedure has told of and that are still on their way."""
+    client.wait(lambda: client.heard.count[1] >= client.procedure.number("captured"), _ON_THE_WAY, watched=False)
 
 
 def _save(client: Client, output: Path) -> Session | None:
