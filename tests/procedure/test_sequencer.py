@@ -195,6 +195,15 @@ def test_abort_stops_the_axes():
     assert world.sequencer.message == "aborted after 0 of 24 readings"
 
 
+def test_a_start_after_an_abort_commands_something_new_where_the_clock_still_stands():
+    """A command is known by its stamp: one of the same as the stop's passes for a repeated stop."""
+    world = World(small())
+    world.do(world.sequencer.start(world.clock, 0.0))
+    (stop,) = world.sequencer.abort(world.clock)
+    (motion,) = (a for a in world.sequencer.start(world.clock, 0.0) if isinstance(a, Motion))
+    assert world.clock < stop.stamp < motion.stamp
+
+
 def test_a_refused_command_is_an_error_with_its_reason():
     world = World(small())
     (motion, _) = world.sequencer.start(world.clock, world.wall)

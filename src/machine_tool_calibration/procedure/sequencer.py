@@ -83,7 +83,9 @@ class Sequencer:
 
     def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[events.Action]:
         """Begin with the first step; `here` is where the axes stand, if that is known."""
-        self.done, self.origin, self._floor = 0, now, now
+        # the clock may not show yet when the axes were stopped, and a command is known by its stamp
+        self.done, self._floor = 0, max(now, self._floor)
+        self.origin = self._floor
         self._group, self._datums, self._here = DatumGroup(), 0, here
         self.counters = Counters()
         self.state, self.message = State.RUNNING, "measuring"
@@ -107,7 +109,8 @@ class Sequencer:
         self.state, self.message = State.ABORTED, f"aborted after {self.done} of {len(self.plan.steps)} readings"
         self._forget()
         self._visits.clear()
-        return [events.Stop(max(now, self._floor + 1))]
+        self._floor = max(now, self._floor + 1)
+        return [events.Stop(self._floor)]
 
     # --- what the others answer
 
