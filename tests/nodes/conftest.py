@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import yaml
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.session.session import Session
@@ -138,6 +139,24 @@ def ended(operator: Client) -> None:
     """Wait until the procedure ends, which must be as it should."""
     assert operator.wait(lambda: operator.procedure.entries["state"] != "running", WHOLE), operator.procedure
     assert operator.procedure.entries["state"] == "finished", operator.procedure
+
+
+def resumed(operator: Client, until: Callable[[], bool]) -> None:
+    """Wait until something holds, and resume where a partner took longer than the patience that a test has set.
+
+    A partner that is there may do so where others keep the machine busy.
+    """
+
+    def there() -> bool:
+        if until():
+            return True
+        if operator.procedure.entries["state"] == "error":
+            with suppress(CalibrationError):  # it goes on already
+                operator.call("procedure/resume", PATIENCE)
+            operator.wait(lambda: operator.procedure.entries["state"] != "error", 1.0)
+        return False
+
+    assert operator.wait(there, WHOLE), operator.procedure
 
 
 def ask(operator: Client, kind: Any, service: str, request: Any) -> Any:

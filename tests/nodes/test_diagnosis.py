@@ -117,9 +117,9 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     assert again["verdict"] == "adequate" and again["accepted"] == ""
 
 
-def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
-    # so many effects that one step takes longer than all that is asked of the node meanwhile
-    waves = [
+def waves(bench, count):
+    """Parameters of an estimator that has so many effects more to look for."""
+    effects = [
         {
             "id": f"wave_{k}",
             "enters": "xy"[k % 2],
@@ -127,10 +127,14 @@ def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, 
             "coefficients": {"a": {"unit": "m", "low": -1e-5, "high": 1e-5}},
             "shapes": {"w": {"unit": "m", "low": 0.01, "high": 1.0}},
         }
-        for k in range(500)
+        for k in range(count)
     ]
-    more = {"estimator": {"effects_files": [bench.write("waves.yaml", {"effects": waves})]}}
-    graph = bench.graph(("estimator",), simulated_time=False, more=more)
+    return {"estimator": {"effects_files": [bench.write("waves.yaml", {"effects": effects})]}}
+
+
+def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
+    # so many effects that one step takes longer than all that is asked of the node meanwhile
+    graph = bench.graph(("estimator",), simulated_time=False, more=waves(bench, 500))
     operator = bench.operator(graph)
     session = open_measurement(folder)
     feed(operator, session)
@@ -186,10 +190,10 @@ def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
 
 
 def test_a_calculation_is_cancelled_an_effect_is_added_by_a_service_and_many_requests_are_answered(bench, folder):
-    operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
-    client = operator.node.create_client(Trigger, "estimator/reset")
-    assert operator.wait(client.service_is_ready, PATIENCE)
-    operator.wait(lambda: bool(operator.estimator.entries), PATIENCE)  # then it knows its clients
+    # more effects than there are, so that it is not done before it is cancelled
+    operator = bench.operator(bench.graph(("estimator",), simulated_time=False, more=waves(bench, 50)))
+    ask(operator, Trigger, "estimator/reset", Trigger.Request())  # then it knows its client
+    client = operator.client("estimator/reset")
     asked = [client.call_async(Trigger.Request()) for _ in range(200)]
     assert operator.wait(lambda: all(one.done() for one in asked), PATIENCE), "a usual queue holds 10"
     feed(operator, open_measurement(folder))

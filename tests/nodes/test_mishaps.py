@@ -9,7 +9,7 @@ import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from .conftest import PATIENCE, PROCEDURE, SITE, WHOLE, ask, begin, ended
+from .conftest import PATIENCE, PROCEDURE, SITE, WHOLE, ask, begin, ended, resumed
 from .reference import reference
 from .test_measurement import readings, since_first
 
@@ -56,21 +56,13 @@ def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
     graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": 2.0}})
     operator = bench.operator(graph)
     begin(operator)
-    reaches(operator, 30)
+    resumed(operator, lambda: len(operator.readings) >= 30)
     graph.kill("rotary_pointer")
-    assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
+    resumed(operator, lambda: operator.procedure.message.startswith("no answer from rotary pointer"))
     assert re.fullmatch(r"no answer from rotary pointer for \d+ s", operator.procedure.message)
+    assert operator.procedure.entries["state"] == "error"
     graph.start("rotary_pointer")
-
-    def goes_on():
-        """Resumed until the pointer, which may take longer than the patience to start, points again."""
-        if operator.procedure.entries["state"] == "error":
-            operator.call("procedure/resume", PATIENCE)
-            operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
-        return operator.wait(lambda: len(operator.readings) > before, 1.0)
-
-    before = len(operator.readings)
-    assert operator.wait(goes_on, PATIENCE), operator.procedure
+    resumed(operator, lambda: operator.procedure.entries["state"] == "finished")
     check(operator)
 
 

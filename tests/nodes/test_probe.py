@@ -29,7 +29,7 @@ from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.probing_run import cam
 
-from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended
+from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended, resumed
 from .forked import ForkedGraph
 
 TRAVEL = {"x": [-0.13, 0.13], "y": [-0.13, 0.13], "z": [-0.05, 0.05]}
@@ -197,19 +197,16 @@ def test_a_procedure_whose_probe_dies_says_so_and_goes_on_with_the_next(bench):
     graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
     operator = bench.operator(graph)
     begin(operator)
-    assert operator.wait(lambda: operator.heard.count[1] >= 10, WHOLE)
+    resumed(operator, lambda: operator.heard.count[1] >= 10)
     graph.kill("probe")
-    assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
+    resumed(operator, lambda: operator.procedure.message.startswith("no answer from instrument"))
     assert re.fullmatch(r"no answer from instrument for \d+ s", operator.procedure.message)
-    assert operator.procedure.level == 2
+    assert operator.procedure.level == 2 and operator.procedure.entries["state"] == "error"
     kept = operator.procedure.number("captured")
     late = bench.operator(graph)
     assert late.wait(lambda: late.heard.count[1] == kept >= 10, PATIENCE), "readings are latched"
     graph.start("probe")
-    assert operator.wait(lambda: {"instrument/capture"} <= operator.services("probe"), PATIENCE)
-    operator.call("procedure/resume", PATIENCE)
-    assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
-    ended(operator)
+    resumed(operator, lambda: operator.procedure.entries["state"] == "finished")
     assert operator.wait(lambda: operator.heard.count[1] == 80, PATIENCE)
 
 

@@ -49,7 +49,7 @@ def test_the_graph_ends_with_its_starter(tmp_path, ros_domain):
         "import os, sys, time; from pathlib import Path;"
         "from machine_tool_calibration.nodes.graph import Graph, Program;"
         f"g = Graph([Program('rotary_pointer')], Path({str(tmp_path)!r}), {ros_domain}); g.__enter__();"
-        "print(g.process_id('rotary_pointer'), flush=True); time.sleep(60)"
+        "print(g.process_id('rotary_pointer'), flush=True); time.sleep(900)"
     )
     starter = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     child = int(starter.stdout.readline())

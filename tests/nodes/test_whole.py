@@ -47,7 +47,7 @@ node = rclpy.create_node("second_program")
 got = []
 qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 node.create_subscription(PointCloud2, "error_map", got.append, qos)
-for _ in range(600):
+for _ in range(3000):
     rclpy.spin_once(node, timeout_sec=0.1)
     if got:
         break
@@ -157,6 +157,7 @@ def test_diagnostics_name_every_node_and_its_device(whole):
 def test_a_listener_hears_the_readings_the_nodes_and_the_map_and_asks(whole):
     beside, operator = whole.beside, whole.operator
     assert operator.wait(lambda: beside.published.document == operator.heard.published.document, PATIENCE)
+    assert operator.wait(lambda: beside.count[1] == 128, PATIENCE)
     _, _, rows = beside.rows(-1, 0)
     table = readings(operator)
     assert rows == list(zip(table["setup_index"].astype(int).tolist(), table["displacement"].tolist(), strict=True))

@@ -31,6 +31,7 @@ from ..waiting import Waiting
 
 PUBLISHER = Path(__file__).with_name("stream_publisher.py")
 PATIENCE = 300  # s
+BEGUN = 20_000  # bytes: more than all that stands before the first readings
 
 
 @contextmanager
@@ -173,8 +174,11 @@ def test_a_kill_costs_less_than_a_second(tmp_path: Path, ros_domain: int, seed: 
     folder = tmp_path / "bag"
     with recorder(f"folder:={folder}") as process, publisher("/", 100_000, 200, 20) as sender:
         expect(sender, "matched")
+        while not any(file.stat().st_size > BEGUN for file in folder.glob("*.mcap")):
+            assert process.poll() is None
+            time.sleep(0.05)
         with Waiting(process.pid, sender.pid) as busy:
-            time.sleep(random.Random(seed).uniform(1.2, 2.5))
+            time.sleep(random.Random(seed).uniform(0.8, 2.0))
         killed = time.time()
         process.kill()
         process.wait(timeout=PATIENCE)

@@ -13,7 +13,7 @@ from machine_tool_calibration.instruments.drivers import InstrumentError, Sample
 from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
 
-LONG = 20.0
+LONG = 120.0
 
 
 class Port:

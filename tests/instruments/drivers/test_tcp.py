@@ -14,7 +14,7 @@ from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDri
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings, Connection
 from machine_tool_calibration.instruments.drivers.transport import Transport, connect
 
-LONG = 20.0
+LONG = 120.0
 """A wait that ends early unless something is wrong, s."""
 
 
