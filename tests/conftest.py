@@ -4,6 +4,7 @@
 import atexit
 import gc
 import os
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,6 +135,14 @@ def verb(capsys: pytest.CaptureFixture[str]) -> Verb:
 def ros_domain() -> int:
     """The domain id of this test process, which ROS_DOMAIN_ID already holds."""
     return int(os.environ["ROS_DOMAIN_ID"])
+
+
+@pytest.fixture(scope="module")
+def few_draws() -> Iterator[None]:
+    """Budgets from a tenth of the random values, for tests of how they are told and not of how well they are known."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("machine_tool_calibration.budget.propagate.DRAWS", 20)
+        yield
 
 
 @pytest.fixture

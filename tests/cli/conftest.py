@@ -22,7 +22,7 @@ _DRAWN: set[object] = set()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def rough_pictures() -> Iterator[None]:
+def rough_pictures(few_draws: None) -> Iterator[None]:
     """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are.
 
     Of those that show the same over the same, one is drawn; the files of the others are written without it.

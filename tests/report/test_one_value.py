@@ -51,6 +51,9 @@ class Received(calculation.Request):
         return FitRequest((self.session,))
 
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def no_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:

@@ -52,6 +52,9 @@ ABOUT = {
 }
 
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def rough_pictures() -> Iterator[None]:
     """Every kind of picture is drawn, once in each format, its panels not laid out: those of tests/plots are."""

@@ -12,7 +12,6 @@ from contextlib import closing, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
-from urllib.request import urlopen
 
 import pandas as pd
 import pytest
@@ -64,10 +63,14 @@ def browser() -> Iterator["playwright.Browser"]:
         opened.close()
 
 
-def status(address: str, path: str, **headers: str) -> int:
+def answer(address: str, path: str, **headers: str) -> http.client.HTTPResponse:
     connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=WAIT / 1000)
     connection.request("GET", path, headers=headers)
-    return connection.getresponse().status
+    return connection.getresponse()
+
+
+def status(address: str, path: str, **headers: str) -> int:
+    return answer(address, path, **headers).status
 
 
 # Controls that are seen and cannot be reached with Tab, or have no words: all shadow roots are looked through.
@@ -225,7 +228,10 @@ def test_without_the_token_there_is_nothing(address: str) -> None:
     path = urlsplit(address).path
     token = path.split("/")[1]
     static = "/static/js/bokeh.min.js"
-    assert status(address, path) == 200 == status(address, f"/{token}{static}")
+    page = answer(address, path)
+    assert page.status == 200 == status(address, f"/{token}{static}")
+    assert "frame-ancestors 'none'" in page.headers["Content-Security-Policy"]
+    assert page.headers["X-Frame-Options"] == "DENY"
     upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
                "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}  # fmt: skip
     for wrong in ("", "/x", f"/{token[:-1]}", f"/{token}x"):
@@ -235,6 +241,3 @@ def test_without_the_token_there_is_nothing(address: str) -> None:
     # A page of another address may not use the websocket, even with the token, nor may another name lead here.
     assert status(address, f"{path}/ws", Origin="http://example.org", **upgrade) == 403
     assert status(address, path, Host=f"example.org:{urlsplit(address).port}") == 403
-    with urlopen(address) as answer:
-        assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
-        assert answer.headers["X-Frame-Options"] == "DENY"

@@ -91,6 +91,7 @@ def test_no_measurement_makes_the_published_uncertainty_larger(method: str) -> N
     assert min(one.typical for one in then) < 0.9 * now.typical
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_what_a_budget_adds_stays_whatever_is_measured_next() -> None:
     measurement, every = simulate("rotary_axis", seed=3), []
     for lines in ((), template_of("laser_tracker")):
