@@ -104,6 +104,21 @@ def test_sum_degrees_of_freedom_and_coverage(fitted: FittedSessions, contributor
     assert without is not None and without.k == 2.0 and np.isinf(without.degrees_of_freedom)
 
 
+def test_every_number_has_degrees_of_freedom_of_its_own(
+    fitted: FittedSessions, contributor: Callable[..., Contributor]
+) -> None:
+    """The error of length, 2 µm/m, adds to the 2 µm of a setup the more, the farther from the start."""
+    lines = [
+        contributor("reading", "setup", degrees_of_freedom=5.0),
+        contributor("length", "never", degrees_of_freedom=10.0),
+    ]
+    budget = propagate(fitted, lines)
+    members = budget.numbers.quantity("EXX").members
+    expected = (1.0 + X**2) ** 2 / (1.0 / 5.0 + X**4 / 10.0)
+    np.testing.assert_allclose(budget.degrees_of_freedom[members], expected)
+    assert np.all(budget.expanded[members] > 2.0 * budget.complete[members])
+
+
 def test_rms_over_a_quantity(fitted: FittedSessions, contributor: Callable[..., Contributor]) -> None:
     found = propagate(fitted, [contributor("length", "never")]).rms("EXX")
     assert found is not None

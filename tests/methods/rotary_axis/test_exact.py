@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.rotary_axis.checks import on_table
 
 
 @pytest.mark.parametrize("axis", ["C", "A", "B"])
@@ -28,6 +29,19 @@ def test_six_motions_of_any_axis(rotary: SimpleNamespace, axis: str, both_ways: 
     # Products of errors of some micrometres and ten microradians with each other are all that is left.
     assert np.abs(difference[:3]).max() < 3e-9
     assert np.abs(difference[3:]).max() < 1e-8
+
+
+@pytest.mark.parametrize("axis", ["A", "B", "C"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_targets_turn_about_the_axis_under_test(rotary: SimpleNamespace, axis: str, sign: int) -> None:
+    """Right-handed about its own direction where the sense is positive."""
+    session = rotary.measured(1, axis=axis).session
+    session = replace(session, description=session.description.model_copy(update={"rotation_sign": sign}))
+    targets = {target.id: target.position for target in session.description.targets}
+    turn = sign * session.readings.columns[axis.lower()][:, None] * np.eye(3)["ABC".index(axis)]
+    expected = Rotation.from_rotvec(turn).apply([targets[name] for name in session.readings.labels["target"]])
+    np.testing.assert_allclose(on_table(session, session.readings), expected, atol=1e-12)
+    assert np.ptp(expected, axis=0).min() > 0.01
 
 
 def test_published_motions_are_in_the_stated_datum(rotary: SimpleNamespace) -> None:

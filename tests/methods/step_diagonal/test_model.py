@@ -2,12 +2,14 @@
 """The model and its map: datum, figures, what is not determined, effects, bad input."""
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
@@ -15,8 +17,9 @@ from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.methods.step_diagonal.spec import SPEC
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Parameter, Term
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.folder import read_session
-from machine_tool_calibration.simulation import FlawSpec, TableSpec
+from machine_tool_calibration.simulation import FlawSpec, Simulated, TableSpec
 
 EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"
 
@@ -189,3 +192,16 @@ def test_an_axis_that_the_chain_lacks(written):
     session = written([setup], [path], np.zeros_like, step=[0.01] * 3, blocks=2, chain="w-Y-b-Z-t")
     with pytest.raises(ModelError, match="the runs move x, which the chain w-Y-b-Z-t does not have"):
         build(session)
+
+
+def test_a_place_between_the_halts_of_its_run_is_refused(exact: Callable[..., Simulated]) -> None:
+    """Half a step off along X, read as it is there: within the run's ends, and not on its way."""
+    session = exact().session
+    columns, displacement = dict(session.readings.columns), session.readings.displacement.copy()
+    columns["x"] = columns["x"].copy()
+    columns["x"][7] += 0.5 * 0.01
+    displacement[7] += 0.5 * 0.01 / np.sqrt(3.0)
+    moved = replace(session.readings, columns=columns, displacement=displacement)
+    check_session(session)
+    with pytest.raises(SessionError, match="the place"):
+        check_session(session.with_readings(moved))
