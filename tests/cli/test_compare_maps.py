@@ -1,13 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal compare-maps` with effects and a history: a corrected map can be compared."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
+from machine_tool_calibration.methods.map_comparison import compare_fits
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 from ..told import Verb
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_draws() -> Iterator[None]:
+    """Enough for the directions in which these maps can differ."""
+    assert compare_fits.__kwdefaults__ is not None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(compare_fits.__kwdefaults__, "draws", 160)
+        yield
 
 
 @pytest.fixture(scope="module")

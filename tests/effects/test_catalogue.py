@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
+from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.effects.reversal import REVERSALS
 from machine_tool_calibration.errors import ModelError
@@ -304,3 +305,10 @@ def test_every_effect_states_what_it_is() -> None:
         for coefficient in (*effect.coefficients, *effect.shapes):
             assert coefficient.low < coefficient.high
             assert coefficient.unit
+
+
+def test_a_coefficient_of_an_expected_sign_is_looked_for_on_both_sides() -> None:
+    assert Coefficient("b", "m", 0.0, 2e-5).least == -2e-5
+    assert Coefficient("b", "m", -1e-5, 2e-5).least == -1e-5
+    (backlash,) = find_effects(["backlash_x"])[0].coefficients
+    assert backlash.low == 0.0 and backlash.least == -backlash.high

@@ -14,8 +14,8 @@ from .reference import reference
 from .test_measurement import readings, since_first
 
 LONG = copy.deepcopy(PROCEDURE)
-LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 7
-TOTAL = 7 * 7 * 4 * 2
+LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 6
+TOTAL = 6 * 6 * 4 * 2
 SOON = {"resend": 0.2}  # s, so that a command that was lost is soon sent again
 
 
@@ -41,7 +41,7 @@ def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(b
     assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
     assert operator.wait(lambda: operator.procedure.message == "waiting for instrument", PATIENCE)
     graph.start("instrument")
-    for count, name in ((40, "instrument"), (130, "rotary_pointer"), (220, "axis_simulator")):
+    for count, name in ((30, "instrument"), (80, "rotary_pointer"), (130, "axis_simulator")):
         reaches(operator, count)
         assert graph.kill(name) == -signal.SIGKILL
         assert operator.wait(lambda: bool(operator.procedure.entries["waiting_for"]), PATIENCE), operator.procedure

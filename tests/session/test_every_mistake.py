@@ -214,6 +214,8 @@ ROTARY = (
     }
     | swaps(4, "position")
 )
+# Found by a fit of all readings, whichever way the axis turned.
+FROM_ALL_READINGS = ("a target that stands metres away", "readings two rows late")
 DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
     "tracking_2d": TRACKING | {"azimuth reversed": (columns(azimuth=lambda v: v - np.pi), "from the target")},
     "tracking_3d": TRACKING
@@ -222,7 +224,7 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
         "azimuth off by half a turn": (columns(azimuth=lambda v: v - np.pi), "half a turn"),
     },
     "rotary_axis": ROTARY,
-    "rotary_axis_one_way": ROTARY,
+    "rotary_axis_one_way": {name: ROTARY[name] for name in ROTARY if name not in FROM_ALL_READINGS},
     "step_diagonal": UNITS
     | SIGNS
     | SLIPPED
