@@ -36,6 +36,18 @@ def test_an_effect_is_called_by_its_title_or_else_by_its_id() -> None:
     assert formula_effect(SETTLING | {"enters": "reading"}).formula.startswith("reading = b * dir_y")
 
 
+def test_it_needs_the_columns_of_its_formula_and_nothing_else() -> None:
+    """Its coefficients, shapes and constants are its own; the path is there without a column."""
+    wave = {
+        **SETTLING,
+        "formula": "b * dir_y * exp(-time / tau) * (1 + c * path * sin(2 * pi * y / lead))",
+        "constants": {"c": {"unit": "1/m", "value": 0.1}, "lead": {"unit": "m", "value": 0.02}},
+    }
+    effect = formula_effect(wave)
+    assert effect.needs == ("dir_y", "time", "y")
+    assert effect.covariates == ("dir_y", "path", "time", "y")
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [

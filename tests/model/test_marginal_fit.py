@@ -140,6 +140,7 @@ def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.Mo
     expected = found.scatter**2 * sum(within) + sum(between)
     assert fit.published.covariance == pytest.approx(expected, rel=0.02)
     assert found.squares == pytest.approx(weights @ squares, rel=0.02)
+    assert found.ratios[0] == pytest.approx(np.sqrt(weights @ np.square(ratios)), rel=1e-3)
 
 
 def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
