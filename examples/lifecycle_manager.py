@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes managed nodes up in an order, looks after them, and takes them down again: a lifecycle manager in 80 lines.
+"""Takes managed nodes up in an order, looks after them, and takes them down again: a lifecycle manager.
 
     ros2 launch machine_tool_calibration graph.launch.py autostart:=false
     python examples/lifecycle_manager.py recorder axis_simulator rotary_pointer instrument estimator procedure
 
 A node that was started anew is unconfigured: it is taken up again. Ctrl-C deactivates them and cleans them up, the last
-one first; with --shutdown before the names it ends their processes, too.
+one first; with --shutdown it ends their processes, too. In a namespace: --ros-args -r __ns:=/NAMESPACE.
 """
 
+import argparse
 import sys
 from typing import Any
 
@@ -16,6 +17,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 UP = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
@@ -65,10 +67,13 @@ class Manager:
 
 def main() -> None:
     """Take the nodes up that are named on the command line, and look after them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="+", metavar="NODE", help="in the order in which they are taken up")
+    parser.add_argument("--shutdown", action="store_true", help="end their processes at the end, too")
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is this program's own
-    names = [name for name in sys.argv[1:] if name != "--shutdown"]
-    down = {**DOWN, **(END if "--shutdown" in sys.argv else {})}
-    manager = Manager(names)
+    down = {**DOWN, **(END if options.shutdown else {})}
+    manager = Manager(options.names)
     try:
         while all([manager.bring(name, UP) for name in manager.names]):
             rclpy.spin_once(manager.node, timeout_sec=1.0)

@@ -38,17 +38,13 @@ ARGUMENTS = {
     "params_file": (str(CONFIG / "nodes.yaml"), "ROS parameters of the nodes; arguments count more"),
     "autostart": ("true", "whether the nodes are configured and activated; false: by a lifecycle manager"),
 }
-OPTIONAL = ("estimator", "recorder")  # both can be started again: identify.launch.py
 
 
 def ends(event, context):
-    """What happens when a node ends by itself."""
+    """What happens when a node ends by itself that the measurement needs."""
     name = event.action.node_name.rpartition("/")[2]
     if context.is_shutdown:
         return None
-    if name in OPTIONAL:
-        again = "identify.launch.py starts it again, and it gets all readings"
-        return LogInfo(msg=f"{name} has ended (status {event.returncode}); the other nodes go on without it; {again}")
     why = f"{name} has ended (status {event.returncode}), and nothing can be measured without it"
     if event.returncode:
         raise CalibrationError(why)  # no action makes `ros2 launch` itself return an error

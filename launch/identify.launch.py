@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 from machine_tool_calibration.nodes.graph import managed_nodes, refuse_unknown, switches
@@ -27,12 +27,6 @@ ARGUMENTS = {
 }
 
 
-def ends(event, context):
-    """Each goes on without the other, and says so."""
-    name = event.action.node_name.rpartition("/")[2]
-    return None if context.is_shutdown else LogInfo(msg=f"{name} has ended (status {event.returncode})")
-
-
 def nodes(context):
     refuse_unknown("identify.launch.py", context.launch_configurations, ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
@@ -42,7 +36,7 @@ def nodes(context):
         "estimator": {**common, **({"model": given["model"]} if given["model"] else {})},
         "recorder": {**common, "folder": given["bag"]},
     }
-    return managed_nodes(parameters, given["namespace"], given["params_file"], ends, autostart=is_true["autostart"])
+    return managed_nodes(parameters, given["namespace"], given["params_file"], autostart=is_true["autostart"])
 
 
 def generate_launch_description():

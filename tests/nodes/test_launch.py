@@ -150,16 +150,25 @@ def test_a_launch_ends_with_a_node_that_is_needed(launch, name):
     ("file", "name"),
     [("graph.launch.py", "estimator"), ("graph.launch.py", "recorder"), ("identify.launch.py", "recorder")],
 )
-def test_a_node_that_is_not_needed_is_named_when_it_has_gone(launch, file, name):
-    on_exit = exit_handler(launch(file), name)
-    done = on_exit(ended(name, 1), SimpleNamespace(is_shutdown=False))
-    assert type(done).__name__ == "LogInfo" and f"{name} has ended (status 1)" in done.named["msg"]
+def test_a_node_that_only_listens_is_started_again_where_it_fails(launch, file, name):
+    running, count = SimpleNamespace(is_shutdown=False), 1
+    on_exit = exit_handler(launch(file), name, bag="run")
     assert on_exit(ended(name, 1), SimpleNamespace(is_shutdown=True)) is None
+    by_itself = on_exit(ended(name, 0), running)
+    assert type(by_itself).__name__ == "LogInfo" and by_itself.named["msg"].endswith("the other nodes go on without it")
+    while not isinstance(done := on_exit(ended(name, -9), running), Record):
+        said, again = done
+        count += 1
+        assert f"{name} has ended (status -9)" in said.named["msg"] and "started again" in said.named["msg"]
+        assert again.named["name"] == name
+        assert again.named["parameters"][1].get("folder") == (f"run_{count}" if name == "recorder" else None)
+        on_exit = again.named["on_exit"]
+    assert count == 4 and done.named["msg"].endswith("go on without it")
 
 
-def exit_handler(found, name):
+def exit_handler(found, name, **given):
     """What a launch file does when the node of that name ends."""
-    (node,) = [node for node in nodes(found) if node.named["name"] == name]
+    (node,) = [node for node in nodes(found, **given) if node.named["name"] == name]
     return node.named["on_exit"]
 
 

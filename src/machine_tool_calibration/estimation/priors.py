@@ -118,9 +118,11 @@ CURVED = 0.1
 ACCEPTED = 0.5
 """Probability from which an effect is named as missing: it is in the model more likely than not."""
 
-FURTHER = 0.8
+FURTHER = 0.65
 """The same of an effect beside a surer one: where a law does not hold exactly, what it leaves looks like another
-effect. Where the machine itself is read many are expected at once, and each counts like the first."""
+effect. Of 60 imperfect worlds with one effect 3 % then get a wrong second one (at 0.5 7 %, at 0.8 2 %), and of 60
+perfect ones with two both are named in 82 % (87 %, 64 %). Where the machine itself is read many are expected at once,
+and each counts like the first."""
 
 MAY_BE = 0.02
 """The same from which the law of an effect is tried with its tolerance as well."""

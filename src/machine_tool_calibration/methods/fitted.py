@@ -209,14 +209,9 @@ def gross_errors(chosen: FitRequest) -> list[WithoutGrossErrors]:
 
 
 def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
-    made: list[Built] = []
-
-    def build(part: Session) -> MethodModel:
-        made.append(chosen.finished(chosen.base(part)))
-        return made[-1][0]
-
-    outliers = find_outliers(session, build)
-    # Where nothing was set aside the model is that in which it was looked for.
-    return WithoutGrossErrors(
-        outliers, without(session, outliers, as_lost=True), made[0] if made and not outliers else None
+    built = chosen.finished(chosen.base(session))
+    outliers = find_outliers(
+        session, lambda part: built[0] if part is session else chosen.finished(chosen.base(part))[0]
     )
+    # Where nothing was set aside the model is that in which it was looked for.
+    return WithoutGrossErrors(outliers, without(session, outliers, as_lost=True), None if outliers else built)

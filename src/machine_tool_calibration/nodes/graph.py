@@ -23,8 +23,15 @@ from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.process import default_environment
 from machine_tool_calibration.session.catalogue import method_spec
 
-__all__ = ["Graph", "Program", "end_with_parent", "graph_parameters", "managed_nodes", "refuse_unknown", "switches"]
+__all__ = [
+    "LISTENERS", "LISTENER_STARTS", "Graph", "Program", "end_with_parent", "graph_parameters", "managed_nodes",
+    "refuse_unknown", "switches",
+]  # fmt: skip
 
+LISTENERS = ("estimator", "recorder")
+"""Nodes that only listen: where one ends the measurement goes on, and it is started again."""
+LISTENER_STARTS = 4
+"""Of one of these; more do not help it."""
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 _POLL = 0.02  # s
 
@@ -246,7 +253,7 @@ def managed_nodes(
     parameters: Mapping[str, Mapping[str, Any]],
     namespace: str,
     file: str,
-    on_exit: Callable[..., Any],
+    on_exit: Callable[..., Any] | None = None,
     *,
     autostart: bool,
 ) -> list[Any]:
@@ -255,18 +262,22 @@ def managed_nodes(
     That they go to their active state is told them by a parameter: a transition that `launch` asks for by a service is
     lost, now and then, where the node has not discovered `launch` yet.
 
+    A node that only listens is started again where it fails: it gets all readings anew. The launch goes on.
+
     Args:
         parameters: of each node, by its name; they count more than those of the file.
         namespace: of all; `/clock` is remapped into it, as it is absolute and two graphs would share it.
         file: of ROS parameters.
-        on_exit: called when one ends.
+        on_exit: called when one ends that does not only listen.
         autostart: whether they are configured and activated; else a lifecycle manager does it.
     """
+    from launch.actions import LogInfo
     from launch_ros.actions import LifecycleNode
 
     space = namespace.strip("/")
-    return [
-        LifecycleNode(
+
+    def node(name: str, values: Mapping[str, Any], on_exit: Callable[..., Any] | None) -> Any:
+        return LifecycleNode(
             package="machine_tool_calibration",
             executable=name,
             name=name,
@@ -276,5 +287,19 @@ def managed_nodes(
             output="screen",
             on_exit=on_exit,
         )
-        for name, values in parameters.items()
-    ]
+
+    def listener(name: str, start: int = 1) -> Any:
+        def ends(event: Any, context: Any) -> Any:
+            if context.is_shutdown:
+                return None
+            why = f"{name} has ended (status {event.returncode}); the other nodes go on"
+            if not event.returncode or start == LISTENER_STARTS:
+                return LogInfo(msg=f"{why} without it")
+            return [LogInfo(msg=f"{why}, it is started again and gets all readings"), listener(name, start + 1)]
+
+        values = dict(parameters[name])
+        if start > 1 and values.get("folder"):  # of a recording: that of before stays as it is
+            values["folder"] += f"_{start}"
+        return node(name, values, ends)
+
+    return [listener(name) if name in LISTENERS else node(name, values, on_exit) for name, values in parameters.items()]

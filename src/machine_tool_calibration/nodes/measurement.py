@@ -15,7 +15,7 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import Graph, Program, graph_parameters
+from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, Program, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
@@ -32,8 +32,6 @@ _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and 
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
 _ON_THE_WAY = 5.0
-_LISTENERS = ("estimator", "recorder")
-_STARTS = 4  # of one of these; more do not help it
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
 Progress = Callable[[str, int, int], None]
@@ -121,10 +119,10 @@ class _Listeners:
             CalibrationError: one has ended that the measurement cannot do without.
         """
         for name, why in self._graph.ended().items():
-            if name not in _LISTENERS or self.client is None:
+            if name not in LISTENERS or self.client is None:
                 raise CalibrationError(why)
             again = sum(name in remark for remark in self.remarks) + 2
-            if again > _STARTS:
+            if again > LISTENER_STARTS:
                 self.remarks.append(f"{why}; it is not started again")
                 self._graph.kill(name)
                 continue
