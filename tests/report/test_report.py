@@ -314,7 +314,7 @@ def test_a_german_report_is_german():
 def test_numbers_have_the_decimal_sign_of_the_language():
     german = words("de")
     assert german.numbers("0.18 ± 0.02 µm at (1.5, -2) mm") == "0,18 ± 0,02 µm at (1,5; -2) mm"
-    assert german.numbers("1.2.3 EXX(0.4) p = 1.5e-05.") == "1.2.3 EXX(0.4) p = 1,5e-05."
+    assert german.numbers("1.2.3 EXX(0.4), EXX(-0.4) p = 1.5e-05.") == "1.2.3 EXX(0.4), EXX(-0.4) p = 1,5e-05."
     assert german.numbers(Verbatim("plate 1.5")) == "plate 1.5" and words("en").numbers("0.18") == "0.18"
     figure = Figure()
     figure.subplots().plot([0.0, 0.2, 0.4])

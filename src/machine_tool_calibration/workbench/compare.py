@@ -188,7 +188,7 @@ class ComparePage:
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model
         aside = model.aside
-        self._aside.disabled = not set(chosen) - aside
+        self._aside.disabled, self._cleared.disabled = not set(chosen) - aside, not chosen
         words = f"{len(chosen)} of {len(self._readings.data['row'])} readings selected; {len(aside)} set aside"
         words += " (× in the plots)" if aside else ""
         words += f"; {len(model.kept)} kept" if model.kept else ""

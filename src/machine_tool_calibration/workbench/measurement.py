@@ -54,7 +54,7 @@ class MeasurementPage:
 
     title = "Measurement"
     about = "What was measured, and whether the model fits it."
-    blocks = 3
+    blocks = 2
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings = state, readings
@@ -83,8 +83,7 @@ class MeasurementPage:
         self._space = pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width")
         self.view = pn.Column(
             self._words,
-            beside(self._space, *(self._plots[view] for view in VIEWS), self._setups),
-            self._more,
+            beside(self._space, *(self._plots[view] for view in VIEWS), self._setups, self._more),
             sizing_mode="stretch_width",
         )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -124,7 +125,7 @@ class State:
         """The model in use, and whether it is saved."""
         model = self.model
         words = [model.fit.headline]
-        words += [f"{len(model.aside)} readings set aside"] if model.aside else []
+        words += [words_set_aside(len(model.aside))] if model.aside else []
         words += [f"kept: {', '.join(map(self.subject.name, sorted(model.kept)))}"] if model.kept else []
         if model.number is None:
             words.append("not saved, as nothing was changed yet")
