@@ -190,8 +190,7 @@ class ImprovePage:
         """As `mtcal improve`: nothing is added unless the diagnosis names it."""
 
         def add() -> None:
-            found = self._state.diagnosis
-            if found is not None and (found.accepted or found.gross_errors):
+            if self._state.lacking:
                 self._work.run("adding what was found", self._state.improved())
             else:
                 self._note.object = escape("Nothing was found that is missing: see Diagnose.")

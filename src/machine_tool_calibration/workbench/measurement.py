@@ -101,11 +101,11 @@ class MeasurementPage:
             first, *rest = (replace(one, title=named + one.title) for one in session_tables(session, summary))
             placed += tables([first])
             more += tables(rest)
-        if state.found:
-            rows = ", ".join(state.subject.name(number) for number in sorted(state.found)[:12])
-            rows += " …" if len(state.found) > 12 else ""
+        if state.model.found:
+            rows = ", ".join(state.subject.name(number) for number in sorted(state.model.found)[:12])
+            rows += " …" if len(state.model.found) > 12 else ""
             suspicious.append(
-                f"{stand_out(len(state.found))} (row {rows}): Compare shows, and puts back, what is set aside"
+                f"{stand_out(len(state.model.found))} (row {rows}): Compare shows, and puts back, what is set aside"
             )
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
         fits = paragraphs([in_words(state.model.comparison)])
