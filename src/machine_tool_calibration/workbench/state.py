@@ -202,7 +202,9 @@ class State:
 
         def take(found: Diagnosis) -> None:
             self.diagnosis = found
-            self.models[-1] = replace(self.model, found=self.subject.deviations(found.set_aside) | self.model.found)
+            self.models[-1] = replace(
+                self.model, found={**self.model.found, **self.subject.deviations(found.set_aside)}
+            )
             self._tell()
 
         return Job(partial(diagnosed, self.subject, self.model), take)
