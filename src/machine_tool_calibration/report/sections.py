@@ -302,6 +302,9 @@ def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
     if found.improvement is None or found.conclusions is None:
         return
     report = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
+    judged, used = found.improvement.diagnosis.fits[0].assembly.problem.n_readings, found.document["used"]
+    if judged != used:
+        yield say("report.judged_anew", count=judged, used=used)
     yield from report.words
     yield from report.tables
 
