@@ -16,6 +16,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.reports.comparison import comparison_document, in_words
+from machine_tool_calibration.reports.identification import goodness_of_fit
 from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
@@ -82,6 +83,14 @@ def test_a_bad_setup_is_named() -> None:
     assert found.setups["name"][0] == "C"
     assert "Worst is setup C" in in_words(found)
     assert found.overall.p_value < 1e-6
+
+
+def test_a_reversal_is_no_fault_of_the_model_of_a_run_by_iso_230_2() -> None:
+    """The sentence is that of the identification: what is measured against another is said in one place."""
+    found = identify(simulated("iso230_2", 5, FlawSpec(id="backlash_x", size=2e-6)))
+    words = in_words(compare(found))
+    assert words.startswith(goodness_of_fit(found.document())) and "part of the result (ISO 230-2)" in words
+    assert "lacks something" not in words and "diagnosis" not in words
 
 
 @pytest.mark.parametrize(("plan", "axis"), [("tracking_3d", "y"), ("rotary_axis", "c"), ("iso230_2", "x")])

@@ -238,6 +238,16 @@ def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     assert "conformity" in ids and "conformity" not in [section.id for section in content("tracking_2d", "en")]
 
 
+def test_a_diagnosis_of_other_readings_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reading that only the lack of an effect made stand out is set aside in the result and not in the diagnosis."""
+    found = evaluated("tracking_2d")
+    (own,) = (section for section in content("tracking_2d", "en") if section.id == "diagnosis")
+    assert own.blocks[0].startswith("The model lacks")
+    monkeypatch.setitem(found.document, "used", found.document["used"] - 1)
+    (own,) = (section for section in sections(found, words("de")) if section.id == "diagnosis")
+    assert own.blocks[0].startswith("Aus 287 Ablesungen") and own.blocks[0].endswith("das Ergebnis oben ist aus 286.")
+
+
 def test_effects_in_the_model_stand_there_with_their_sizes() -> None:
     measured = evaluated("iso230_2").measured
     chosen = replace(measured.chosen, effects=("backlash_x",))
@@ -317,7 +327,7 @@ def test_a_german_report_is_german():
 def test_numbers_have_the_decimal_sign_of_the_language():
     german = words("de")
     assert german.numbers("0.18 ± 0.02 µm at (1.5, -2) mm") == "0,18 ± 0,02 µm at (1,5; -2) mm"
-    assert german.numbers("1.2.3 EXX(0.4) p = 1.5e-05.") == "1.2.3 EXX(0.4) p = 1,5e-05."
+    assert german.numbers("1.2.3 EXX(0.4), EXX(-0.4) p = 1.5e-05.") == "1.2.3 EXX(0.4), EXX(-0.4) p = 1,5e-05."
     assert german.numbers(Verbatim("plate 1.5")) == "plate 1.5" and words("en").numbers("0.18") == "0.18"
     figure = Figure()
     figure.subplots().plot([0.0, 0.2, 0.4])

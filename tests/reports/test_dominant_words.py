@@ -21,7 +21,7 @@ FOUND = Dominant(
 def test_words_name_the_cause_its_share_and_the_remedy() -> None:
     cause, remedy = dominant_words(FOUND)
     assert cause == (
-        "angular errors dominate the map's uncertainty: 84 % of its variance, for angular errors of 5.00 µrad"
+        "Angular errors dominate the map's uncertainty: 84 % of its variance, for angular errors of 5.00 µrad"
     )
     assert remedy.strip() == (
         "add the diagonal nnp (6 min, and mounting the mirror again) leaves 50 % of U, the same once more 98 %"
@@ -31,8 +31,8 @@ def test_words_name_the_cause_its_share_and_the_remedy() -> None:
 @pytest.mark.parametrize(
     ("cause", "words"),
     [
-        ("time", "time dominates the map's uncertainty: 6 % of its variance, for a drift of 3.60 µm/h"),
-        ("readings", "the readings' own scatter dominates the map's uncertainty"),
+        ("time", "Time dominates the map's uncertainty: 6 % of its variance, for a drift of 3.60 µm/h"),
+        ("readings", "The readings' own scatter dominates the map's uncertainty"),
     ],
 )  # fmt: skip
 def test_words_of_the_other_causes(cause: str, words: str) -> None:

@@ -5,8 +5,11 @@ from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
     group_by_reason,
+    readings_set_aside,
     summary_rows,
 )
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.words import words
 
 
 def test_goodness_of_fit():
@@ -20,6 +23,7 @@ def test_goodness_of_fit():
 def test_names_that_share_a_reason():
     assert group_by_reason([("a", "why"), ("b", "because"), ("c", "why")]) == [("why", "a, c"), ("because", "b")]
     assert group_by_reason((str(k), "lost") for k in range(20))[0][1].endswith("7 and 12 more")
+    assert group_by_reason(((str(k), "lost") for k in range(20)), 20)[0][1].endswith("18, 19")
 
 
 def test_the_datum_of_the_map_is_said_where_it_is_another_one() -> None:
@@ -32,3 +36,11 @@ def test_points_without_a_value_are_counted() -> None:
     document = {"used": 3, "observations": 3, "rms_residual": 0.0, "error_map": {"position_error": error}}
     rows = dict(summary_rows(document))
     assert rows["position error"].endswith("; not determined along z; not determined at 1 of 3 points")
+
+
+def test_the_place_of_a_reading_set_aside_is_said_in_the_language() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=4)).session
+    table = readings_set_aside({"rejected": [{"row": 3, "reason": "", "deviation": 1e-6}]}, [session])
+    place = table.rows[0][table.columns.index("position, mm or °")]
+    target = session.readings.labels["target"][3]
+    assert place.startswith(f"target {target}, C ") and words("de").told(place).startswith(f"Ziel {target}, C ")

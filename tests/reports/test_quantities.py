@@ -7,6 +7,8 @@ from machine_tool_calibration.reports.quantities import (
     duration,
     micrometres,
     millimetres,
+    of_map,
+    plus_minus,
     probability,
     quantity,
     range_of,
@@ -34,6 +36,7 @@ from machine_tool_calibration.session.description import StandardUncertainty
         (5e-6, "m", 3e-3, "0.0 ± 6.0 mm"),
         (0.0, "m^2", 2.7e-7, "0.00 ± 0.54 mm²"),
         (4e-10, "m^2", 2e-11, "400 ± 40 µm²"),
+        (-1.72e-4, "rad", 1.64e-4, "-170 ± 330 µrad"),
     ],
 )
 def test_quantities(value: float, unit: str, uncertainty: float | None, text: str) -> None:
@@ -48,6 +51,11 @@ def test_numbers_in_tables() -> None:
     assert [duration(s) for s in (None, 20.0, 2364.0, 7040.0)] == ["–", "20 s", "39 min", "2.0 h"]
     assert range_of(-1e-4, 1e-4, "m") == "±100 µm"
     assert range_of(0.0, 5e-5, "m") == "0 µm to 50.0 µm"
+
+
+def test_a_map_has_as_many_digits_as_its_uncertainty_allows() -> None:
+    assert of_map(3.317e-6, 0.729e-6) == ("3.3", "1.5") and of_map(3.317e-6, None) == ("3.32", "–")
+    assert plus_minus(-4.3e-7, 0.0, 1e6) == "-0.430 ± 0.000" and plus_minus(7.31e-5, 1.21e-4, 1e6) == "+70 ± 240"
 
 
 def test_long_distances_are_grouped() -> None:

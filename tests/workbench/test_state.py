@@ -14,6 +14,7 @@ from machine_tool_calibration.errors import CalibrationError, ModelError, Sessio
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State, measurements_in
 
 
@@ -218,9 +219,9 @@ def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
 
 def test_what_a_search_set_aside_is_shown_and_put_back_for_good(struck: Path) -> None:
     state = opened(struck)
-    assert state.model.aside == {20, 90, 150} == state.found.keys() and "3 readings set aside" in state.headline
+    assert state.model.aside == {20, 90, 150} == state.model.found.keys() and "3 readings set aside" in state.headline
     assert not state.models[0].aside, "the first model has all readings, and can be gone back to"
-    np.testing.assert_allclose(list(state.found.values()), 80e-6, atol=10e-6)
+    np.testing.assert_allclose(list(state.model.found.values()), 80e-6, atol=10e-6)
     state.changed(aside=[20, 150])()
     assert state.model.aside == {20, 150} and state.model.kept == {90}
     assert read_history(history_path(struck)).models[-1].kept == (90,)
@@ -228,6 +229,27 @@ def test_what_a_search_set_aside_is_shown_and_put_back_for_good(struck: Path) ->
     assert opened(struck).model.kept == {90}
     state.changed(aside=[20, 90, 150])()
     assert state.model.kept == frozenset()
+
+
+def test_what_does_not_belong_to_the_rest_is_judged_beside_the_effects(hidden: Path) -> None:
+    """As `mtcal identify` does: a reading that only the lack of an effect made stand out is put back."""
+    state = opened(hidden)
+    first = state.model
+    away = frozenset([5, 7])  # 7 by the user
+    state.use(state.subject.tried(first, "aside", first.fit.chosen, away, frozenset(), {5: 1e-6}))
+    looked: list[Model] = []
+    state.tried("backlash_y", looked.append)()
+    assert looked[0].aside == {7} and looked[0].found == {}
+    state.diagnosed()()
+    assert state.lacking and state.diagnosis is not None
+    assert 5 in state.diagnosis.chosen.sessions[0].readings.row
+    state.improved()()
+    assert state.model.aside == {7} and state.model.fit.effects == ("backlash_y",) and not state.lacking
+    state.undo()
+    assert state.model.aside == {5, 7} and state.model.by_user == {7}
+    assert "(backlash_y) fits better" in state.warning, "though it is of one reading more"
+    state.changed(add=["backlash_y"])()
+    assert state.model.aside == {7}
 
 
 def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) -> None:

@@ -197,9 +197,9 @@ class Entry(Record):
         return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
 
     def criterion(self) -> float:
-        """The Bayesian information criterion, but for what models of the same readings have in common."""
-        squares = max((self.reduced_chi_square or math.inf) * self.degrees_of_freedom, 1e-300)
-        return self.used * math.log(squares) + (self.used - self.degrees_of_freedom) * math.log(self.used)
+        """The Bayesian information criterion over the number of readings, but for what all models have in common."""
+        squares = max((self.reduced_chi_square or math.inf) * self.degrees_of_freedom, 1e-300) / self.used
+        return math.log(squares) + (1.0 - self.degrees_of_freedom / self.used) * math.log(self.used)
 
     @property
     def readings_aside(self) -> int:
@@ -261,14 +261,14 @@ class History(Record):
 
     @property
     def better(self) -> Entry | None:
-        """The model of the same readings that describes them clearly better than the one in use; None if none does.
+        """The model that describes the same readings, or more, clearly better than the one in use; None if none does.
 
         By the Bayesian information criterion, with the noise that each model leaves (Schwarz 1978).
         """
         now = self.in_use
-        known = [one for one in self.models if now is not None and (one.data, one.used) == (now.data, now.used)]
+        known = [one for one in self.models if now and one.data == now.data and one.used >= now.used]
         best = min(known, key=Entry.criterion, default=None)
-        if now is None or best is None or best.criterion() > now.criterion() - _CLEARLY:
+        if now is None or best is None or best.criterion() > now.criterion() - _CLEARLY / now.used:
             return None
         return best
 

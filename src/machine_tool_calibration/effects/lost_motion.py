@@ -45,7 +45,7 @@ class LostMotion(AxisEffect):
         """The axis must have moved."""
         why = super().why_not(observations)
         if why is None and self._degree(observations) == 0:
-            return f"{self.axis} did not move: it is a backlash"
+            return f"{self.axis.upper()} did not move: it is a backlash"
         return why
 
     def _degree(self, observations: Observations) -> int:

@@ -26,7 +26,7 @@ def _why_not(name: str, observations: Observations) -> str | None:
             return f"the chain has no axis {axis}"
     axis = name[2].lower()
     if np.ptp(observations.readings.column(axis)) < _STILL:
-        return f"{axis} did not move"
+        return f"{axis.upper()} did not move"
     return None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.plots.error_map import draw_motions
 from machine_tool_calibration.plots.style import COLORS, name_axes, new_figure, numbers, round_down
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import as_exact, quantity
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
@@ -58,8 +58,12 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     panel.set_xlabel(f"{run['axis']}, mm")
     panel.set_ylabel(say("picture.deviation"))
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
-    known = ((_SYMBOLS.get(name, name), f"{1e6 * value:.2f}") for name, value in figures if _known(value))
-    values = together((together((together(one) for one in known), "   "), "µm"))
+    known = (
+        (_SYMBOLS.get(name, name), as_exact(value, "m", run.get(f"{name}_U")))
+        for name, value in figures
+        if _known(value)
+    )
+    values = together((together(one) for one in known), "   ")
     figure.suptitle(together((say("picture.run", axis=run["axis"], setup=run["setup"]), values), "\n"))
     panel.legend(frameon=False)
     return figure

@@ -26,7 +26,7 @@ from machine_tool_calibration.plots.style import (
     scale_bar,
     spaced,
 )
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import as_exact, quantity
 from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def _headline(whole: _Map, scale: float) -> Iterator[str]:
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
     # Along a direction that was not measured there is none.
     expanded = 2 * float(np.linalg.norm(np.nan_to_num(whole.uncertainty[whole.good]), axis=1).max())
-    yield say("picture.largest", error=quantity(largest, "m"), u=quantity(expanded, "m"))
+    yield say("picture.largest", error=as_exact(largest, "m", expanded), u=as_exact(expanded, "m", expanded))
 
 
 def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:

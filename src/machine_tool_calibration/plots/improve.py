@@ -15,7 +15,7 @@ from machine_tool_calibration.diagnosis.compare import residual_table
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
-from machine_tool_calibration.plots.style import name_axes, new_figure, save
+from machine_tool_calibration.plots.style import name_axes, new_figure, round_down, save
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.improvement import step_document
 from machine_tool_calibration.reports.quantities import quantity
@@ -112,7 +112,8 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
     quiver = panel.quiver(
         *place.T, *(scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003, alpha=0.8
     )
-    panel.quiverkey(quiver, 0.9, 0.95, scale * size, quantity(size, "m"), labelpos="W", color="0.2")
+    known = round_down(size)
+    panel.quiverkey(quiver, 0.9, 0.95, scale * known, quantity(known, "m"), labelpos="W", color="0.2")
     names = [pool.setup_names[int(k)] for k in np.unique(pool.setup)]
     for k, name in zip(np.unique(pool.setup), names, strict=True):
         panel.plot([], [], "-", color=color(int(k)), label=name)

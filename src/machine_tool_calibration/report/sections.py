@@ -38,14 +38,13 @@ from machine_tool_calibration.reports.identification import (
 )
 from machine_tool_calibration.reports.information import setup_place
 from machine_tool_calibration.reports.quantities import (
-    NOT_DETERMINED,
     micrometres,
+    of_map,
     plus_minus,
     probability,
     quantity,
     rounded,
     sizes_in_words,
-    with_expanded,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.signs import negative_words
@@ -303,6 +302,9 @@ def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
     if found.improvement is None or found.conclusions is None:
         return
     report = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
+    judged, used = found.improvement.diagnosis.fits[0].assembly.problem.n_readings, found.document["used"]
+    if judged != used:
+        yield say("report.judged_anew", count=judged, used=used)
     yield from report.words
     yield from report.tables
 
@@ -332,8 +334,7 @@ def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
 
 def _step(row: tuple[str, int, float, float | None, float | None, float | None]) -> tuple[str, ...]:
     name, readings, residual, chi, size, u = row
-    shown = (micrometres(size), NOT_DETERMINED) if u is None or size is None else with_expanded(size, 2 * u)
-    return (name, str(readings), micrometres(residual), rounded(chi), *shown)
+    return (name, str(readings), micrometres(residual), rounded(chi), *of_map(size, u))
 
 
 def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:
@@ -350,7 +351,8 @@ def _conformity(found: Evaluation) -> Iterator[str | TextTable]:
 
 def _undetermined(found: Evaluation) -> Iterator[str | TextTable]:
     document = found.document
-    found_why = group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"])
+    lost = document["not_determined"]
+    found_why = group_by_reason(((one["name"], one["why"]) for one in lost), len(lost))
     if found_why:
         yield TextTable("", heads("what", "why"), tuple((names, why) for why, names in found_why))
     else:

@@ -232,7 +232,9 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
     ]
     if places:
         yield say("budget.largest", places=together(places, "; "))
-    more = list(dict.fromkeys(_quantity_name(one) for one in sums if one.stated > one.expanded / 2.0))
+    # Also where only some of a quantity's numbers are so, of which none is the largest.
+    above = budget.numbers.u > budget.u
+    more = list(dict.fromkeys(_quantity_name(one) for one in sums if above[one.quantity.members].any()))
     if more:
         yield say("budget.readings_show_more", names=together(more, ", "))
     taken = [named("contributor", line.name) for line in budget.lines if line.how == "draws"]

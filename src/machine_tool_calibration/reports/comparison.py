@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
-from machine_tool_calibration.methods.build import suspicious_fits
+from machine_tool_calibration.methods.build import error_map, suspicious_fits
+from machine_tool_calibration.reports.direct_deviations import scatter_words
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.goodness import fit_words, fits
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.residuals.noise import Noise
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
@@ -31,11 +34,13 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
     one = comparison if isinstance(comparison, Comparison) else None
     overall, count = comparison.overall, len(comparison.outliers)
-    bad = fits(overall.p_value) == "bad"
-    said: list[str] = [fit_words(overall.reduced_chi_square, overall.p_value)]
+    fitting = scatter_words(_map_of(one), overall.p_value) if one else None
+    fitting = fitting or fit_words(overall.reduced_chi_square, overall.p_value)
+    bad = fits(overall.p_value) == "bad" and fitting.key != "fit.one_direction"
+    said: list[str] = [fitting]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
     said += [say("compared.sentence", text=stand_out(count))] if count else []
-    said += [_repeats(overall, one.noise, bool(count))] if one else []
+    said += [_repeats(overall, one.noise, not bad or bool(count))] if one else []
     said += [say("compared.ask_diagnosis" if one else "compared.ask_result")] if bad else []
     return together(said)
 
@@ -52,12 +57,18 @@ def _where(parts: pd.DataFrame, part: str, overall: Overall) -> str:
     return say(f"compared.worst_{part}", name=worst["name"], ratio=ratio, share=f"{worst['share']:.0%}")
 
 
-def _repeats(overall: Overall, noise: Noise, apart: bool) -> str:
+def _map_of(one: Comparison) -> Mapping[str, Any]:
+    """What the map of deviations that were read directly says of their scatter; empty for other methods."""
+    alone = len(one.fit.joint.assembly.models) == 1
+    return error_map(one.fit).content if alone and spec_of(one.session).reads_machine else {}
+
+
+def _repeats(overall: Overall, noise: Noise, explained: bool) -> str:
     if noise.from_repeats is None:
         return say("compared.few_repeats")
     if noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK:
         key = "lack"
-    elif fits(overall.p_value) != "bad" or apart:
+    elif explained:
         key = "scatter"
     else:
         key = "less" if noise.from_repeats < _NOISE * overall.ratio * noise.declared else "as_much"

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.reports.quantities import micrometres, quantity, rounded
+from machine_tool_calibration.reports.quantities import micrometres, of_map, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.words import say
 
@@ -20,8 +20,8 @@ _FIGURES: dict[str, Callable[[Entry], str]] = {
     "improved.rms": lambda one: micrometres(one.rms_residual),
     "improved.chi": lambda one: rounded(one.reduced_chi_square),
     "history.freedom": lambda one: str(one.degrees_of_freedom),
-    "improved.map": lambda one: micrometres(one.map_rms),
-    "history.U_map": lambda one: micrometres(None if one.map_uncertainty_rms is None else 2 * one.map_uncertainty_rms),
+    "improved.map": lambda one: of_map(one.map_rms, one.map_uncertainty_rms)[0],
+    "history.U_map": lambda one: of_map(one.map_rms, one.map_uncertainty_rms)[1],
 }
 """What is told of a model beside its coefficients, by the key of what it is."""
 

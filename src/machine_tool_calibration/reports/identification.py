@@ -29,7 +29,7 @@ from machine_tool_calibration.reports.tables import TextTable, heads, show_suspi
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import value_tables
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.words import Said, named, say, together
+from machine_tool_calibration.words import Said, Verbatim, named, say, together
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -234,7 +234,7 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
         time = readings.columns.get("time")
         places = [f"{axis.upper()} {_place(axis, readings.columns[axis][at])}" for axis in "xyzabc"
                   if axis in readings.columns]  # fmt: skip
-        named = [f"{name} {values[at]}" for name, values in readings.labels.items()]
+        labels = [together((named("column", name), Verbatim(values[at]))) for name, values in readings.labels.items()]
         rows.append(
             (
                 entry.get("session", ""),
@@ -242,7 +242,7 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
                 "" if time is None else f"{time[at]:.1f}",
                 session.setup_ids[readings.setup[at]],
                 str(readings.repeat[at]),
-                ", ".join([*named, *places]),
+                together([*labels, *places], ", "),
                 micrometres(entry["deviation"]) if "deviation" in entry else "",
             )
         )
@@ -292,15 +292,15 @@ def goodness_of_fit(document: Mapping[str, Any]) -> Said:
     return direct or fit_words(document["reduced_chi_square"], document["p_value"])
 
 
-def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES) -> list[tuple[str, str]]:
     """From (name, reason) to each reason with the names that share it, the first ones by name."""
     names: dict[str, list[str]] = {}
     for name, reason in entries:
         names.setdefault(reason, []).append(name)
     return [
-        (reason, say("text.and_more", names=text, n=len(own) - _MOST_NAMES) if len(own) > _MOST_NAMES else text)
+        (reason, say("text.and_more", names=text, n=len(own) - most) if len(own) > most else text)
         for reason, own in names.items()
-        for text in [together(own[:_MOST_NAMES], ", ")]
+        for text in [together(own[:most], ", ")]
     ]
 
 

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.reports.quantities import (
+    as_exact,
     micrometres,
+    of_map,
     probability,
     quantity,
     residual_change,
@@ -103,7 +105,8 @@ def _what_grows(done: Improvement) -> str:
     before, after = done.steps[0].map_uncertainty, done.steps[-1].map_uncertainty
     if before is None or after is None or after < _GROWN * before:
         return ""
-    return say("improved.grows", before=quantity(2 * before, "m"), after=quantity(2 * after, "m"))
+    told = (as_exact(2 * u, "m", 2 * u) for u in (before, after))
+    return say("improved.grows", **dict(zip(("before", "after"), told, strict=True)))
 
 
 def _steps(done: Improvement) -> TextTable:
@@ -119,8 +122,7 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(step.result.rms_residual),
                 rounded(step.reduced_chi_square),
                 micrometres(step.map_change),
-                micrometres(step.map_rms),
-                micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
+                *of_map(step.map_rms, step.map_uncertainty),
                 micrometres(step.residual_volumetric_error(done.steps[-1])),
             )
         )
@@ -136,7 +138,7 @@ def _side_by_side(done: Improvement) -> TextTable:
         "readings": lambda step: str(step.result.joint.assembly.problem.n_readings),
         "rms": lambda step: micrometres(step.result.rms_residual),
         "chi": lambda step: rounded(step.reduced_chi_square),
-        "map": lambda step: micrometres(step.map_rms),
+        "map": lambda step: of_map(step.map_rms, step.map_uncertainty)[0],
         "volumetric_um": lambda step: micrometres(step.residual_volumetric_error(both[1])),
     }
     rows = [(say(f"improved.{name}"), *map(shown, both)) for name, shown in figures.items()]

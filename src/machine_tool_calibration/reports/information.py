@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
-from machine_tool_calibration.reports.quantities import declared_words, duration
+from machine_tool_calibration.reports.quantities import declared_words, duration, fixed
 from machine_tool_calibration.reports.tables import TextTable, heads, show_head, show_suspicions, show_table
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import named, say
@@ -151,7 +151,7 @@ def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTa
 def setup_place(setup: Any) -> str:
     """Where a setup stands, or which one it is; empty where it has no place of its own."""
     if hasattr(setup, "position"):
-        return "(" + ", ".join(f"{1e3 * value:.1f}" for value in setup.position) + ") mm"
+        return "(" + ", ".join(fixed(1e3 * value, 1) for value in setup.position) + ") mm"
     if hasattr(setup, "direction"):
         signs = "".join("+" if value > 0 else "-" if value < 0 else "0" for value in setup.direction)
         return say(f"place.{setup.kind}", signs=signs)

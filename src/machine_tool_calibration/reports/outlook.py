@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine_tool_calibration.planning.outlook import Outlook
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, duration, quantity
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, as_exact, duration
 from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.words import say
 
@@ -38,4 +38,4 @@ def _largest(one: Outlook) -> float:
 
 
 def _expanded(u: float) -> str:
-    return quantity(2.0 * u, "m") if np.isfinite(u) else NOT_DETERMINED
+    return as_exact(2.0 * u, "m", 2.0 * u) if np.isfinite(u) else NOT_DETERMINED

@@ -27,6 +27,7 @@ __all__ = [
     "micrometres",
     "millimetres",
     "not_ruled_out",
+    "of_map",
     "p_value",
     "plus_minus",
     "probability",
@@ -234,13 +235,9 @@ def plus_minus(value: float | None, uncertainty: float | None, factor: float) ->
     if value is None or uncertainty is None:
         return NOT_DETERMINED
     shown, number = 2 * factor * uncertainty, factor * value
-    digits = 1 - math.floor(math.log10(shown)) if shown > 0 else 3
-    if digits < 0:
-        number, shown = round(number, digits), round(shown, digits)
-    places = min(max(digits, 0), _MOST_PLACES)
-    # A zero has no sign: -0.00 says nothing that 0.00 does not.
-    text = f"{number:+.{places}f}"
-    return f"{text[1:] if float(text) == 0.0 else text} ± {shown:.{places}f}"
+    places = min(decimals(shown) if shown > 0 else 3, _MOST_PLACES)
+    text = fixed(number, places)
+    return f"{'+' if float(text) > 0.0 else ''}{text} ± {fixed(shown, places)}"
 
 
 def value_and_uncertainties(
@@ -263,11 +260,16 @@ def with_expanded(value: float, expanded: float) -> tuple[str, str]:
     return fixed(1e6 * value, places), fixed(1e6 * expanded, places)
 
 
+def of_map(size: float | None, u: float | None) -> tuple[str, str]:
+    """The size of a map's errors and its expanded uncertainty (k = 2), m, likewise; a dash where one is not known."""
+    return (micrometres(size), NOT_DETERMINED) if size is None or u is None else with_expanded(size, 2 * u)
+
+
 def decimals(uncertainty: float) -> int:
-    """Decimals that leave an uncertainty two figures."""
-    return max(0, 1 - math.floor(math.log10(uncertainty)))
+    """Decimals that leave an uncertainty two figures; negative where these are tens and more."""
+    return 1 - math.floor(math.log10(uncertainty))
 
 
 def fixed(number: float, places: int) -> str:
     """So many decimals, and no minus sign before a zero."""
-    return f"{round(number, places) + 0.0:.{places}f}"
+    return f"{round(number, places) + 0.0:.{max(places, 0)}f}"

@@ -10,7 +10,7 @@ import pandas as pd
 
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, plus_minus
 from machine_tool_calibration.reports.result_tables import error_map, error_motions, workpiece
 from machine_tool_calibration.reports.tables import TextTable, heads, shortened
 from machine_tool_calibration.words import say
@@ -85,10 +85,10 @@ def _map(table: pd.DataFrame, most: int | None) -> TextTable:
 
 
 def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.6g}" if np.isfinite(metres) else NOT_DETERMINED
+    return f"{round(1e3 * metres, 3) + 0.0:.6g}" if np.isfinite(metres) else NOT_DETERMINED
 
 
 def _known(value: float, u: float) -> str:
     if not np.isfinite(value):
         return NOT_DETERMINED
-    return "0" if u < _DATUM and abs(value) < _DATUM else plus_minus(value, u, 1e6)
+    return micrometres(value, signed=True) if u < _DATUM else plus_minus(value, u, 1e6)

@@ -22,7 +22,7 @@ LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NO_LETTERS = re.compile("[^a-z0-9]+")
 # A number with decimals: not a part of a version or of an unknown's name, such as EXX(0.4).
-_DECIMAL = re.compile(r"(?<![\w.])(?<!\w\()(\d+)\.(\d+)(?=e[-+]?\d|(?!\w|\.\d))")
+_DECIMAL = re.compile(r"(?<![\w.])(?<!\w\()(?<!\w\(-)(\d+)\.(\d+)(?=e[-+]?\d|(?!\w|\.\d))")
 _LISTED = re.compile(r"(?<=\d), (?=[-+−]?\d)")
 
 

@@ -141,7 +141,7 @@ class ComparePage:
         self._setups.object, self._more.object = tables(every[:first]), tables(every[first:])
         self._back.disabled = not model.aside
         self._look.visible = bool(model.aside)
-        self._suggest.visible = bool(self._state.found.keys() - model.aside - model.kept)
+        self._suggest.visible = bool(self._state.model.found.keys() - model.aside - model.kept)
         self._draw_plane()
         self._say_selected()
 
@@ -188,7 +188,7 @@ class ComparePage:
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model
         aside = model.aside
-        self._aside.disabled = not set(chosen) - aside
+        self._aside.disabled, self._cleared.disabled = not set(chosen) - aside, not chosen
         words = f"{len(chosen)} of {len(self._readings.data['row'])} readings selected; {len(aside)} set aside"
         words += " (× in the plots)" if aside else ""
         words += f"; {len(model.kept)} kept" if model.kept else ""
@@ -226,7 +226,7 @@ class ComparePage:
             return "kept: no search sets it aside"
         if number not in state.model.aside:
             return ""
-        away = state.found.get(number)
+        away = state.model.found.get(number)
         by = "by you" if away is None else f"by a search: {quantity(away, 'm')} from what all others predict"
         return f"{by}; its residual was {_number(self._readings.data['aside'][k])} µm"
 
@@ -251,7 +251,7 @@ class ComparePage:
         self._readings.select([])
 
     def _select_suggested(self) -> None:
-        self._readings.select(self._state.found.keys() - self._state.model.aside - self._state.model.kept)
+        self._readings.select(self._state.model.found.keys() - self._state.model.aside - self._state.model.kept)
 
     def _select_aside(self) -> None:
         self._readings.select(self._state.model.aside)

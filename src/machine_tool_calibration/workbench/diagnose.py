@@ -10,6 +10,7 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
+from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
 from machine_tool_calibration.reports.signs import negative_words
@@ -124,7 +125,7 @@ class DiagnosePage:
         self._effect.param.update(options=["", *addable(state)], value="")
         found = state.diagnosis
         self._ranking.visible = found is not None
-        self._all.disabled = found is None or not found.accepted + found.gross_errors
+        self._all.disabled = not state.lacking
         if found is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
             self._words.object = paragraphs([said])
@@ -174,7 +175,7 @@ class DiagnosePage:
 
     def _laid_over(self, trial: Model) -> None:
         """Show what an effect would take out of the residuals."""
-        now, then = self._state.model.fit, trial.fit
+        now, then = self._state.model, trial.fit
         self._trial, self._add.disabled = trial, False
         self._added.visible = True
         pattern = self._readings.show_pattern(trial)
@@ -183,8 +184,13 @@ class DiagnosePage:
         name = trial.step.change
         sizes = sizes_in_words(trial.fit.result.sizes([name]))
         moved = trial.step.map_change
-        words = f"With {name}: {sizes} (k = 2); {residual_change(now.rms_residual, then.rms_residual)}"
-        words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
+        words = f"With {name}: {sizes} (k = 2); "
+        if trial.aside != now.aside:  # what falls and moves then is not the effect's alone
+            aside = f"{words_set_aside(len(trial.aside))} (now {len(now.aside)})"
+            words += f"the residual is {quantity(then.rms_residual, 'm')} RMS, with {aside}"
+        else:
+            words += residual_change(now.fit.rms_residual, then.rms_residual)
+            words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
         self._said.object = escape(" ".join([f"{words}.", *negative_words(trial.fit.result.joint, [name])]))
 
     def _use(self) -> None:

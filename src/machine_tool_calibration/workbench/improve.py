@@ -11,7 +11,7 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import of_map, quantity
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
@@ -164,8 +164,8 @@ class ImprovePage:
             when = f" {name}" if changed else ""
             plot.title.text = f"Residuals{when}: {rms}"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
-            size = model.step.map_rms
-            what = "no position errors" if size is None else quantity(size, "m")
+            size, _ = of_map(model.step.map_rms, model.step.map_uncertainty)
+            what = "no position errors" if model.step.map_rms is None else f"{size} µm"
             self._maps[name].show(maps[name], plane, factor, f"Map{when}: {what}")
 
     def _changed(self, add: str = "", take: str = "") -> None:
@@ -190,8 +190,7 @@ class ImprovePage:
         """As `mtcal improve`: nothing is added unless the diagnosis names it."""
 
         def add() -> None:
-            found = self._state.diagnosis
-            if found is not None and (found.accepted or found.gross_errors):
+            if self._state.lacking:
                 self._work.run("adding what was found", self._state.improved())
             else:
                 self._note.object = escape("Nothing was found that is missing: see Diagnose.")

@@ -19,7 +19,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.quantities import millimetres, quantity
+from machine_tool_calibration.reports.quantities import micrometres, millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import (
@@ -210,7 +210,7 @@ class LivePage:
         found, rows = self._feed.map, []
         for setup, (count, last) in sorted(self._counts.items()):
             own = found.residual[found.setup == setup] if found is not None else np.zeros(0)
-            left = f"{1e6 * rms(own):.3f}" if len(own) else ""
+            left = micrometres(rms(own)) if len(own) else ""
             mark = f'<span style="color:{setup_color(setup)}">■</span>'
             rows.append((f"{mark} {escape(self._name(setup))}", str(count), _displacement(last), left))
         return html_table("Setups", ("setup", "readings", "last one", "RMS residual / µm"), rows)

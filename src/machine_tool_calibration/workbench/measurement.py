@@ -54,7 +54,7 @@ class MeasurementPage:
 
     title = "Measurement"
     about = "What was measured, and whether the model fits it."
-    blocks = 3
+    blocks = 2
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings = state, readings
@@ -83,8 +83,7 @@ class MeasurementPage:
         self._space = pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width")
         self.view = pn.Column(
             self._words,
-            beside(self._space, *(self._plots[view] for view in VIEWS), self._setups),
-            self._more,
+            beside(self._space, *(self._plots[view] for view in VIEWS), self._setups, self._more),
             sizing_mode="stretch_width",
         )
 
@@ -102,11 +101,11 @@ class MeasurementPage:
             first, *rest = (replace(one, title=named + one.title) for one in session_tables(session, summary))
             placed += tables([first])
             more += tables(rest)
-        if state.found:
-            rows = ", ".join(state.subject.name(number) for number in sorted(state.found)[:12])
-            rows += " …" if len(state.found) > 12 else ""
+        if state.model.found:
+            rows = ", ".join(state.subject.name(number) for number in sorted(state.model.found)[:12])
+            rows += " …" if len(state.model.found) > 12 else ""
             suspicious.append(
-                f"{stand_out(len(state.found))} (row {rows}): Compare shows, and puts back, what is set aside"
+                f"{stand_out(len(state.model.found))} (row {rows}): Compare shows, and puts back, what is set aside"
             )
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
         fits = paragraphs([in_words(state.model.comparison)])

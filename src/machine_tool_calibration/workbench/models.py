@@ -6,8 +6,8 @@ What is here goes from process to process, so that the page can calculate in ano
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -49,6 +49,8 @@ class Model:
         aside: numbers of the readings that are set aside.
         kept: numbers of the readings that are not to be set aside, however far they stand out.
         number: in the history; None while it is not kept.
+        found: the readings that a search found not to belong to the rest, by number: what they deviate by from what
+            all others predict, m. The user set aside what is not among them.
     """
 
     fit: Fit
@@ -57,11 +59,17 @@ class Model:
     aside: frozenset[int] = frozenset()
     kept: frozenset[int] = frozenset()
     number: int | None = None
+    found: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def each(self) -> tuple[Comparison, ...]:
         """The comparisons of the sessions."""
         return self.comparison.sessions
+
+    @property
+    def by_user(self) -> frozenset[int]:
+        """Numbers of the readings that the user set aside."""
+        return self.aside - self.found.keys()
 
     @property
     def labels(self) -> tuple[str, ...] | None:
@@ -118,8 +126,32 @@ class Subject:
         """The readings and the model, with the effects of the user's own that are known by now."""
         return replace(model.fit.chosen, own=self.own)
 
+    def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> dict[int, float]:
+        """What `mtcal identify` would set aside beside a model: see `Model.found`.
+
+        Args:
+            chosen: the model.
+            aside: numbers of the readings that are left out.
+            kept: numbers of those that are known to be sound.
+        """
+        chosen = replace(chosen, sessions=self.without(aside, kept).sessions, own=self.own)
+        return self.deviations(sifted.outliers for sifted in gross_errors(chosen))
+
+    def anew(
+        self, before: Model, words: str, chosen: FitRequest, by_user: frozenset[int], kept: frozenset[int]
+    ) -> Model:
+        """A model with other effects, beside which other readings may belong to the rest; arguments as of `tried`."""
+        found = self.judged(chosen, by_user, kept)
+        return self.tried(before, words, chosen, by_user | found.keys(), kept, found)
+
     def tried(
-        self, before: Model | None, words: str, chosen: FitRequest, aside: frozenset[int], kept: frozenset[int]
+        self,
+        before: Model | None,
+        words: str,
+        chosen: FitRequest,
+        aside: frozenset[int],
+        kept: frozenset[int],
+        found: Mapping[int, float] | None = None,
     ) -> Model:
         """A model, fitted.
 
@@ -129,6 +161,7 @@ class Subject:
             chosen: it, whatever readings it was fitted to.
             aside: numbers of the readings that are left out.
             kept: numbers of those that are known to be sound.
+            found: see `Model.found`.
 
         Raises:
             ModelError: the data does not allow it.
@@ -138,14 +171,15 @@ class Subject:
         result = complete.identify(chosen)
         rows = tuple(self._rows(k, aside) for k in range(len(self.first)))
         step = step_after(before.step if before else None, words, chosen, result, rows)
-        return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept)
+        return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept, found=found or {})
 
-    def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
+    def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str], found: Mapping[int, float]) -> list[Model]:
         """Models of a history, each made from the one before.
 
         Args:
             entries: them.
             prints: fingerprints of the sessions.
+            found: beside the first model. What one with effects has not set aside belongs to the rest beside these.
         """
         models: list[Model] = []
         for entry in entries:
@@ -155,7 +189,8 @@ class Subject:
                 aside.update(self.numbers(k, np.setdiff1d(whole.readings.row, fitted.readings.row)).tolist())
                 kept.update(self.numbers(k, np.array(sorted(fitted.sound), dtype=np.int64)).tolist())
             before = models[-1] if models else None
-            made = self.tried(before, entry.change, chosen, frozenset(aside), frozenset(kept))
+            own = {k: away for k, away in found.items() if k in aside or not chosen.effects}
+            made = self.tried(before, entry.change, chosen, frozenset(aside), frozenset(kept), own)
             models.append(replace(made, number=entry.number))
         return models
 
@@ -187,8 +222,6 @@ class Opened:
         subject: it.
         prints: fingerprints of the sessions.
         models: on the way to the one in use.
-        found: the readings that do not belong to the rest, by number: what they deviate by from what all others
-            predict, m.
         history: of models.
         remark: what is to be said.
     """
@@ -196,7 +229,6 @@ class Opened:
     subject: Subject
     prints: tuple[str, ...]
     models: list[Model]
-    found: dict[int, float]
     history: History
     remark: str
 
@@ -230,24 +262,27 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
     first = measurement.chosen(variant, (), tuple(own))
-    found = subject.deviations([sifted.outliers for sifted in gross_errors(first)])
+    found = subject.judged(first, (), ())
     progress("fitting", 0.5)
     models: list[Model] = []
     if entry is not None:
         try:
-            models = subject.on_the_way(history.way_to(entry.number), prints)
+            models = subject.on_the_way(history.way_to(entry.number), prints, found)
         except CalibrationError as error:
             remark = f"the history's model {entry.number} cannot be fitted ({error}): the first one is in use"
     if not models:
-        models.append(subject.tried(None, "", first, frozenset(), frozenset()))
+        none = frozenset[int]()
+        models.append(subject.tried(None, "", first, none, none, found))
         if found:
-            models.append(subject.tried(models[0], words_set_aside(len(found)), first, frozenset(found), frozenset()))
-    return Opened(subject, prints, models, found, history, remark)
+            words = words_set_aside(len(found))
+            models.append(subject.tried(models[0], words, first, frozenset(found), none, found))
+    return Opened(subject, prints, models, history, remark)
 
 
 def diagnosed(subject: Subject, model: Model, progress: Progress) -> Diagnosis:
-    """Effects that a model lacks, and what would tell them apart."""
-    found, then = complete.diagnose(subject.chosen(model), progress=progress)
+    """Effects that a model lacks, and what would tell them apart; what a search had set aside is judged anew."""
+    sessions = subject.without(model.by_user, model.kept).sessions
+    found, then = complete.diagnose(replace(subject.chosen(model), sessions=sessions), progress=progress)
     return Diagnosis.of(found, concluded=then)
 
 
@@ -263,10 +298,12 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     Returns:
         The models, each made from the one before.
     """
-    aside = model.aside | subject.deviations(found.set_aside).keys()
+    away = subject.deviations(found.set_aside)
+    aside = model.by_user | away.keys()
     models = [model]
     for change, chosen in accepted_models(found, progress):
-        models.append(subject.tried(models[-1], change, chosen, aside, model.kept))
+        if (aside, chosen.effects) != (models[-1].aside, models[-1].fit.chosen.effects):
+            models.append(subject.tried(models[-1], change, chosen, aside, model.kept, away))
     return models[1:]
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -69,8 +70,6 @@ class State:
         subject: the measurement with all its readings.
         models: on the way from the first one to the one in use.
         diagnosis: of the model in use, with what follows from it; None before it was made.
-        found: the readings that a search found not to belong to the rest, by number: what they deviate by from what all
-            others predict, m.
         remark: what the page should say.
     """
 
@@ -79,7 +78,6 @@ class State:
         self.models: list[Model] = []
         self.variant = variant
         self.diagnosis: Diagnosis | None = None
-        self.found: dict[int, float] = {}
         self.remark = ""
         self.history = History()
         self._kept = True
@@ -124,7 +122,7 @@ class State:
         """The model in use, and whether it is saved."""
         model = self.model
         words = [model.fit.headline]
-        words += [f"{len(model.aside)} readings set aside"] if model.aside else []
+        words += [words_set_aside(len(model.aside))] if model.aside else []
         words += [f"kept: {', '.join(map(self.subject.name, sorted(model.kept)))}"] if model.kept else []
         if model.number is None:
             words.append("not saved, as nothing was changed yet")
@@ -144,6 +142,14 @@ class State:
         )
 
     @property
+    def lacking(self) -> bool:
+        """Whether the diagnosis names what the model in use has not, or readings that it has not set aside."""
+        found, model = self.diagnosis, self.model
+        if found is None:
+            return False
+        return bool(found.accepted) or self.subject.deviations(found.set_aside).keys() != model.aside - model.by_user
+
+    @property
     def own(self) -> dict[str, PhysicalEffect]:
         """The user's own effects, by id."""
         known = self._given if self._subject is None else self._subject.own
@@ -159,7 +165,7 @@ class State:
 
         def take(found: Opened) -> None:
             self.paths, self._subject, self._prints = paths, found.subject, found.prints
-            self.models, self.found = found.models, found.found
+            self.models = found.models
             self.history, self.remark, self.diagnosis = found.history, found.remark, None
             self._tell()
 
@@ -185,16 +191,20 @@ class State:
             for k, what in ((len(rows - now.aside), "set aside"), (len(back), "put back"))
             if k
         ]
-        kept = (now.kept | back.intersection(self.found)) - rows
-        asked = (" + ".join(words), replace(now.fit.chosen, effects=effects), rows, kept)
-        return Job(partial(_quiet, self.subject.tried, now, *asked), self.use)
+        kept = (now.kept | (back & now.found.keys())) - rows
+        asked = (now, " + ".join(words), replace(now.fit.chosen, effects=effects))
+        if effects == now.fit.effects:
+            return Job(partial(_quiet, self.subject.tried, *asked, rows, kept, now.found), self.use)
+        return Job(partial(_quiet, self.subject.anew, *asked, rows - now.found.keys(), kept), self.use)
 
     def diagnosed(self) -> Job:
         """Look for effects that the model in use lacks, and for what would tell them apart."""
 
         def take(found: Diagnosis) -> None:
             self.diagnosis = found
-            self.found = self.subject.deviations(found.set_aside) | self.found
+            self.models[-1] = replace(
+                self.model, found={**self.model.found, **self.subject.deviations(found.set_aside)}
+            )
             self._tell()
 
         return Job(partial(diagnosed, self.subject, self.model), take)
@@ -202,8 +212,8 @@ class State:
     def tried(self, effect: str, show: Callable[[Model], None]) -> Job:
         """The model in use with one effect more, which is shown and not put into use."""
         now = self.model
-        asked = (effect, now.fit.chosen.adding([effect]), now.aside, now.kept)
-        return Job(partial(_quiet, self.subject.tried, now, *asked), show)
+        asked = (effect, now.fit.chosen.adding([effect]), now.by_user, now.kept)
+        return Job(partial(_quiet, self.subject.anew, now, *asked), show)
 
     def used(self, number: int) -> Job:
         """Fit a model of the history and those that it was made from, and put it into use."""
@@ -214,7 +224,7 @@ class State:
             self._tell()
 
         way = self.history.way_to(number)
-        return Job(partial(_quiet, self.subject.on_the_way, way, self._prints), use)
+        return Job(partial(_quiet, self.subject.on_the_way, way, self._prints, self.models[0].found), use)
 
     def improved(self) -> Job:
         """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does.
