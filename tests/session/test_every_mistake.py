@@ -126,6 +126,24 @@ def ten_rows_elsewhere(session: Session) -> Session:
     return session.with_readings(replace(session.readings, setup=setup))
 
 
+def in_first_setup(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    """The readings of one setup alone changed."""
+
+    def damage(session: Session) -> Session:
+        reading, mine = session.readings.displacement.copy(), session.readings.setup == 0
+        reading[mine] = change(reading[mine])
+        return session.with_readings(replace(session.readings, displacement=reading))
+
+    return damage
+
+
+def ten_readings_of_another(session: Session) -> Session:
+    reading = session.readings.displacement.copy()
+    own, other = (np.flatnonzero(session.readings.setup == k)[10:20] for k in (0, 1))
+    reading[own] = reading[other]
+    return session.with_readings(replace(session.readings, displacement=reading))
+
+
 def beam_for_reading(session: Session) -> Session:
     azimuth = session.readings.columns["azimuth"]
     exchanged = columns(azimuth=lambda v: session.readings.displacement)(session)
@@ -195,7 +213,12 @@ BEAM = {
     "azimuth clockwise": (columns(azimuth=lambda v: -v), "clockwise"),
 }
 STATIONS = {"stations in millimetres": (scaled_entries("setups", "position", 1e3), "millimetres")}
-TRACKING = UNITS | SIGNS | SLIPPED | BEAM | STATIONS | swaps(4, "position")
+ONE_SETUP = {
+    "one setup two rows late": (in_first_setup(lambda v: np.roll(v, 2)), "displacement looks shifted by 2 rows down"),
+    "one setup of the other sign": (in_first_setup(np.negative), "displacement looks of the opposite sign"),
+    "ten readings of another setup": (ten_readings_of_another, "they look like readings of setup 'B'"),
+}
+TRACKING = UNITS | SIGNS | SLIPPED | ONE_SETUP | BEAM | STATIONS | swaps(4, "position")
 ROTARY = (
     {k: v for k, v in UNITS.items() if "positions" not in k}
     | SIGNS
@@ -250,6 +273,10 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
         ),
         "rotation_sign": (turned_round, "other way"),
         "all normals reversed": (scaled_entries("workpiece", "normal", -1.0), "are the normals of workpiece reversed?"),
+        "one normal reversed": (
+            entry("workpiece", 5, normal=lambda n: tuple(-v for v in n)),
+            "the approach (dir_x, dir_y) of point '5' contradicts the outward normal",
+        ),
         "x twice": (columns(x=lambda v: 2.0 * v), "x looks doubled"),
         "degrees Fahrenheit": SLIPPED["degrees Fahrenheit"],
         "workpiece in millimetres": (scaled_entries("workpiece", "position", 1e3), "millimetres"),
@@ -263,6 +290,7 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
         },
     }
     | swaps(3, "c"),
+    "probing_pins": {"neighbours": (swapped_labels("point", "2", "3"), "is 8.485 mm off the point that was to be")},
     "iso230_2": UNITS,
     "grid_plate": UNITS,
     "straightness": UNITS,

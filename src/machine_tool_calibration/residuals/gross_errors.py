@@ -49,6 +49,7 @@ from machine_tool_calibration.residuals.agreement import (
     same_place,
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
+from machine_tool_calibration.session.checks.contradictions import contradicting
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "suspected_rows", "without"]
@@ -86,7 +87,9 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     Returns:
         None where the data does not allow the model, which its own fit will say.
     """
-    found: list[Outlier] = []
+    row, sigma = session.readings.row, session.sigma
+    off = {int(row[k]): by for k, by in contradicting(session).items() if np.isfinite(session.readings.displacement[k])}
+    found = [Outlier(k, by / sigma, by, words) for k, (by, words) in off.items() if k not in session.sound]
     for _ in range(ROUNDS):
         try:
             more = _Search(build(without(session, found, as_lost=True))).outliers()
