@@ -234,13 +234,14 @@ def test_position_errors_of_centimetres_are_refused() -> None:
     assert np.nanmax(np.abs(identify(trusted, keep_all=True).error_map.error)) > 0.01
 
 
-@pytest.mark.parametrize("name", ["tracking_2d", "tracking_3d", "step_diagonal"])
+@pytest.mark.parametrize("name", ["tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal"])
 def test_a_counter_that_lost_its_count_at_the_end_of_a_setup(name: str) -> None:
-    """Ten readings that stay off together are no course of the run."""
+    """Readings that stay off together by millimetres are no course of the run."""
     session = simulate(SimulationSpec(plan=PLANS[name], seed=11)).session
-    reading, last = session.readings.displacement.copy(), np.flatnonzero(session.readings.setup == 0)[-10:]
-    reading[last] -= 0.12
+    last = np.flatnonzero(session.readings.setup == 0)[-4:]
+    reading = session.readings.displacement.copy()
+    reading[last] -= 0.02
     found = find_outliers(
         session.with_readings(replace(session.readings, displacement=reading)), lambda part: build_model(part)[0]
     )
-    assert {o.row for o in found} == {int(row) for row in session.readings.row[last]}
+    assert {o.row for o in found if not o.ambiguous} == {int(row) for row in session.readings.row[last]}

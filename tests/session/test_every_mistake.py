@@ -227,8 +227,18 @@ ROTARY = (
     | {
         "a target that stands metres away": (
             entry("targets", 0, position=moved(0, 2.0)),
-            "target 'P' is found 1.99e+03 mm off its stated position (position_uncertainty 0.05 mm), the most along x",
+            "target 'P' is found 1990 mm off its stated position (position_uncertainty 0.05 mm), the most along x",
         ),
+        "a target that stands metres above": (
+            entry("targets", 2, position=moved(2, 2.0)),
+            "displacement of target 'K' is",
+        ),
+        "angles twice": (columns(c=lambda v: 2.0 * v), "c looks doubled"),
+        "angles of one station from another zero": (
+            lambda s: columns(c=lambda v: v + 0.17 * (s.readings.setup == 0))(s),
+            "are the angles of all stations the same?",
+        ),
+        "never read": (displacement(0.0), "was the instrument read?"),
         "angles in degrees": (columns(c=DEGREES), "degrees"),
         "angles of the other sign": (columns(c=lambda v: -v), "other way"),
         "rotation_sign": (turned_round, "other way"),

@@ -49,10 +49,12 @@ from machine_tool_calibration.residuals.agreement import (
     same_place,
 )
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
-from machine_tool_calibration.session.checks.contradictions import contradicting
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "suspected_rows", "without"]
+
+# Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
+_COURSE = 3e-4
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,7 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     Returns:
         None where the data does not allow the model, which its own fit will say.
     """
-    row, sigma = session.readings.row, session.sigma
-    off = {int(row[k]): by for k, by in contradicting(session).items() if np.isfinite(session.readings.displacement[k])}
-    found = [Outlier(k, by / sigma, by, words) for k, (by, words) in off.items() if k not in session.sound]
+    found: list[Outlier] = []
     for _ in range(ROUNDS):
         try:
             more = _Search(build(without(session, found, as_lost=True))).outliers()
@@ -243,7 +243,8 @@ class _Search:
         beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
         self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
-        self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
+        of_a_machine = np.abs(off) * self.sigma < _COURSE
+        self.explained = neighbours.explained(every, off, noise.scale, noise.limit) & of_a_machine
         if self.pattern:
             course = neighbours.course(every, off)
             self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course

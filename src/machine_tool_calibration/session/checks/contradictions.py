@@ -20,8 +20,9 @@ from machine_tool_calibration.session.checks.mistakes import explanation, shifte
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import figures
 
-__all__ = ["contradicting", "refuse_contradictions"]
+__all__ = ["refuse_contradictions"]
 
 _FEWEST = 3  # readings: fewer are single whatever their share
 _ROWS = 20_000  # enough to judge by
@@ -69,22 +70,6 @@ def _refuse(session: Session, place: Place, expected: Expected) -> None:
             raise SessionError(_words(session, place, held, likelier))
 
 
-def contradicting(session: Session) -> dict[int, tuple[float, str]]:
-    """Readings that contradict the stated geometry, whatever a model says: by how much, m or rad, and what, by place.
-
-    A counter that lost its count stays off, which looks like a course of the run.
-    """
-    if session.description.trust_units:
-        return {}
-    with np.errstate(all="ignore"):
-        every = [held for held in spec_of(session).checks.held(session) if held.unit]
-    return {
-        int(k): (float(held.off[k]), f"it is {_size(float(held.off[k]), held.unit)} off {held.against}")
-        for held in every
-        for k in np.flatnonzero(held.bad)
-    }
-
-
 def _contradicted(session: Session, held: Held) -> bool:
     """Whether more of a group's readings contradict than single gross errors do."""
     _, share, bad = _shares(session, held)
@@ -115,8 +100,6 @@ def _words(session: Session, place: Place, held: Held, likelier: str) -> str:
     by = f"contradicts {held.against}"
     if held.unit:
         by = f"is {_size(float(held.off[rows[0]]), held.unit)} off {held.against}"
-    if not np.ptp(read.displacement):
-        likelier = f"all {len(read)} readings are {read.displacement[0]:g} m: was the instrument read?"
     likelier = likelier or held.hint(setup)
     owner = f"setup {session.setup_ids[setup]!r}"
     if held.label:
@@ -172,4 +155,4 @@ def _elsewhere(session: Session, which: int, held: Held, expected: Expected) -> 
 
 
 def _size(value: float, unit: str) -> str:
-    return f"{value:.3g} rad" if unit == "rad" else f"{1e3 * value:.4g} mm"
+    return f"{figures(value)} rad" if unit == "rad" else f"{figures(1e3 * value, 4)} mm"
