@@ -212,13 +212,17 @@ BEAM = {
     "azimuth in degrees": (columns(azimuth=DEGREES), "degrees"),
     "azimuth clockwise": (columns(azimuth=lambda v: -v), "clockwise"),
 }
+ENVIRONMENT: dict[str, tuple[Damage, str]] = {
+    "a part in hectopascals": (columns(air_pressure=lambda v: np.where(v > np.median(v), v, v / 100)), "hectopascals"),
+    "a mark for nothing": (columns(temperature_air=lambda v: np.where(v > v[5], v, -999.0)), "is an empty field"),
+}
 STATIONS = {"stations in millimetres": (scaled_entries("setups", "position", 1e3), "millimetres")}
 ONE_SETUP = {
     "one setup two rows late": (in_first_setup(lambda v: np.roll(v, 2)), "displacement looks shifted by 2 rows down"),
     "one setup of the other sign": (in_first_setup(np.negative), "displacement looks of the opposite sign"),
     "ten readings of another setup": (ten_readings_of_another, "they look like readings of setup 'B'"),
 }
-TRACKING = UNITS | SIGNS | SLIPPED | ONE_SETUP | BEAM | STATIONS | swaps(4, "position")
+TRACKING = UNITS | ENVIRONMENT | SIGNS | SLIPPED | ONE_SETUP | BEAM | STATIONS | swaps(4, "position")
 ROTARY = (
     {k: v for k, v in UNITS.items() if "positions" not in k}
     | SIGNS

@@ -58,6 +58,7 @@ CASES = [
     (lambda s: with_readings(s, lambda d: 0.0 * d), "all 22 readings are 0: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 0.0 * d + 3e-6), "all 22 readings are 3e-06 m: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 1e-6 * d), "are they in another unit?"),
+    (lambda s: with_readings(s, lambda d: np.round(d, 6)), "multiples of 1e-06 m, and each is uncertain by 2e-07 m"),
     (approached, "dir_x is opposite to the move of x before 20 of 20 readings: are its signs exchanged?"),
     (fahrenheit, "°C: is it in degrees Fahrenheit?"),
     (moved, "22 of 22 places are off the travel of X, 0 to 0.4 m: x = 1.4 m"),

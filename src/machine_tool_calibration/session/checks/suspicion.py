@@ -18,6 +18,8 @@ __all__ = ["suspicions"]
 _FEW = 8  # readings: the chance that as many differ so little is below 1e-7
 _STILL = 0.1  # share of a reading's standard uncertainty that the readings of a session differ by
 _BESIDE = 0.1  # share of the travel by which a probed part may reach beyond it
+_COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by itself
+_WHOLE = 1e-6  # of a step: rounding
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
 _ALIKE = 5.0  # K: parts of a machine in one workshop
 
@@ -31,7 +33,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _beside, _repeated, _approached, _fahrenheit, _of_method)
+    checks = (_still, _rounded, _beside, _repeated, _approached, _fahrenheit, _of_method)
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -46,6 +48,16 @@ def _still(session: Session) -> Iterator[str]:
         yield say("suspicion.all_same", n=len(readings), value=f"{readings[0]:g}")
     elif spread < _STILL * sigma:
         yield say("suspicion.hardly_differ", n=len(readings), spread=f"{spread:.2g}", sigma=f"{sigma:.2g}")
+
+
+def _rounded(session: Session) -> Iterator[str]:
+    """Readings that are whole multiples of more than their uncertainty: written with too few decimals."""
+    readings = session.readings.displacement[np.isfinite(session.readings.displacement)]
+    for step in (10.0**k for k in range(-3, -9, -1)):
+        whole = np.abs(readings / step - np.round(readings / step)) < _WHOLE
+        if step > _COARSE * session.sigma and len(readings) >= _FEW and np.ptp(readings) and whole.all():
+            yield say("suspicion.rounded", step=f"{step:g}", sigma=f"{session.sigma:.2g}")
+            return
 
 
 def _beside(session: Session) -> Iterator[str]:

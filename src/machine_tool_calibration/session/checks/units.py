@@ -23,6 +23,7 @@ _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
+_LEAST = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
 TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
 # Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
@@ -151,11 +152,15 @@ def _environment(session: Session, place: Place) -> None:
             "Fahrenheit"
         )
     for name, value, where in _largest(session, place, session.readings.columns):
+        lowest = int(np.nanargmin(columns[name]))
+        low, there = float(columns[name][lowest]), place.row(session.readings.row[lowest])
+        if low < _LEAST.get(name, -273.15 if name.startswith("temperature_") else -np.inf):
+            raise SessionError(f"{there}: {name} is {low:g}: a value that is missing is an empty field")
         if name.startswith("temperature_") and abs(value) > 150.0:
             raise SessionError(f"{where}: {name} is {value:g} degrees Celsius; these look like kelvin")
-        if name == "air_pressure" and abs(value) < 2000.0:
-            unit = "hectopascals" if abs(value) > 200 else "kilopascals"
-            raise SessionError(f"{where}: air_pressure is {value:g} Pa; these look like {unit}")
+        if name == "air_pressure" and low < 2000.0:
+            unit = "hectopascals" if low > 200 else "kilopascals"
+            raise SessionError(f"{there}: air_pressure is {low:g} Pa; these look like {unit}")
         if name == "relative_humidity" and abs(value) > _SATURATED:
             raise SessionError(f"{where}: relative_humidity is {value:g}; these look like percent; it is from 0 to 1")
 
