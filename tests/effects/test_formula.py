@@ -114,6 +114,10 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
             {"formula": "b * dir_y * exp(-(time - t0) / tau)", "constants": {"t0": {"value": 5}}},
             "t0 states no unit and counts as a pure number: constants: {t0: {value: 5.0, unit: m}}",
         ),
+        (
+            {"formula": "b * exp(-time / tau) * sin(x / 0.01)", "constants": {"t0": {"value": 5}}},
+            "sin of a quantity in meter; a number in the formula has no unit, a constant may: constants: {k: {value",
+        ),
     ],
 )
 def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: str) -> None:

@@ -11,7 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import lever_arm, motion_field, parse_motion, squareness_field
+from machine_tool_calibration.machine.error_motions import (
+    ERROR_MOTIONS,
+    lever_arm,
+    motion_field,
+    parse_motion,
+    squareness_field,
+)
 
 X, Y, Z = 0.3, -0.2, 0.1
 PLACE = np.array([[X, Y, Z]])
@@ -160,3 +166,9 @@ def test_kind_of_motion():
     assert parse_motion("EBX") == ("X", "B")
     assert parse_motion("EBX").is_rotation
     assert not parse_motion("EXB").is_rotation
+
+
+def test_straightness_is_of_linear_axes_alone() -> None:
+    """The radial error motions EXC and EYC of a rotary axis are none."""
+    straight = {name for name in ERROR_MOTIONS if parse_motion(name).is_straightness}
+    assert straight == {"EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ"}

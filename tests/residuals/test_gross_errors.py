@@ -232,3 +232,16 @@ def test_position_errors_of_centimetres_are_refused() -> None:
         identify(moved, keep_all=True)
     trusted = replace(moved, description=moved.description.model_copy(update={"trust_units": True}))
     assert np.nanmax(np.abs(identify(trusted, keep_all=True).error_map.error)) > 0.01
+
+
+@pytest.mark.parametrize("name", ["tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal"])
+def test_a_counter_that_lost_its_count_at_the_end_of_a_setup(name: str) -> None:
+    """Readings that stay off together by millimetres are no course of the run."""
+    session = simulate(SimulationSpec(plan=PLANS[name], seed=11)).session
+    last = np.flatnonzero(session.readings.setup == 0)[-4:]
+    reading = session.readings.displacement.copy()
+    reading[last] -= 0.02
+    found = find_outliers(
+        session.with_readings(replace(session.readings, displacement=reading)), lambda part: build_model(part)[0]
+    )
+    assert {o.row for o in found if not o.ambiguous} == {int(row) for row in session.readings.row[last]}

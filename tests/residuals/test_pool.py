@@ -33,6 +33,17 @@ def test_angular_errors_are_a_family_of_their_own(pool: Pool) -> None:
     assert random.sizes[0.0] == NONE
 
 
+def test_random_functions_that_do_not_show_are_no_family() -> None:
+    """Beside readings that are declared uncertain by 0.3 mm, angles of some microradians are nothing."""
+    simulated = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3, noise=3e-4)).session
+    columns, family, names = (pool := Pool(fit_sessions(simulated).joint)).spread
+    assert pool.fit.random is not None
+    assert RANDOM not in names
+    assert set(family) == set(range(len(names)))
+    assert pool.sizes == (priors.IMPERFECTION_SIZES,)
+    assert len(columns) == len(family)
+
+
 def test_a_released_fit_has_no_angular_errors(pool: Pool) -> None:
     assert pool.fit.random is not None
     left = pool.fit.without_random

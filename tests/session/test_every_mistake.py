@@ -126,6 +126,24 @@ def ten_rows_elsewhere(session: Session) -> Session:
     return session.with_readings(replace(session.readings, setup=setup))
 
 
+def in_first_setup(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    """The readings of one setup alone changed."""
+
+    def damage(session: Session) -> Session:
+        reading, mine = session.readings.displacement.copy(), session.readings.setup == 0
+        reading[mine] = change(reading[mine])
+        return session.with_readings(replace(session.readings, displacement=reading))
+
+    return damage
+
+
+def ten_readings_of_another(session: Session) -> Session:
+    reading = session.readings.displacement.copy()
+    own, other = (np.flatnonzero(session.readings.setup == k)[10:20] for k in (0, 1))
+    reading[own] = reading[other]
+    return session.with_readings(replace(session.readings, displacement=reading))
+
+
 def beam_for_reading(session: Session) -> Session:
     azimuth = session.readings.columns["azimuth"]
     exchanged = columns(azimuth=lambda v: session.readings.displacement)(session)
@@ -194,8 +212,17 @@ BEAM = {
     "azimuth in degrees": (columns(azimuth=DEGREES), "degrees"),
     "azimuth clockwise": (columns(azimuth=lambda v: -v), "clockwise"),
 }
+ENVIRONMENT: dict[str, tuple[Damage, str]] = {
+    "a part in hectopascals": (columns(air_pressure=lambda v: np.where(v > np.median(v), v, v / 100)), "hectopascals"),
+    "a mark for nothing": (columns(temperature_air=lambda v: np.where(v > v[5], v, -999.0)), "is an empty field"),
+}
 STATIONS = {"stations in millimetres": (scaled_entries("setups", "position", 1e3), "millimetres")}
-TRACKING = UNITS | SIGNS | SLIPPED | BEAM | STATIONS | swaps(4, "position")
+ONE_SETUP = {
+    "one setup two rows late": (in_first_setup(lambda v: np.roll(v, 2)), "displacement looks shifted by 2 rows down"),
+    "one setup of the other sign": (in_first_setup(np.negative), "displacement looks of the opposite sign"),
+    "ten readings of another setup": (ten_readings_of_another, "they look like readings of setup 'B'"),
+}
+TRACKING = UNITS | ENVIRONMENT | SIGNS | SLIPPED | ONE_SETUP | BEAM | STATIONS | swaps(4, "position")
 ROTARY = (
     {k: v for k, v in UNITS.items() if "positions" not in k}
     | SIGNS
@@ -204,8 +231,18 @@ ROTARY = (
     | {
         "a target that stands metres away": (
             entry("targets", 0, position=moved(0, 2.0)),
-            "target 'P' is found 1.99e+03 mm off its stated position (position_uncertainty 0.05 mm), the most along x",
+            "target 'P' is found 1990 mm off its stated position (position_uncertainty 0.05 mm), the most along x",
         ),
+        "a target that stands metres above": (
+            entry("targets", 2, position=moved(2, 2.0)),
+            "displacement of target 'K' is",
+        ),
+        "angles twice": (columns(c=lambda v: 2.0 * v), "c looks doubled"),
+        "angles of one station from another zero": (
+            lambda s: columns(c=lambda v: v + 0.17 * (s.readings.setup == 0))(s),
+            "are the angles of all stations the same?",
+        ),
+        "never read": (displacement(0.0), "was the instrument read?"),
         "angles in degrees": (columns(c=DEGREES), "degrees"),
         "angles of the other sign": (columns(c=lambda v: -v), "other way"),
         "rotation_sign": (turned_round, "other way"),
@@ -252,6 +289,10 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
         ),
         "rotation_sign": (turned_round, "other way"),
         "all normals reversed": (scaled_entries("workpiece", "normal", -1.0), "are the normals of workpiece reversed?"),
+        "one normal reversed": (
+            entry("workpiece", 5, normal=lambda n: tuple(-v for v in n)),
+            "the approach (dir_x, dir_y) of point '5' contradicts the outward normal",
+        ),
         "x twice": (columns(x=lambda v: 2.0 * v), "x looks doubled"),
         "degrees Fahrenheit": SLIPPED["degrees Fahrenheit"],
         "workpiece in millimetres": (scaled_entries("workpiece", "position", 1e3), "millimetres"),
@@ -265,6 +306,7 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
         },
     }
     | swaps(3, "c"),
+    "probing_pins": {"neighbours": (swapped_labels("point", "2", "3"), "is 8.485 mm off the point that was to be")},
     "iso230_2": UNITS,
     "grid_plate": UNITS,
     "straightness": UNITS,

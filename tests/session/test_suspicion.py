@@ -44,10 +44,23 @@ def moved(session: Session) -> Session:
     return session.with_readings(replace(session.readings, columns=columns))
 
 
+def approached(session: Session) -> Session:
+    columns = {**session.readings.columns, "dir_x": -session.readings.columns["dir_x"]}
+    return session.with_readings(replace(session.readings, columns=columns))
+
+
+def fahrenheit(session: Session) -> Session:
+    columns = {**session.readings.columns, "temperature_x": 1.8 * session.readings.columns["temperature_x"] + 32.0}
+    return session.with_readings(replace(session.readings, columns=columns))
+
+
 CASES = [
     (lambda s: with_readings(s, lambda d: 0.0 * d), "all 22 readings are 0: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 0.0 * d + 3e-6), "all 22 readings are 3e-06 m: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 1e-6 * d), "are they in another unit?"),
+    (lambda s: with_readings(s, lambda d: np.round(d, 6)), "multiples of 1e-06 m, and each is uncertain by 2e-07 m"),
+    (approached, "dir_x is opposite to the move of x before 20 of 20 readings: are its signs exchanged?"),
+    (fahrenheit, "°C: is it in degrees Fahrenheit?"),
     (moved, "22 of 22 places are off the travel of X, 0 to 0.4 m: x = 1.4 m"),
 ]
 
@@ -185,3 +198,10 @@ def test_a_refusal_of_what_is_implausible_says_how_it_is_taken_as_it_is(sound: S
 def too_long(session: Session) -> object:
     machine = session.description.machine
     return machine.model_copy(update={"travel": {**machine.travel, "x": (0.0, 400.0)}})
+
+
+def test_repeats_that_were_averaged_are_counted_as_they_were_measured() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["drilled_plate"].model_copy(update={"repeats": 3}), seed=3)).session
+    found = diagnose(session)
+    assert len(found.searched.sessions[0].readings) < len(session.readings)
+    assert found.suspicious == []

@@ -29,7 +29,7 @@ from machine_tool_calibration.budget.published import (
     unit_of,
 )
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
@@ -233,8 +233,7 @@ class _Conformity:
         if name in known and known[name].at is not None and known[name].count == 1:
             return []  # at one position there is no range
         if name in known and known[name].count > 1:
-            straight = name[1] in "XYZ" and name[2] in "XYZ" and name[1] != name[2]
-            nodes = known[name].at if straight else None
+            nodes = known[name].at if parse_motion(name).is_straightness else None
             return [self.of(known[name], _range if nodes is None else partial(_about_line, nodes))]
         # A step diagonal gives straightness as its extent about the least-squares line, and positions as profiles.
         if axis in known and name[1] == name[2]:

@@ -121,7 +121,7 @@ def _show(comparison: FormulationComparison) -> None:
         ]
         words = f"The conventional formulation is up to {quantity(float(max(off)), 'm')} from the new one"
         if comparison.tilts:
-            tilts = ", ".join(f"{1e6 * tilt:.3g} µrad in {name}" for name, tilt in comparison.tilts.items())
+            tilts = ", ".join(f"{quantity(tilt, 'rad')} in {name}" for name, tilt in comparison.tilts.items())
             words += (
                 ": it takes the mirrors to be at right angles to their beams, and what a tilt makes of the way across "
                 f"the beam for positioning errors and squareness of the machine. The readings show tilts of {tilts}"

@@ -22,6 +22,7 @@ from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
@@ -78,6 +79,11 @@ class Diagnosis:
     def fits(self) -> tuple[JointFit, ...]:
         """Of the first model and after every effect found."""
         return tuple(fitted.joint for fitted in self.fitted)
+
+    @property
+    def suspicious(self) -> list[str]:
+        """What is suspicious in the sessions as they were measured, and in the places that the first model found."""
+        return suspicious_fits(self.fits[0].fits, self.chosen.labels, self.chosen.sessions)
 
     @property
     def gross_errors(self) -> tuple[Outlier, ...]:

@@ -153,11 +153,13 @@ class FormulaEffect(Effect):
         """How a constant or coefficient of the formula that states no unit gets one; for the end of a message."""
         for key in ("constants", "coefficients", "shapes"):
             for name, entry in getattr(self._definition, key).items():
-                if "unit" not in entry.model_fields_set:
+                if name in self._expression.names and "unit" not in entry.model_fields_set:
                     stated = ", ".join(f"{k}: {v}" for k, v in entry.model_dump(exclude_unset=True).items())
                     return (
                         f"; {name} states no unit and counts as a pure number: {key}: {{{name}: {{{stated}, unit: m}}}}"
                     )
+        if re.search(r"(?<!\w)\d", self._definition.formula):
+            return "; a number in the formula has no unit, a constant may: constants: {k: {value: 0.01, unit: m}}"
         return ""
 
     def _check_linear(self) -> None:

@@ -70,6 +70,11 @@ class ErrorMotion(NamedTuple):
         """Whether it is an angular error motion."""
         return self.component in _ROTATIONS
 
+    @property
+    def is_straightness(self) -> bool:
+        """Whether a linear axis moves across its direction."""
+        return self.axis in _TRANSLATIONS and self.component in _TRANSLATIONS and self.axis != self.component
+
 
 def parse_motion(name: str) -> ErrorMotion:
     """Read a name such as EXX or ECY.

@@ -79,14 +79,22 @@ def error_map(fit: Fit) -> ErrorMap:
     return cast(_Method, load(spec.map or spec.model)).error_map(fit.model, fit)
 
 
-def suspicious_fits(fits: Sequence[Fit], labels: Sequence[str] | None = None) -> list[str]:
-    """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated."""
+def suspicious_fits(
+    fits: Sequence[Fit], labels: Sequence[str] | None = None, sessions: Sequence[Session] | None = None
+) -> list[str]:
+    """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated.
+
+    Args:
+        fits: a session each.
+        labels: names of the sessions, where there are several.
+        sessions: as they were measured, where the fits have means of repeats.
+    """
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
     each = [
         (name, [*(one.words for one in _elsewhere(fit)), *doubtful(fit)]) for name, fit in zip(named, fits, strict=True)
     ]
     found = [together((name, words), "") for name, own in each for words in own]
-    return [*suspicions([fit.model.observations.session for fit in fits], labels), *found]
+    return [*suspicions(sessions or [fit.model.observations.session for fit in fits], labels), *found]
 
 
 def doubtful(fit: Fit) -> list[str]:

@@ -56,8 +56,7 @@ def _row(verdict: Verdict) -> tuple[str, ...]:
 def _figure(name: str) -> str:
     """What of a name a tolerance is for, which is not its values along the axis."""
     if name in ERROR_MOTIONS:
-        ranges = parse_motion(name).is_rotation or name[1] == name[2]
-        return say("conformity.range" if ranges else "conformity.about_line", name=name)
+        return say(f"conformity.{'about_line' if parse_motion(name).is_straightness else 'range'}", name=name)
     return say("conformity.volumetric") if name == VOLUMETRIC else name
 
 

@@ -13,7 +13,6 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
@@ -46,7 +45,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "method": diagnosis.chosen.sessions[0].method if len(diagnosis.chosen.sessions) == 1 else "joint",
         "sessions": [] if diagnosis.chosen.labels is None else list(diagnosis.chosen.labels),
         "verdict": diagnosis.verdict,
-        "suspicious": suspicious_fits(diagnosis.fits[0].fits, diagnosis.chosen.labels),
+        "suspicious": diagnosis.suspicious,
         "provenance": diagnosis.fitted[0].provenance.document(),
         "accepted": list(diagnosis.accepted),
         "observations": sum(len(one.readings) for one in diagnosis.chosen.sessions) + len(diagnosis.gross_errors),

@@ -65,10 +65,10 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append((say("result.chi"), say("result.chi_value", value=rounded(chi))))
     error_map = document.get("error_map") or {}
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
+    known = bool(np.isfinite(uncertainty).any())
     if error.size:
         rows.append((say("result.points"), _points(error_map.get("points"), len(error))))
         text = say("text.not_determined")
-        known = np.isfinite(uncertainty).any()
         expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
             sizes = zip((_rms(error), _largest(error)), expanded, strict=True)
@@ -79,7 +79,10 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             if document.get("uncertainty") != "budget":
                 text = say("result.without", text=text)
             rows.append((say("result.uncertainty"), say("result.if_right", text=text) if _doubtful(document) else text))
-    rows += _motions(error_map)
+    motions = _motions(error_map)
+    if document.get("uncertainty") != "budget" and not known:
+        motions = [(title, say("result.without", text=text)) for title, text in motions]
+    rows += motions
     missing = document.get("not_determined") or []
     if missing:
         names = ", ".join(entry["name"] for entry in missing[:6])

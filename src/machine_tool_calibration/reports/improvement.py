@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
-from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     micrometres,
@@ -70,7 +69,7 @@ def show_improvement(screen: Console, done: Improvement) -> None:
     last = done.steps[-1].result
     for words in negative_words(last.joint, last.effects):
         screen.print(words)
-    show_suspicions(screen, suspicious_fits(done.diagnosis.fits[0].fits, done.diagnosis.chosen.labels))
+    show_suspicions(screen, done.diagnosis.suspicious)
     show_table(screen, _steps(done))
     if len(done.steps) > 1:
         show_table(screen, _side_by_side(done))

@@ -12,7 +12,6 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import fits
@@ -64,7 +63,7 @@ def verdict_words(
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)
-    for words in suspicious_fits(diagnosis.fits[0].fits, diagnosis.chosen.labels):
+    for words in diagnosis.suspicious:
         yield say("diagnosis.suspicious", what=words)
     if not brief:
         for name in diagnosis.accepted:

@@ -53,6 +53,9 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "suspected_rows", "without"]
 
+# Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
+_COURSE = 3e-4
+
 
 @dataclass(frozen=True)
 class Outlier:
@@ -240,7 +243,8 @@ class _Search:
         beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
         self.pattern = beside.scale < priors.COURSE * noise.scale
         noise = beside if self.pattern else noise
-        self.explained = neighbours.explained(every, off, noise.scale, noise.limit)
+        of_a_machine = np.abs(off) * self.sigma < _COURSE
+        self.explained = neighbours.explained(every, off, noise.scale, noise.limit) & of_a_machine
         if self.pattern:
             course = neighbours.course(every, off)
             self.part, off = _WithoutCourses(self.part, course * np.sqrt(spare)), off - course

@@ -111,11 +111,9 @@ class Pool:
             columns.append(self._imperfect)
             place.append(np.full(len(self._imperfect), len(names), dtype=np.int64))
             names = (*names, IMPERFECT)
-        random = self.fit.random
-        if random is not None:
-            further = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
-            columns.append(further)
-            place.append(np.full(len(further), len(names), dtype=np.int64))
+        if self._random is not None:
+            columns.append(self._random)
+            place.append(np.full(len(self._random), len(names), dtype=np.int64))
             names = (*names, RANDOM)
         return np.concatenate(columns), np.concatenate(place), names
 
@@ -126,11 +124,20 @@ class Pool:
         columns = np.concatenate([self.only(imperfection(o) * self.sigma[piece], piece) for o, piece in pairs])
         return columns if len(columns) else None
 
+    @cached_property
+    def _random(self) -> Array | None:
+        """(k, n) columns of the model's unknowns that are random functions; None where none shows."""
+        random = self.fit.random
+        if random is None:
+            return None
+        shown = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
+        return shown if len(shown) else None
+
     @property
     def sizes(self) -> tuple[dict[float, float], ...]:
         """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
         imperfect = ({} if self._imperfect is None else priors.IMPERFECTION_SIZES,)
-        random = () if self.fit.random is None else (self.fit.random.sizes,)
+        random = () if self._random is None or self.fit.random is None else (self.fit.random.sizes,)
         return (*(own for own in imperfect if own), *random)
 
     def _columns_of(self, names: Sequence[str]) -> Array:

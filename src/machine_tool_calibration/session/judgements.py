@@ -64,6 +64,7 @@ class Held:
         unit: m, rad, or empty for what only agrees or not.
         share: of a group's readings up to which the contradicting ones are no contradiction.
         group: (n,) of each reading, such as its run; its setup if absent.
+        label: column of labels by which the groups are called, such as `point`; by their setup if empty.
         hint: of a setup, what its readings say instead; may be empty.
     """
 
@@ -74,6 +75,7 @@ class Held:
     unit: str = "m"
     share: float = GROSS
     group: IntArray | None = None
+    label: str = ""
     hint: Callable[[int], str] = lambda setup: ""
 
     @property

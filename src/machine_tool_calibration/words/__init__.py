@@ -14,7 +14,7 @@ import yaml
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["LANGUAGES", "Said", "Verbatim", "Words", "enumeration", "named", "say", "together", "words"]
+__all__ = ["LANGUAGES", "Said", "Verbatim", "Words", "enumeration", "figures", "named", "say", "together", "words"]
 
 _FILES = {file.name.removesuffix(".yaml"): file for file in resources.files(__package__).iterdir() if ".y" in file.name}
 LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
@@ -54,6 +54,11 @@ class Said(str):
         if isinstance(self.values, tuple):
             return words.told(self.key).join(map(words.told, self.values))
         return words(self.key, **{n: words.told(v) if isinstance(v, str) else v for n, v in self.values.items()})
+
+
+def figures(value: float, count: int = 3) -> str:
+    """A number with so many figures, and no exponent where it is large."""
+    return f"{float(f'{value:.{count}g}'):.12g}"
 
 
 def say(key: str, /, **values: Any) -> Said:

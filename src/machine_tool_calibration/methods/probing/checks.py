@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, first_true
+from machine_tool_calibration.arrays import Array, BoolArray, first_true, groups
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.checks.enough import counted
 from machine_tool_calibration.session.checks.mistakes import (
@@ -28,9 +29,11 @@ from machine_tool_calibration.words import say
 
 __all__ = ["ProbingChecks"]
 
-# Where a part may lie beside its nominal place, m and share of its radius; and how much of a normal lies along an axis
-# that the probe approaches along it.
+# Where a part may lie beside its nominal place, m and share of its radius; where most touches are at their points to
+# this, by how much the others may be beside theirs, m; and how much of a normal lies along an axis that the probe
+# approaches along it.
 _BESIDE, _RADII, _ALONG = 0.02, 0.2, 0.3
+_AT_POINT, _NEAR = 1e-4, 2e-3
 # Share of a setup's touches with an approach against their normals from which on the normals are wrong.
 _AGAINST = 0.5
 _SAME_ANGLE = 0.01  # rad
@@ -90,20 +93,27 @@ class ProbingChecks(Checks):
         """Touches against the part as it is described and turned: where they are, and from which side."""
         readings = session.readings
         off = np.linalg.norm(readings.position()[:, :2] - _turned_part(session, "position"), axis=1)
-        beside = np.full(len(off), max(_BESIDE, _RADII * _radius(session)))
-        yield Held("x, y", "the point that was to be touched, as workpiece, c and rotation_sign place it", off, beside)
+        # Where the touches are at their points, a few that are not are at other points.
+        beside = _NEAR if np.median(off) < _AT_POINT else max(_BESIDE, _RADII * _radius(session))
         sense = [readings.columns.get(f"dir_{axis}", np.zeros(len(readings))) for axis in "xy"]
         normal = _turned_part(session, "normal")
-        against = (np.column_stack(sense) * np.where(np.abs(normal) > _ALONG, normal, 0.0)).max(axis=1)
-        yield Held(
-            "the approach (dir_x, dir_y)",
-            "the outward normal, along which a probe leaves the part",
-            np.where(against > 0.0, 1.0, 0.0),
-            np.full(len(off), 0.5),
-            unit="",
-            share=_AGAINST,
-            hint=lambda setup: "are the normals of workpiece reversed?",
-        )
+        along = np.where(np.abs(normal) > _ALONG, np.column_stack(sense) * np.sign(normal), 0.0)
+        against = (along > 0.0).any(axis=1) & (along >= 0.0).all(axis=1)
+        touched = "the point that was to be touched, as workpiece, c and rotation_sign place it"
+        left = "the outward normal, along which a probe leaves the part"
+        for label, group in (("", None), ("point", groups(readings.labels["point"]))):
+            owner: dict[str, Any] = {"label": label, "group": group}
+            yield Held("the place (x, y)", touched, off, np.full(len(off), beside), **owner)
+            yield Held(
+                "the approach (dir_x, dir_y)",
+                left,
+                np.where(against, 1.0, 0.0),
+                np.full(len(off), 0.5),
+                unit="",
+                share=_AGAINST,
+                hint=lambda setup: "are the normals of workpiece reversed?",
+                **owner,
+            )
 
     def suspicious(self, session: Session) -> Iterator[str]:
         """An uncertainty that grows with a path, which there is not."""

@@ -68,9 +68,13 @@ def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArra
             "measure a third target off the line, or from a fourth station"
         )
     if different < unknown:
+        most = max(len(np.unique(at_angle[readings.setup[measured] == s])) for s in readings.setup[measured])
+        advice = "measure more angles"
+        if most < angles:
+            advice = f"no station was read at more than {most} of them: are the angles of all stations the same?"
         raise SessionError(
             f"{place.readings}: too few readings: {different} different ones at {angles} angles "
-            f"for {unknown} unknowns; measure more angles"
+            f"for {unknown} unknowns; {advice}"
         )
 
 

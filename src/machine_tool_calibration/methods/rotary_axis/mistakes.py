@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, best_motion
+from machine_tool_calibration.arrays import Array, IntArray, best_motion, group_ranges
 from machine_tool_calibration.errors import ModelError, SessionError, suspected
 from machine_tool_calibration.methods.rotary_axis.checks import turning_mistakes
 from machine_tool_calibration.methods.rotary_axis.geometry import table_readings
@@ -19,7 +19,7 @@ from machine_tool_calibration.session.description import Place, RotaryAxis, Stat
 from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["refuse_mistakes", "refuse_wrong_rows", "suppositions"]
+__all__ = ["SURVEYED", "refuse_mistakes", "refuse_wrong_rows", "suppositions"]
 
 # Share of the readings' range, and of the arrangement's size, that no rotary axis and no survey is wrong by; and the
 # share of the misfit that is left without a mistake that is named.
@@ -28,6 +28,7 @@ _ABSURD, _BETTER = 2e-3, 0.1
 _WRONG = 2e-3
 # What a survey may be off by: m, or so many of its uncertainties.
 _MISPLACED, _MANY = 0.05, 20.0
+SURVEYED = "state the stations to a decimetre and the targets to some centimetres"
 
 
 def suppositions(session: Session) -> Iterator[Supposition]:
@@ -68,11 +69,17 @@ def refuse_mistakes(session: Session, start: Start) -> None:
             raise ModelError(f"{session.source}: the readings do not fit at all; they would without a mistake: {what}")
 
 
-def refuse_wrong_rows(session: Session, start: Start) -> None:
-    """Refuse readings of a run that a table turning without error misses by far where it fits the others.
+def refuse_wrong_rows(session: Session, start: Start, *, found: bool = True) -> None:
+    """Refuse readings that a table turning without error misses by far.
+
+    Args:
+        session: the measurement.
+        start: where stations and targets are.
+        found: those are the places at which most readings fit, and a run is judged by them; else they are the stated
+            ones, and a station or a target is.
 
     Raises:
-        ModelError: the run, by how much, and of which setup its readings look.
+        ModelError: the run, station or target, by how much, and what its readings look like.
     """
 
     def held(other: Session) -> Iterator[Held]:
@@ -80,8 +87,18 @@ def refuse_wrong_rows(session: Session, start: Start) -> None:
         arm = table.turned(start.targets)
         path = np.linalg.norm(arm - start.stations[table.readings.setup], axis=1)
         off = off_prediction(other, path, table.run)
-        against = "the change of distance from where the station was found"
-        yield Held("displacement", against, off, np.full(len(off), _WRONG), group=table.run)
+        allowed = np.full(len(off), _WRONG if found else _MISPLACED)
+        if found:
+            against = "the change of distance from where the station was found"
+            yield Held("displacement", against, off, allowed, group=table.run)
+            return
+
+        def worst(owner: tuple[str, IntArray]) -> float:
+            return float(np.nanmax(group_ranges(off, owner[1], int(owner[1].max()) + 1)[1]))
+
+        against = "the change of distance between the stated places of station and target"
+        for label, group in sorted((("", table.readings.setup), ("target", table.target)), key=worst, reverse=True):
+            yield Held("displacement", against, off, allowed, group=group, label=label, hint=lambda setup: SURVEYED)
 
     read = session.with_readings(table_readings(session).readings)
     try:

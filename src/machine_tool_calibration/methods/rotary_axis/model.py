@@ -35,7 +35,7 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_axis.mistakes import refuse_mistakes, refuse_wrong_rows
+from machine_tool_calibration.methods.rotary_axis.mistakes import SURVEYED, refuse_mistakes, refuse_wrong_rows
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.model.model import (
     MethodModel,
@@ -50,7 +50,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.checks.places import refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say, together
+from machine_tool_calibration.words import figures, say, together
 
 __all__ = ["RotaryAxisModel", "build"]
 
@@ -257,10 +257,14 @@ def _check_places(model: RotaryAxisModel) -> None:
     residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
     if not missed <= _LOST * model.observations.session.sigma:
-        by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
+        session, stated = model.observations.session, (model.description.setups, model.description.targets)
+        if not session.description.trust_units:
+            stations, targets = (np.array([entry.position for entry in entries]) for entries in stated)
+            refuse_wrong_rows(session, Start(stations, targets, missed), found=False)
+        by = f" by {figures(1e3 * missed)} mm in the middle" if np.isfinite(missed) else ""
         raise ModelError(
             f"{model.observations.session.source}: no places of stations and targets near the stated ones explain the "
-            f"readings (they are missed{by}); state the stations to a decimetre and the targets to some centimetres"
+            f"readings (they are missed{by}); {SURVEYED}"
         )
 
 

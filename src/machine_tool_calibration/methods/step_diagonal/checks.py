@@ -73,20 +73,21 @@ class DiagonalChecks(Checks):
         description, readings = session.description.as_a(StepDiagonal), session.readings
         path, across, outside = _along_run(session)
         step = np.array(description.step)
-        off = (outside / step).max(axis=1)
+        off, bad = np.linalg.norm(outside, axis=1), (outside / step).max(axis=1) > _OUTSIDE
         for index in np.unique(readings.setup):
             mine = np.flatnonzero(readings.setup == index)
             if description.blocks > _MOST_BLOCKS:
                 continue
             halts = _halts(description, index)
-            missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1) / step.min()
-            if np.mean(missed > _ON_HALT) < 0.5:
-                off[mine] = np.maximum(off[mine], np.where(missed > _ON_HALT, 1.0, 0.0))
+            missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1)
+            if np.mean(missed > _ON_HALT * step.min()) < 0.5:
+                bad[mine] |= missed > _ON_HALT * step.min()
+                off[mine] = np.maximum(off[mine], missed)
 
         yield Held(
             "the place",
             "the run that start, direction, step and blocks state",
-            np.where(off > _OUTSIDE, np.maximum(np.linalg.norm(outside, axis=1), 1e-9), 0.0),
+            np.where(bad, off, 0.0),
             np.zeros(len(off)),
             share=0.0,
             hint=lambda setup: _run_of_places(session, setup),
@@ -161,7 +162,7 @@ def _run_of_places(session: Session, setup: int) -> str:
 
 
 def _vector(values: Iterable[float]) -> str:
-    return f"[{', '.join(f'{v:.6g}' for v in values)}]"
+    return f"[{', '.join(f'{round(v, 9) + 0.0:.6g}' for v in values)}]"
 
 
 def _off_halts(session: Session) -> Array:

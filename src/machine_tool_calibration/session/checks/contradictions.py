@@ -20,6 +20,7 @@ from machine_tool_calibration.session.checks.mistakes import explanation, shifte
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import figures
 
 __all__ = ["refuse_contradictions"]
 
@@ -60,11 +61,13 @@ def _refuse(session: Session, place: Place, expected: Expected) -> None:
         return float(np.mean(np.any([held.bad for held in expected(other)], axis=0)))
 
     some = session.with_readings(session.readings.select(np.arange(min(len(session.readings), _ROWS))))
-    slip = explanation(some, [Judgement(misfit, _slips(some), 0.0, _LEFT, _BETTER)])
-    # Few that contradict are gross errors, unless all of them come from one slip.
-    for held in every:
-        if _contradicted(session, held) or (slip and held.bad.any()):
-            raise SessionError(_words(session, place, held, slip or "", expected))
+    slips = itertools.chain(_slips(some), _slips_within(some, expected))
+    slip = explanation(some, [Judgement(misfit, slips, 0.0, _LEFT, _BETTER)])
+    # Few that contradict are gross errors, unless all of them come from one slip, or from another setup.
+    for k, held in enumerate(every):
+        likelier = slip or _elsewhere(session, k, held, expected)
+        if _contradicted(session, held) or (likelier and held.bad.any()):
+            raise SessionError(_words(session, place, held, likelier))
 
 
 def _contradicted(session: Session, held: Held) -> bool:
@@ -81,22 +84,28 @@ def _shares(session: Session, held: Held) -> tuple[IntArray, Array, Array]:
     return group, bad / np.maximum(every, 1), np.asarray(bad, dtype=float)
 
 
-def _words(session: Session, place: Place, held: Held, slip: str, expected: Expected) -> str:
-    """What contradicts what, in the group where the most do, and what is likelier meant."""
-    read = session.readings
+def _worst(session: Session, held: Held) -> tuple[IntArray, int, int]:
+    """In the group where the most contradict: those readings, the worst first, how many it has, and its setup."""
     group, share, _ = _shares(session, held)
     mine = group == np.argmax(share)
-    rows, count = np.flatnonzero(held.bad & mine), int(mine.sum())
-    worst = rows[int(np.argmax(held.off[rows]))]
-    setup = int(read.setup[worst])
+    rows = np.flatnonzero(held.bad & mine)
+    rows = rows[np.argsort(-held.off[rows], kind="stable")]
+    return rows, int(mine.sum()), int(session.readings.setup[rows[0]])
+
+
+def _words(session: Session, place: Place, held: Held, likelier: str) -> str:
+    """What contradicts what, in the group where the most do, and what is likelier meant."""
+    read = session.readings
+    rows, count, setup = _worst(session, held)
     by = f"contradicts {held.against}"
     if held.unit:
-        by = f"is {_size(float(held.off[worst]), held.unit)} off {held.against}"
-    if not slip and not np.ptp(read.displacement):
-        slip = f"all {len(read)} readings are {read.displacement[0]:g} m: was the instrument read?"
-    likelier = slip or (2 * len(rows) < count and _elsewhere(session, rows, expected)) or held.hint(setup)
+        by = f"is {_size(float(held.off[rows[0]]), held.unit)} off {held.against}"
+    likelier = likelier or held.hint(setup)
+    owner = f"setup {session.setup_ids[setup]!r}"
+    if held.label:
+        owner = f"{held.label} {str(read.labels[held.label][rows[0]])!r}"
     return (
-        f"{place.row(read.row[worst])}: {held.what} of setup {session.setup_ids[setup]!r} {by}, one of {len(rows)} "
+        f"{place.row(read.row[rows[0]])}: {held.what} of {owner} {by}, one of {len(rows)} "
         f"of its {count} readings that do{f': {likelier}' if likelier else ''}"
     )
 
@@ -104,7 +113,7 @@ def _words(session: Session, place: Place, held: Held, slip: str, expected: Expe
 def _slips(session: Session) -> Iterator[Supposition]:
     """Columns that were shifted, multiplied or exchanged."""
     readings = session.readings
-    values = {n: readings.columns[n] for n in ("x", "y", "z", "azimuth", "elevation") if n in readings.columns}
+    values = {n: readings.columns[n] for n in (*"xyzabc", "azimuth", "elevation") if n in readings.columns}
     values["displacement"] = readings.displacement
     for name, value in values.items():
         yield from shifted(session, name, value)
@@ -115,16 +124,35 @@ def _slips(session: Session) -> Iterator[Supposition]:
         yield with_values(session, what, **{one: values[other], other: values[one]})
 
 
-def _elsewhere(session: Session, rows: IntArray, expected: Expected) -> str:
-    """Whether readings would be right in another setup."""
+def _slips_within(session: Session, expected: Expected) -> Iterator[Supposition]:
+    """The same in those setups alone of which readings contradict."""
+    readings = session.readings
+    bad = np.bincount(readings.setup, np.any([held.bad for held in expected(session)], axis=0))
+    rows = np.flatnonzero((bad > _LEFT * np.bincount(readings.setup))[readings.setup])
+    for slip in _slips(session.with_readings(readings.select(rows))):
+        new = slip.session.readings
+        whole = {**readings.columns, "displacement": readings.displacement}
+        values = {name: value.copy() for name, value in whole.items()}
+        for name, value in values.items():
+            value[rows] = new.columns.get(name, new.displacement)
+        yield with_values(session, slip.what, **values)
+
+
+def _elsewhere(session: Session, which: int, held: Held, expected: Expected) -> str:
+    """Whether a group's readings that contradict would not in another setup, and not only one or two of them."""
+    if not held.unit or not held.bad.any():
+        return ""
+    rows, count, own = _worst(session, held)
+    if len(rows) < _FEWEST or 2 * len(rows) >= count:
+        return ""
     for other, name in enumerate(session.setup_ids):
         setup = session.readings.setup.copy()
         setup[rows] = other
         moved = session.with_readings(replace(session.readings, setup=setup))
-        if not any(held.bad[rows].any() for held in expected(moved)):
+        if other != own and not list(expected(moved))[which].bad[rows].any():
             return f"they look like readings of setup {name!r}"
     return ""
 
 
 def _size(value: float, unit: str) -> str:
-    return f"{value:.3g} rad" if unit == "rad" else f"{1e3 * value:.4g} mm"
+    return f"{figures(value)} rad" if unit == "rad" else f"{figures(1e3 * value, 4)} mm"

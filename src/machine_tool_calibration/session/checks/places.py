@@ -14,7 +14,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import StationSetup
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import figures, say
 
 __all__ = ["Misplaced", "allowed", "has_stations", "misplaced", "off_stated", "refuse_misplaced"]
 
@@ -52,8 +52,8 @@ class Misplaced:
     @property
     def words(self) -> str:
         """Where it is found, and what was stated."""
-        known = say("suspicion.known", size=f"{1e3 * self.stated:.3g}") if self.stated else say("suspicion.unknown")
-        what, off = say(f"suspicion.{self.what}"), f"{1e3 * self.off:.3g}"
+        known = say("suspicion.known", size=figures(1e3 * self.stated)) if self.stated else say("suspicion.unknown")
+        what, off = say(f"suspicion.{self.what}"), figures(1e3 * self.off)
         return say("suspicion.elsewhere", what=what, id=repr(self.id), off=off, known=known, along=self.along)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.checks.units import HOT, TEMPERATURES
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
@@ -17,18 +18,22 @@ __all__ = ["suspicions"]
 _FEW = 8  # readings: the chance that as many differ so little is below 1e-7
 _STILL = 0.1  # share of a reading's standard uncertainty that the readings of a session differ by
 _BESIDE = 0.1  # share of the travel by which a probed part may reach beyond it
+_COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by itself
+_WHOLE = 1e-6  # of a step: rounding
+_OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
+_ALIKE = 5.0  # K: parts of a machine in one workshop
 
 
 def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None) -> list[str]:
     """What is suspicious in sessions, in words.
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
-    another unit. Places off the machine's travel. Fewer or more repeats than stated. And what the method finds
-    (`Checks.suspicious`).
+    another unit. Places off the machine's travel. Fewer or more repeats than stated. Directions of approach against
+    the moves. One temperature in degrees Fahrenheit. And what the method finds (`Checks.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _beside, _repeated, _of_method)
+    checks = (_still, _rounded, _beside, _repeated, _approached, _fahrenheit, _of_method)
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -43,6 +48,16 @@ def _still(session: Session) -> Iterator[str]:
         yield say("suspicion.all_same", n=len(readings), value=f"{readings[0]:g}")
     elif spread < _STILL * sigma:
         yield say("suspicion.hardly_differ", n=len(readings), spread=f"{spread:.2g}", sigma=f"{sigma:.2g}")
+
+
+def _rounded(session: Session) -> Iterator[str]:
+    """Readings that are whole multiples of more than their uncertainty: written with too few decimals."""
+    readings = session.readings.displacement[np.isfinite(session.readings.displacement)]
+    for step in (10.0**k for k in range(-3, -9, -1)):
+        whole = np.abs(readings / step - np.round(readings / step)) < _WHOLE
+        if step > _COARSE * session.sigma and len(readings) >= _FEW and np.ptp(readings) and whole.all():
+            yield say("suspicion.rounded", step=f"{step:g}", sigma=f"{session.sigma:.2g}")
+            return
 
 
 def _beside(session: Session) -> Iterator[str]:
@@ -66,6 +81,27 @@ def _repeated(session: Session) -> Iterator[str]:
         named = f"{', '.join(map(str, repeats[:8]))}{' …' if len(repeats) > 8 else ''}"
         stated = session.description.repeats
         yield say("suspicion.repeats", stated=stated, file=DESCRIPTION_FILE, n=len(repeats), repeats=named)
+
+
+def _approached(session: Session) -> Iterator[str]:
+    """Directions of approach against the moves; a probe goes back before it approaches."""
+    columns = session.readings.columns
+    for name in [] if "point" in session.readings.labels else [n for n in columns if f"dir_{n}" in columns]:
+        move, sense = np.sign(np.round(np.diff(columns[name]), 9)), columns[f"dir_{name}"][1:]
+        opposite, n = int(np.sum(sense == -move)), int(np.sum((move != 0.0) & (sense != 0.0)))
+        # From one side alone many machines approach whichever way they come.
+        if n >= _FEW and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
+            yield say("suspicion.approach", column=name, n=opposite, count=n)
+
+
+def _fahrenheit(session: Session) -> Iterator[str]:
+    """A temperature that agrees with the others if it is in degrees Fahrenheit; all of them are refused."""
+    columns = {n: v for n, v in session.readings.columns.items() if n in TEMPERATURES and np.isfinite(v).any()}
+    middle = {name: float(np.nanmedian(values)) for name, values in columns.items()}
+    for name, value in middle.items():
+        others = [other for key, other in middle.items() if key != name]
+        if value > HOT and others and abs((value - 32.0) / 1.8 - np.median(others)) < _ALIKE:
+            yield say("suspicion.fahrenheit", column=name, value=f"{value:.3g}", others=f"{np.median(others):.3g}")
 
 
 def _of_method(session: Session) -> Iterator[str]:

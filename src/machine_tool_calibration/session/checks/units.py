@@ -15,7 +15,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
-__all__ = ["LARGEST_MACHINE", "LARGEST_TRAVEL", "MILLIMETRES", "check_sizes", "check_units"]
+__all__ = ["HOT", "LARGEST_MACHINE", "LARGEST_TRAVEL", "MILLIMETRES", "TEMPERATURES", "check_sizes", "check_units"]
 
 LARGEST_MACHINE = 50.0  # m
 LARGEST_TRAVEL = 100.0  # m
@@ -23,10 +23,12 @@ _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
+_LEAST = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
-_TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
+TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
 # Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
-_HOT, _HOTTEST = 48.0, 120.0
+HOT, _HOTTEST = 48.0, 120.0
+_FEW = 8  # readings along a path: more are not all the same
 _DEGREES = "these look like degrees; angles are in radians"
 _LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 1970, in any unit
 
@@ -125,6 +127,9 @@ def _displacement(session: Session, place: Place) -> None:
                 "these look like millimetres or micrometres; deviations are in metres"
             )
         return
+    known = values[np.isfinite(values)]
+    if len(known) > _FEW and not np.ptp(known):
+        raise SessionError(f"{place.readings}: all {len(known)} readings are {known[0]:g} m: was the instrument read?")
     row = int(np.nanargmax(np.abs(values)))
     reach = abs(values[row])
     if reach > _FARTHEST_STATION:
@@ -135,23 +140,27 @@ def _displacement(session: Session, place: Place) -> None:
 
 def _environment(session: Session, place: Place) -> None:
     columns = session.readings.columns
-    known = [name for name in _TEMPERATURES if name in columns and np.isfinite(columns[name]).any()]
+    known = [name for name in TEMPERATURES if name in columns and np.isfinite(columns[name]).any()]
     # Parts may be warm; where the air is, or all of them, no workshop is.
     middle = {name: float(np.nanmedian(columns[name])) for name in known[:1] if name == "temperature_air"} or {
         name: float(np.nanmedian(columns[name])) for name in known
     }
-    if middle and min(middle.values()) > _HOT and max(middle.values()) < _HOTTEST:
+    if middle and min(middle.values()) > HOT and max(middle.values()) < _HOTTEST:
         name = min(middle, key=lambda name: middle[name])
         raise SessionError(
             f"{place.readings}: {name} is {middle[name]:.4g} degrees Celsius in the middle; these look like degrees "
             "Fahrenheit"
         )
     for name, value, where in _largest(session, place, session.readings.columns):
+        lowest = int(np.nanargmin(columns[name]))
+        low, there = float(columns[name][lowest]), place.row(session.readings.row[lowest])
+        if low < _LEAST.get(name, -273.15 if name.startswith("temperature_") else -np.inf):
+            raise SessionError(f"{there}: {name} is {low:g}: a value that is missing is an empty field")
         if name.startswith("temperature_") and abs(value) > 150.0:
             raise SessionError(f"{where}: {name} is {value:g} degrees Celsius; these look like kelvin")
-        if name == "air_pressure" and abs(value) < 2000.0:
-            unit = "hectopascals" if abs(value) > 200 else "kilopascals"
-            raise SessionError(f"{where}: air_pressure is {value:g} Pa; these look like {unit}")
+        if name == "air_pressure" and low < 2000.0:
+            unit = "hectopascals" if low > 200 else "kilopascals"
+            raise SessionError(f"{there}: air_pressure is {low:g} Pa; these look like {unit}")
         if name == "relative_humidity" and abs(value) > _SATURATED:
             raise SessionError(f"{where}: relative_humidity is {value:g}; these look like percent; it is from 0 to 1")
 
