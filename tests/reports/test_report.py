@@ -99,6 +99,18 @@ def test_a_similar_effect_that_the_readings_distinguish_is_said_to_be() -> None:
     assert "the readings distinguish them: the patterns differ by 21 standard uncertainties" in words
 
 
+def test_a_similar_effect_that_is_far_less_probable_may_not_as_well_be_it() -> None:
+    """However near their patterns are, the probabilities are those that the table shows."""
+    found, _ = report("missing_effect")
+    advice = what_to_measure(found)
+    near = replace(advice.separations[0], effects=("backlash_y", "station_drift"), apart_before=2.0)
+    words = diagnosis_report(found, replace(advice, separations=(near,)), consequences(found)).words[1]
+    assert "station_drift, is far less probable in its place" in words
+    assert "may as well" not in words and "standard uncertainties" not in words
+    rivals = replace(found, search=replace(found.search, sets=((("station_drift",), 0.5), (("backlash_y",), 0.5))))
+    assert "may as well be station_drift" in diagnosis_report(rivals, replace(advice, separations=(near,)), {}).words[1]
+
+
 def test_what_is_part_of_the_map_is_kept_apart_from_what_hides_behind_the_instrument() -> None:
     _, shown = report("adequate")
     held, hidden = table(shown, "Errors that the map holds already"), table(shown, "Effects that would not show here")

@@ -17,7 +17,7 @@ from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
-from machine_tool_calibration.words import words
+from machine_tool_calibration.words import say, words
 
 from ..diagnosed import diagnosed
 
@@ -50,6 +50,16 @@ def test_so_it_is_where_it_is_in_the_model(exchanged: Session) -> None:
     screen = io.StringIO()
     show_result(Console(file=screen, width=200), result.document(), [exchanged], result)
     assert NEGATIVE in screen.getvalue()
+
+
+def test_so_it_is_of_lost_motion() -> None:
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=77, effects=(FlawSpec(id="backlash_x", size=2e-6),))
+    session = simulate(spec).session
+    columns = {**session.readings.columns, "dir_x": -session.readings.columns["dir_x"]}
+    result = identify(
+        session.with_readings(replace(session.readings, columns=columns)), effects=("lost_motion_x",), keep_all=True
+    )
+    assert say("fit.negative_backlash", name="lost_motion_x.b0") in list(negative_words(result.joint, result.effects))
 
 
 def test_a_positive_one_is_not() -> None:

@@ -86,3 +86,20 @@ def test_a_place_that_is_lost_is_said() -> None:
     rejected = identify(wrong).rejected
     assert {r.row for r in rejected} == set(np.flatnonzero(readings.columns["x"] == readings.columns["x"][4]).tolist())
     assert all("no other reading of its place is left" in r.reason for r in rejected)
+
+
+def test_a_run_on_another_zero_loses_no_reading(tmp_path: Path) -> None:
+    """Most of its places nothing else read: there it agrees with itself, which is no sign that the others are wrong."""
+    rng = np.random.default_rng(6)
+    repeated = [(place, k) for place in (0.1, 0.25, 0.4) for k in range(1, 6)]
+    run = [(place, 0) for place in np.linspace(0.0, 0.5, 11)]
+    lines = ["setup,repeat,x,dir_x,gx,gy,gz,displacement"]
+    for place, k in repeated + run + run[::-1]:
+        value = (30e-6 if k == 0 else 0.0) + NOISE * rng.standard_normal()
+        lines.append(f"A,{k},{place:.3f},1,1,0,0,{value:.12g}")
+    (tmp_path / "session.yaml").write_text(HEAD.replace("repeats: 1", "repeats: 6"), encoding="utf-8")
+    (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    session = read_session(tmp_path)
+    assert found_in(session) == []
+    (spread,) = identify(session).document()["spread"]
+    assert spread["size"] > 5e-6

@@ -205,13 +205,14 @@ def _passes(observations: Observations, axis: int) -> IntArray:
     """(n,) which pass over the axis a reading belongs to: a pass ends where the axis turns, or a run ends."""
     position, readings = observations.position[:, axis], observations.readings
     step = np.diff(position)
-    sign = np.where(np.abs(step) > _STILL, np.sign(step), 0.0)
+    again = np.r_[False, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)]
+    # The way to where the next run begins is none.
+    sign = np.where((np.abs(step) > _STILL) & ~again[1:], np.sign(step), 0.0)
     turned = np.zeros(len(readings), dtype=bool)
     last = 0.0
     for k, s in enumerate(sign):
         # The second of two readings at a turning point begins the way back.
         ahead = s if s != 0.0 else (sign[k + 1] if k + 1 < len(sign) else last)
         turned[k + 1] = last != 0.0 and ahead == -last
-        last = ahead or last
-    again = np.r_[False, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)]
+        last = 0.0 if again[k + 1] else ahead or last
     return np.asarray(np.cumsum(turned | again))

@@ -226,8 +226,10 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     left = len(ranked) - len(rows)
     before = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
     notes = [say("found.note_found")] if accepted else []
-    notes += [say("found.note_group"), say("found.note_p"), say("head.size_u")]
-    notes += [say("found.note_cross")] if any(row[-3] for row in rows) else []
+    # Columns of which nothing is known are not shown.
+    notes += [say("found.note_group")] if any(row[1] for row in rows) else []
+    notes += [say("found.note_p"), say("head.size_u")]
+    notes += [say("found.note_cross")] if any(row[6] for row in rows) else []
     notes += [say("found.note_residual"), say("found.note_without", size=before)]
     if accepted:
         notes.append(say("found.note_others"))

@@ -28,5 +28,6 @@ def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
         # A nonlinear coefficient is positive wherever it is looked for.
         if unknown.low == 0.0 and unknown.reference == 0.0 and found.value < -_SURE * found.standard_uncertainty:
             backlash = found.owner.startswith("backlash_")
-            key = "fit.negative_backlash" if backlash else "fit.negative"
+            reversal = backlash or found.owner.startswith("lost_motion_")
+            key = "fit.negative_backlash" if reversal else "fit.negative"
             yield say(key, name=found.owner if backlash else found.name)

@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 _MANY = 3
-# Standard uncertainties between confounded effects from which the readings distinguish them all the same.
+# Standard uncertainties between confounded effects from which it is said how far apart they are.
 _APART = 6.0
 AS_GOOD = 0.1
 """Probability of another effect from which it is told beside those found."""
@@ -147,11 +147,7 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         names = together(diagnosis.accepted, say("text.and"))
         text = say("next.adds", names=names) if diagnosis.accepted else say("next.sets_aside")
         mine = next((s for s in advice.separations if s.effects[0] in diagnosis.accepted), None)
-        rival = mine is not None and (
-            mine.apart_before < _APART
-            or max(diagnosis.search.of(name).probability for name in mine.effects[1:]) > AS_GOOD
-        )
-        if mine is not None and rival:
+        if mine is not None and _as_good(diagnosis, mine):
             measure = mine.measure if mine.kind is not None else say("next.no_measure")
             rivals = together(mine.effects[1:], say("diagnosis.or"))
             return together((text, say("next.from_rivals", names=rivals, measure=measure)))
@@ -199,9 +195,19 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
         words.append(say("diagnosis.implausible"))
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
     if separation is not None:
-        rivals = [diagnosis.search.of(other).probability for other in separation.effects[1:]]
-        words.append(_lookalike(separation, max(rivals, default=0.0) > 0.1 * found.probability))
+        words.append(_lookalike(diagnosis, separation))
     return together(words)
+
+
+def _instead(diagnosis: Diagnosis, separation: Separation) -> float:
+    """Probability that another one of confounded effects is missing, and not the first."""
+    first, *others = separation.effects
+    return sum(p for members, p in diagnosis.search.sets if first not in members and set(others) & set(members))
+
+
+def _as_good(diagnosis: Diagnosis, separation: Separation) -> bool:
+    """Whether another one of confounded effects may as well be missing as the first."""
+    return _instead(diagnosis, separation) > AS_GOOD * diagnosis.search.of(separation.effects[0]).probability
 
 
 def _changed(change: Consequence) -> Iterator[Said]:
@@ -220,11 +226,14 @@ def _changed(change: Consequence) -> Iterator[Said]:
         yield say("diagnosis.with_it_moved", residual=residual, moved=quantity(change.map_change_rms, "m"))
 
 
-def _lookalike(separation: Separation, as_good: bool) -> Said:
+def _lookalike(diagnosis: Diagnosis, separation: Separation) -> Said:
     """What to say of confounded effects, which may do as well with nonlinear coefficients of their own."""
     others = together(separation.effects[1:], say("diagnosis.or"))
-    if separation.apart_before >= _APART and not as_good:
-        return say("diagnosis.similar", others=others, apart=f"{separation.apart_before:.0f}")
+    if not _as_good(diagnosis, separation):
+        text = say("diagnosis.similar", others=others, p=probability(_instead(diagnosis, separation)))
+        if separation.apart_before < _APART:
+            return text
+        return together((text, say("diagnosis.apart", apart=f"{separation.apart_before:.0f}")))
     text = say("diagnosis.as_well", others=others)
     if separation.kind is None:
         return text

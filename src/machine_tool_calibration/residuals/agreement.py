@@ -293,7 +293,13 @@ class Neighbours:
         others = [readings.labels["target"]] if "target" in readings.labels else []
         others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
         approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
-        self.run = _Ordered(groups(readings.repeat, readings.setup, *others))
+        run, place = groups(readings.repeat, readings.setup, *others), same_place(readings)
+        # What only this run read agrees with itself, and says nothing of how the run differs from others.
+        lowest, highest = np.full((2, place.max(initial=-1) + 1), -1)
+        lowest[place[::-1]], highest = run[::-1], np.zeros_like(lowest)
+        np.maximum.at(highest, place, run)
+        np.minimum.at(lowest, place, run)
+        self.run = _Ordered(groups(run, lowest[place] < highest[place]))
         self.repeats = _Ordered(groups(same_place(readings), *approach))
 
     def course(self, which: IntArray, residual: Array) -> Array:

@@ -17,6 +17,8 @@ __all__ = ["FEWEST_REPEATS", "Noise", "noise_of"]
 # Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
 FEWEST_REPEATS = 8
 _PLACES = 1500
+# Share of the range of the readings below which two of them are the same but for the computer's rounding.
+_SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class Noise:
 
     Attributes:
         declared: what the session says.
-        from_repeats: from readings repeated at the same place in the same setup; None without such.
+        from_repeats: from readings repeated at the same place in the same setup, not less than what rounding them to
+            the last digit comes to; None without such.
         repeats: degrees of freedom of the latter.
         chi_square_p: chance of so large residuals if the model is right and the declared uncertainty too.
         lack_of_fit_p: chance that places differ so much more than repeats at one place do (F test, with the spread
@@ -69,10 +72,19 @@ def noise_of(fit: Fit) -> Noise:
             break
     else:
         return Noise(declared, None, free, fit.joint.p_value, None)
-    pure = max(total - explained_all, 1e-12) / dof
+    pure = max((total - explained_all) / dof, (_rounded_to(fit) / declared) ** 2 / 12.0, 1e-12 / dof)
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
     lack = float(special.fdtrc(rank_all - rank_spread, dof, lacking / pure))
     return Noise(declared, float(np.sqrt(pure)) * declared, dof, fit.joint.p_value, lack)
+
+
+def _rounded_to(fit: Fit) -> float:
+    """Least difference of readings, m: what is read to some digit repeats exactly, and scatters by the digit."""
+    values = fit.model.observations.readings.displacement
+    values = np.sort(values[np.isfinite(values)])
+    steps = np.diff(values)
+    steps = steps[steps > _SAME * np.ptp(values)] if len(values) else steps
+    return float(steps.min(initial=np.inf)) if len(steps) else 0.0
 
 
 def _explained(inner: Array, right: Array) -> tuple[float, int]:

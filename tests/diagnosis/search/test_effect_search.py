@@ -55,6 +55,15 @@ def test_a_structure_in_the_span_of_an_effect_is_that_effect() -> None:
     assert look.of("backlash_y").probability == pytest.approx(without.of("backlash_y").probability)
 
 
+def test_of_a_structure_what_an_effect_does_is_that_effect() -> None:
+    """Otherwise the effect would have only what the structure leaves, and the structure is in no model."""
+    own = np.random.default_rng(4).normal(size=(2, len(session(None).readings)))
+    both = looked(session("backlash_y"), [("dir_y", np.concatenate([3.0 * columns_of("backlash_y"), own]))])
+    without = looked(session("backlash_y"), [("dir_y", own)])
+    assert both.unknown == pytest.approx(without.unknown, rel=1e-3)
+    assert both.of("backlash_y").probability == pytest.approx(without.of("backlash_y").probability, rel=1e-3)
+
+
 def test_a_structure_of_its_own_is_told_and_no_effect_is() -> None:
     rng = np.random.default_rng(3)
     own = rng.normal(size=(1, len(session(None).readings)))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, rms
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, to_some_percent
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, to_some_percent
 from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
 from machine_tool_calibration.diagnosis.search.findings import (
     Finding,
@@ -249,10 +249,13 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     gram, k = gram_of(pool, projected), len(columns)
     # What does not vary within the runs has rounding there.
     before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
-    blocks, first = [], 0
+    blocks, first = list[Block](), 0
     for c, candidate in enumerate(every):
         few = _few(candidate, candidates)
         for shaped in candidate.shapes:
+            past = first + len(shaped.every)
+            if c >= len(candidates) and _is_an_effect(blocks, gram.inner, first, shaped, len(candidates)):
+                shaped, first = replace(shaped, columns=shaped.columns[1:]), first + 1
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
             # their share of the probability, and nothing shows them.
             leading = [shaped.leading(count) for count in few if count < len(shaped.columns)]
@@ -267,7 +270,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
                 ):
                     share = -float(np.log(candidate.count * (len(leading) + 1)))
                     blocks.append(Block.of(c, place, own, squares, share))
-            first += len(shaped.every)
+            first = past
     blocks = _without_repeated(blocks, gram.inner, len(candidates))
     return _Columns(pool, every, len(candidates), projected, gram, blocks)
 
@@ -291,6 +294,27 @@ def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:
         if np.allclose(first[: len(own)], own, atol=1e-12):
             least = max(least, len(own) + 1)
     return [count for count in _LEADING if count >= least]
+
+
+def _is_an_effect(blocks: Sequence[Block], inner: Array, first: int, shaped: Shaped, effects: int) -> bool:
+    """Whether the first function of a structure, a straight line, is what an effect does: then it is that effect.
+
+    Beside a structure that holds it the effect would only have what is left, and the structure is in no model.
+
+    Args:
+        blocks: of the effects, and of structures before this one.
+        inner: (K, K) inner products of all columns.
+        first: place of the structure's first column.
+        shaped: the structure's columns.
+        effects: how many of the candidates are effects: the first ones.
+    """
+    if shaped.shape or len(shaped.columns) < 2:
+        return False
+    for place in (b.own for b in blocks if b.candidate < effects and not b.shaped.shape):
+        explained = np.sum((basis_of(inner[place, place]).T @ inner[place, first]) ** 2)
+        if explained > (1.0 - priors.ABSORBED) * inner[first, first] > 0.0:
+            return True
+    return False
 
 
 def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:
