@@ -10,7 +10,6 @@ import pytest
 
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models
-from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -48,15 +47,3 @@ def test_repeats_that_agree_to_the_last_digit_scatter_by_what_rounding_takes() -
     rounded = replace(session.readings, displacement=digit * np.round(mean[place] / digit))
     fit = fit_models([build_model(session.with_readings(rounded))[0]]).fits[0]
     assert noise_of(fit).from_repeats == pytest.approx(digit / np.sqrt(12.0), rel=1e-6)
-
-
-def test_means_of_places_are_of_the_repeats_that_are_left() -> None:
-    observations = fitted("grid_plate", 6.0).model.observations
-    session, place = observations.session, observations.place
-    # Places that were approached alike in both repeats: what is left of each is one reading of the first.
-    of_first = np.isin(place, place[session.readings.repeat == 0])
-    both = fit_models([build_model(session.without(~of_first))[0]]).fits[0]
-    averaged = mean_places(both)
-    assert averaged is not None and session.description.repeats == 2
-    assert set(averaged[0].readings.repeat.tolist()) == {0}
-    assert averaged[0].description.repeats == 1

@@ -191,10 +191,10 @@ class _Conformity:
     def __init__(self, fitted: FittedSessions, budget: Budget | None, seed: int, progress: Progress) -> None:
         self.fitted, self.budget, self.seed, self.progress = fitted, budget, seed, progress
         if budget is not None:
-            self.numbers, self.u, self.freedom = budget.numbers, budget.complete, budget.degrees_of_freedom
+            self.numbers, self.u, self.dof = budget.numbers, budget.complete, budget.degrees_of_freedom
         else:
             self.numbers = everything(fitted)
-            self.u, self.freedom = self.numbers.u, np.full(len(self.numbers.u), np.inf)
+            self.u, self.dof = self.numbers.u, np.full(len(self.numbers.u), np.inf)
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
@@ -267,9 +267,9 @@ class _Conformity:
         if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
             return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
         if figure.work_out is None:
-            value, freedom = float(values[0]), self.freedom[members[0]]
-            probability = _single(value, float(spread[0]), float(freedom), tolerance, signed=figure.signed)
-            u = float(coverage_factor(freedom) * spread[0]) / 2.0
+            value, dof = float(values[0]), self.dof[members[0]]
+            probability = _single(value, float(spread[0]), float(dof), tolerance, signed=figure.signed)
+            u = float(coverage_factor(dof) * spread[0]) / 2.0
         else:
             value = float(figure.work_out(values[None])[0])
             drawn_figures = self.draws(figure, values, spread)
@@ -290,7 +290,7 @@ class _Conformity:
         """
         assert figure.work_out is not None
         off = self.samples[:, figure.members]
-        freedom = float(self.freedom[figure.members[int(np.argmax(u))]])
+        dof = float(self.dof[figure.members[int(np.argmax(u))]])
         size = np.sqrt(np.mean(off**2, axis=0))
         root = off * np.where(size > 0, u / np.where(size > 0, size, 1.0), 0.0) / np.sqrt(len(off))
         rng = np.random.default_rng(self.seed)
@@ -298,8 +298,8 @@ class _Conformity:
         out = []
         for first in range(0, _DRAWS, chunk):
             z = rng.standard_normal((min(chunk, _DRAWS - first), len(root)))
-            if np.isfinite(freedom):
-                z /= np.sqrt(rng.chisquare(freedom, len(z)) / freedom)[:, None]
+            if np.isfinite(dof):
+                z /= np.sqrt(rng.chisquare(dof, len(z)) / dof)[:, None]
             out.append(figure.work_out(values + z @ root))
         return np.concatenate(out)
 
@@ -337,7 +337,7 @@ class _Conformity:
         return say("conformity.not_given")
 
 
-def _single(value: float, u: float, freedom: float, tolerance: float, *, signed: bool) -> float:
+def _single(value: float, u: float, dof: float, tolerance: float, *, signed: bool) -> float:
     """Probability that a value is at most the tolerance, or within it on either side of zero.
 
     Normally distributed, or by Student's t where its uncertainty has few degrees of freedom.
@@ -347,7 +347,7 @@ def _single(value: float, u: float, freedom: float, tolerance: float, *, signed:
 
     def below(limit: float) -> float:
         t = (limit - value) / u
-        return float(special.ndtr(t) if np.isinf(freedom) else special.stdtr(freedom, t))
+        return float(special.ndtr(t) if np.isinf(dof) else special.stdtr(dof, t))
 
     return below(tolerance) - below(-tolerance) if signed else below(tolerance)
 

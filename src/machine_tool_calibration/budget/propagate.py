@@ -223,15 +223,15 @@ class Budget:
         squares = np.array(parts) ** 2
         total = float(squares.sum())
         shares = tuple(Share(float(p), float(s / total) if total else 0.0) for p, s in zip(parts, squares, strict=True))
-        freedom = float(_effective(squares[:, None], self.lines)[0])
-        k = float(coverage_factor(np.array(freedom)))
-        return Sum(quantity, index, shares, float(np.sqrt(total)), freedom, k, float(stated))
+        dof = float(_effective(squares[:, None], self.lines)[0])
+        k = float(coverage_factor(np.array(dof)))
+        return Sum(quantity, index, shares, float(np.sqrt(total)), dof, k, float(stated))
 
 
-def coverage_factor(freedom: Array) -> Array:
+def coverage_factor(dof: Array) -> Array:
     """Of an interval of 95.45 % by Student's t; 2 for infinitely many degrees of freedom."""
-    t = special.stdtrit(np.where(np.isinf(freedom), 1.0, freedom), 0.5 + COVERAGE / 2.0)
-    return np.where(np.isinf(freedom), 2.0, t)
+    t = special.stdtrit(np.where(np.isinf(dof), 1.0, dof), 0.5 + COVERAGE / 2.0)
+    return np.where(np.isinf(dof), 2.0, t)
 
 
 def _effective(squares: Array, lines: Sequence[Line]) -> Array:

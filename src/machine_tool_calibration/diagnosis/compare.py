@@ -318,8 +318,8 @@ def _compared(fit: Fit, effects: tuple[str, ...], outliers: tuple[int, ...], var
 
 
 def _overall(joint: JointFit, residuals: Array) -> Overall:
-    freedom = joint.solution.degrees_of_freedom
-    return Overall(len(residuals), rms(residuals), joint.reduced_chi_square, freedom, joint.p_value)
+    dof = joint.solution.degrees_of_freedom
+    return Overall(len(residuals), rms(residuals), joint.reduced_chi_square, dof, joint.p_value)
 
 
 def _whole(fit: Fit, each: pd.DataFrame) -> tuple[Overall, Noise]:
@@ -429,8 +429,8 @@ def _scatter(fit: Fit) -> float:
 def _p_value(fit: Fit, value: pd.Series[float], uncertainty: pd.Series[float]) -> Array:
     """Chance of values so far from zero; Student's where the scatter was taken from the residuals."""
     ratio = -value.abs() / uncertainty.where(uncertainty > 0.0)
-    freedom = fit.solution.degrees_of_freedom
-    return np.asarray(2.0 * (special.stdtr(freedom, ratio) if _scatter(fit) > 1.0 else special.ndtr(ratio)))
+    dof = fit.solution.degrees_of_freedom
+    return np.asarray(2.0 * (special.stdtr(dof, ratio) if _scatter(fit) > 1.0 else special.ndtr(ratio)))
 
 
 def _worst_first(parts: pd.DataFrame) -> pd.DataFrame:

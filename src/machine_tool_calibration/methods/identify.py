@@ -197,15 +197,15 @@ def _fitted(chosen: FitRequest) -> tuple[tuple[tuple[Rejected, ...], ...], FitRe
 
 def _spread(common: CommonModels) -> float:
     """Reduced chi-square of the sessions fitted one by one, with the datum that each needs alone."""
-    total, freedom = 0.0, 0
+    total, dof = 0.0, 0
     for model in common.models:
         alone: MethodModel = common_models([model], [""]).models[0]
         try:
             solution = fit_models([alone]).solution
         except ModelError:
             continue
-        total, freedom = total + solution.chi_square, freedom + solution.degrees_of_freedom
-    return total / freedom if freedom else 1.0
+        total, dof = total + solution.chi_square, dof + solution.degrees_of_freedom
+    return total / dof if dof else 1.0
 
 
 def identify(

@@ -85,9 +85,8 @@ class Sequencer:
         """Begin with the first step; `here` is where the axes stand, if that is known."""
         # the clock may not show yet when the axes were stopped, and a command is known by its stamp
         self.done, self._floor = 0, max(now, self._floor)
-        self.origin = self._floor
         self._group, self._datums, self._here = DatumGroup(), 0, here
-        self.counters = Counters()
+        self.counters, self.origin = Counters(), self._floor
         self.state, self.message = State.RUNNING, "measuring"
         return self._next(now, wall)
 

@@ -118,14 +118,14 @@ def _contributors(budget: Budget) -> TextTable:
         c = line.contributor
         if c is None:
             continue
-        freedom = "" if c.degrees_of_freedom is None else f"{c.degrees_of_freedom:g}"
+        dof = "" if c.degrees_of_freedom is None else f"{c.degrees_of_freedom:g}"
         rows.append(
             (
                 line_name(line),
                 c.type,
                 named("distribution", c.distribution),
                 quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
-                freedom,
+                dof,
                 say(f"enters.{c.enters}"),
                 say(f"varies.{c.varies}"),
                 micrometres(line.reading) if line.reading >= _LEAST_READING else "< 0.001",
@@ -284,7 +284,7 @@ def _line_document(line: Line) -> dict[str, Any]:
 
 
 def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
-    freedom = one.degrees_of_freedom
+    dof = one.degrees_of_freedom
     out: dict[str, Any] = {
         "name": one.quantity.name,
         "unit": one.quantity.unit,
@@ -296,7 +296,7 @@ def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
             for line, part in zip(budget.lines, one.shares, strict=True)
         ],
         "standard_uncertainty": one.u,
-        "effective_degrees_of_freedom": None if math.isinf(freedom) else freedom,
+        "effective_degrees_of_freedom": None if math.isinf(dof) else dof,
         "coverage_factor": one.k,
         "expanded_uncertainty": one.expanded,
         "identification": {"standard_uncertainty": one.stated if math.isfinite(one.stated) else None},

@@ -173,8 +173,8 @@ def _overall(comparison: Comparison | JointComparison) -> TextTable:
             (say("compared.declared"), quantity(noise.declared, "m")),
             (say("compared.repeated"), say("compared.no_repeats") if repeats is None else quantity(repeats, "m")),
         ]
-    chi, freedom = rounded(overall.reduced_chi_square), overall.degrees_of_freedom
-    rows.append((say("compared.chi"), say("compared.freedom", chi=chi, n=freedom)))
+    chi, dof = rounded(overall.reduced_chi_square), overall.degrees_of_freedom
+    rows.append((say("compared.chi"), say("compared.freedom", chi=chi, n=dof)))
     rows.append((say("compared.p" if joint else "compared.p_chance"), probability(overall.p_value)))
     if noise is not None and noise.lack_of_fit_p is not None:
         rows.append((say("compared.lack_p"), probability(noise.lack_of_fit_p)))

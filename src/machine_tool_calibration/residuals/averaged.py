@@ -57,6 +57,4 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
         columns={name: mean(values) for name, values in readings.columns.items()},
     )
     order = np.argsort(averaged.row, kind="stable")
-    repeats = len(np.unique(averaged.repeat))
-    session = replace(session, description=session.description.model_copy(update={"repeats": repeats}))
     return session.with_readings(averaged.select(order)), noise

@@ -267,9 +267,9 @@ class _Search:
         residual, hat = scaled_residuals(plain, theta, local), hat_values(plain, solution, 0, weight)
         kept = np.where(weight < 1.0, 1.0 + hat, 1.0 - hat)
         spread = np.sqrt(np.where(kept > priors.JUDGED, kept, np.inf))
-        freedom = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
+        dof = max(float(np.sum((1.0 - np.clip(hat, 0.0, 1.0))[weight == 1.0])), 1.0)
         seen = np.isfinite(spread)
-        noise = noise_of(np.abs(residual / spread)[seen], freedom, self.explained[seen])
+        noise = noise_of(np.abs(residual / spread)[seen], dof, self.explained[seen])
         return _Fit(plain, solution, weight, residual, spread, noise)
 
     def _judged(self, asked: IntArray, fit: _Fit) -> IntArray:

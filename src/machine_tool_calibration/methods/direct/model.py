@@ -320,10 +320,10 @@ def _scatter(observations: Observations, fit: Fit, runs: Sequence[Mapping[str, A
     declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
     own: dict[str, Any] = {}
     if len(runs) == len(observations.session.setup_ids) and all(np.isfinite(run["B"]) for run in runs):
-        squares, freedom, reversal = _by_direction(runs)
-        if freedom and squares + reversal > _ALL * float(np.sum(fit.residuals**2)):
-            p_value = float(special.chdtrc(freedom, squares / declared**2))
-            own = {"one_direction": float(np.sqrt(squares / freedom)), "one_direction_p_value": p_value}
+        squares, dof, reversal = _by_direction(runs)
+        if dof and squares + reversal > _ALL * float(np.sum(fit.residuals**2)):
+            p_value = float(special.chdtrc(dof, squares / declared**2))
+            own = {"one_direction": float(np.sqrt(squares / dof)), "one_direction_p_value": p_value}
     return {
         **own,
         "declared": declared,
@@ -335,13 +335,13 @@ def _scatter(observations: Observations, fit: Fit, runs: Sequence[Mapping[str, A
 
 def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]:
     """Sum of squares about the means of a position and direction, its degrees of freedom, and that of the reversal."""
-    squares, freedom, reversal = 0.0, 0, 0.0
+    squares, dof, reversal = 0.0, 0, 0.0
     for run in runs:
         up, down = run["count_up"], run["count_down"]
-        freedom += int((up - 1).clip(0).sum() + (down - 1).clip(0).sum())
+        dof += int((up - 1).clip(0).sum() + (down - 1).clip(0).sum())
         squares += float(np.nansum((up - 1) * run["s_up"] ** 2) + np.nansum((down - 1) * run["s_down"] ** 2))
         reversal += float(np.sum(up * down / (up + down) * run["reversal"] ** 2))
-    return squares, freedom, reversal
+    return squares, dof, reversal
 
 
 def _words(setups: SetupDatum, reduced: bool) -> str:

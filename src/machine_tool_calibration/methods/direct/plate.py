@@ -125,8 +125,8 @@ def _fitted(
     rank = int(keep.sum())
     theta = vectors[keep].T @ ((left[:, keep].T @ reading) / values[keep])
     residual = reading - (columns / size[:, None]).T @ theta
-    squares, freedom = float(residual @ residual), len(reading) - rank
-    variance = squares / max(freedom, 1)
+    squares, dof = float(residual @ residual), len(reading) - rank
+    variance = squares / max(dof, 1)
     out: dict[str, Any] = {
         "model": steps[-1].title,
         "unknowns": rank,
@@ -137,7 +137,7 @@ def _fitted(
         more = before[0] - squares
         extra = rank - before[1]
         ratio = more / extra / variance if extra > 0 and variance > 0 else 0.0
-        out |= {"f": ratio, "p_value": float(special.fdtrc(extra, freedom, ratio)) if extra > 0 else 1.0}
+        out |= {"f": ratio, "p_value": float(special.fdtrc(extra, dof, ratio)) if extra > 0 else 1.0}
     place = sum(len(step.columns) for step in used[:-1])
     covariance = (vectors[keep] / values[keep][:, None]).T @ (vectors[keep] / values[keep][:, None]) * variance
     names = list(used[-1].names)
@@ -161,7 +161,7 @@ def _fitted(
                 "value": value if known else None,
                 "standard_uncertainty": u if known else None,
                 "unit": unit,
-                "p_value": float(2 * special.stdtr(freedom, -abs(value) / u)) if known and u > 0 and freedom else None,
+                "p_value": float(2 * special.stdtr(dof, -abs(value) / u)) if known and u > 0 and dof else None,
             }
         )
     return out, (squares, rank)

@@ -124,8 +124,8 @@ def rotation_centre(
     span, sizes, _ = np.linalg.svd(np.column_stack([fixed, random]), full_matrices=False)
     span = span[:, sizes > _NOTHING * sizes[0]]
     inner = span.T @ displacement
-    outside, freedom = displacement - span @ inner, len(displacement) - span.shape[1]
-    if freedom < 1:
+    outside, dof = displacement - span @ inner, len(displacement) - span.shape[1]
+    if dof < 1:
         raise ModelError(
             f"too few readings: {len(displacement)} at {len(np.unique(angle))} azimuths do not tell the scatter from "
             f"the radial error motion; more than {span.shape[1]} are needed"
@@ -178,10 +178,10 @@ class _Mixed:
         information = self.fixed.T @ weight @ self.fixed
         solve = np.linalg.solve(information, self.fixed.T @ weight)
         left = self.inner - self.fixed @ (solve @ self.inner)
-        freedom = self.count - self.fixed.shape[1]
-        variance = (float(left @ weight @ left) + self.outside) / freedom
+        dof = self.count - self.fixed.shape[1]
+        variance = (float(left @ weight @ left) + self.outside) / dof
         logs = np.linalg.slogdet(weight)[1] - np.linalg.slogdet(information)[1]
-        return np.asarray(solve), variance, float(logs - freedom * np.log(max(variance, _LEAST))) / 2
+        return np.asarray(solve), variance, float(logs - dof * np.log(max(variance, _LEAST))) / 2
 
     def averaged(self) -> tuple[Array, Array, Array, tuple[float, float]]:
         """The fixed unknowns whatever the ratio is, by the probability of each (flat in the random ones' size).
@@ -227,8 +227,8 @@ def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | No
     if np.abs(np.cos(azimuth)).min() < _ALONG:
         raise ModelError("the beam runs nearly along Y: the path hardly changes with its angle; hold it across Y")
     free = y - own @ np.linalg.lstsq(own, y, rcond=None)[0]
-    freedom = len(y) - own.shape[1] - 1
-    if np.abs(free).max(initial=0.0) < _NOTHING or freedom < 1:
+    dof = len(y) - own.shape[1] - 1
+    if np.abs(free).max(initial=0.0) < _NOTHING or dof < 1:
         raise ModelError(
             "Y does not move, or there are too few readings: three or more places of it are needed in a run"
         )
@@ -241,7 +241,7 @@ def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | No
         offset += step
         if abs(step) < _DONE:
             break
-    scatter = float(np.sqrt(left @ left / freedom))
+    scatter = float(np.sqrt(left @ left / dof))
     return ZeroAngle(offset, scatter / float(np.linalg.norm(column)), scatter, left)
 
 
