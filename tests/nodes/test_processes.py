@@ -2,6 +2,7 @@
 """Each node as a process: it stops when asked, refuses what is wrong, and describes its parameters."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -41,7 +42,14 @@ def test_stops_within_two_seconds_in_the_middle_of_work(bench, number):
             status = graph.kill(name, number)
             took = time.monotonic() - asked
         assert took < 2.0 + busy.seconds, name
-        assert status == 0 or busy.seconds > 0.5, name  # it ends by force where it cannot end in time
+        # it ends by force where it cannot end in time: the processor is another's, or the middleware does not come back
+        assert status == 0 or busy.seconds > 0.5 or held_by_the_middleware(graph.folder / f"{name}.log"), name
+
+
+def held_by_the_middleware(log):
+    """Whether a node that was ended by force was in a call of rclpy, by the traces of its threads."""
+    *_, main = re.split(r"^.*hread 0x.*$", log.read_text(), flags=re.MULTILINE)
+    return "ended by force" in main and "/rclpy/" in main.strip().partition("\n")[0]
 
 
 def test_the_graph_ends_with_its_starter(tmp_path, ros_domain):

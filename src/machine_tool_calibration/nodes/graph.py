@@ -71,12 +71,12 @@ class Graph:
         parameters: Path | None = None,
     ) -> None:
         self._programs = {program.name: program for program in programs}
-        self._folder, self._domain, self._parameters = folder, domain, parameters
+        self.folder, self._domain, self._parameters = folder, domain, parameters
         self.namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Graph:
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
         try:
             for name in self._programs:
                 self.start(name)
@@ -92,7 +92,7 @@ class Graph:
         """Start one program, or start it again, with parameters that differ from the first time's."""
         program = self._programs[name]
         program = self._programs[name] = replace(program, parameters={**program.parameters, **changed})
-        parameters = self._folder / f"{name}.yaml"
+        parameters = self.folder / f"{name}.yaml"
         content = {"/**": {"ros__parameters": dict(program.parameters)}}
         parameters.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         command = [sys.executable, "-m", "machine_tool_calibration.nodes", name, "--ros-args"]
@@ -105,7 +105,7 @@ class Graph:
         # small matrices and several processes: more threads only get in each other's way
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self._domain), "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
-        self._running[name] = self._launch(command, environment, self._folder / f"{name}.log")
+        self._running[name] = self._launch(command, environment, self.folder / f"{name}.log")
 
     def _launch(self, command: list[str], environment: dict[str, str], log: Path) -> subprocess.Popen[bytes]:
         with log.open("ab") as file:
@@ -168,7 +168,7 @@ class Graph:
 
     def _last_line(self, name: str) -> str:
         try:
-            lines = (self._folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").split("\n")
+            lines = (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").split("\n")
         except OSError:
             lines = []
         kept = [line.strip() for line in lines if line.strip()]
