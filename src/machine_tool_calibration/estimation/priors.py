@@ -121,8 +121,8 @@ ACCEPTED = 0.5
 FURTHER = 0.65
 """The same of an effect beside a surer one: where a law does not hold exactly, what it leaves looks like another
 effect. In imperfect worlds 1 of 25 single effects then gets a wrong second one (at 0.5 4 of 60), and both of two are
-named in 49 of 60 perfect worlds (52; at 0.8 in 27 of 40 others). Where the machine itself is read many are expected at once,
-and each counts like the first."""
+named in 49 of 60 perfect worlds (52; at 0.8 in 27 of 40 others). Where the machine itself is read many are expected at
+once, and each counts like the first."""
 
 MAY_BE = 0.02
 """The same from which the law of an effect is tried with its tolerance as well."""
