@@ -295,12 +295,9 @@ class Neighbours:
         approach = [readings.columns[name] for name in readings.columns if name.startswith("dir_")]
         run, place = groups(readings.repeat, readings.setup, *others), same_place(readings)
         # What only this run read agrees with itself, and says nothing of how the run differs from others.
-        lowest, highest = np.full((2, place.max(initial=-1) + 1), -1)
-        lowest[place[::-1]], highest = run[::-1], np.zeros_like(lowest)
-        np.maximum.at(highest, place, run)
-        np.minimum.at(lowest, place, run)
-        self.run = _Ordered(groups(run, lowest[place] < highest[place]))
-        self.repeats = _Ordered(groups(same_place(readings), *approach))
+        place_of_each = np.unique(np.stack([place, run]), axis=1)[0]  # of a place and a run that read it
+        self.run = _Ordered(groups(run, np.bincount(place_of_each)[place] > 1))
+        self.repeats = _Ordered(groups(place, *approach))
 
     def course(self, which: IntArray, residual: Array) -> Array:
         """(k,) what the neighbours in time on both sides say of readings; 0 where there are too few.
