@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import threadpoolctl
@@ -80,7 +80,7 @@ class Diagnosis:
         """Of the first model and after every effect found."""
         return tuple(fitted.joint for fitted in self.fitted)
 
-    @property
+    @cached_property
     def suspicious(self) -> list[str]:
         """What is suspicious in the sessions as they were measured, and in the places that the first model found."""
         return suspicious_fits(self.fits[0].fits, self.chosen.labels, self.chosen.sessions)
