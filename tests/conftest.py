@@ -5,7 +5,7 @@ import atexit
 import gc
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.domain import free_domain
 
 from .told import Verb
@@ -41,10 +42,30 @@ os.environ.setdefault("SOURCE_DATE_EPOCH", "1767225600")
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
 
-# Not 0, where a user's own graph may start at any moment; larger ones need ports that the system gives to others.
-_claims = ExitStack()
+_SOCKET_TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+
+
+def _domains_with_nodes() -> set[int]:
+    """The domains whose UDP ports are in use on this machine: 250 each from 7400 on (OMG RTPS 2.5, 9.6.2)."""
+    lines = [line for table in _SOCKET_TABLES if table.exists() for line in table.read_text().splitlines()[1:]]
+    # "  155: 0100007F:6824 00000000:0000 07 …": the second word is the local address and port, in base 16
+    return {(int(line.split()[1].rpartition(":")[2], 16) - 7400) // 250 for line in lines}
+
+
+def _claim_domain() -> Iterator[int]:
+    """A domain id that no other program has claimed, and in which none takes part that claims nothing."""
+    # Not 0, where a user's own graph may start at any moment; larger ones need ports that the system gives to others.
+    for number in range(1, 102):
+        with suppress(CalibrationError), free_domain([number]):
+            # looked at after the claim: others that have claimed it until now have started their nodes
+            if number not in _domains_with_nodes():
+                yield number
+                return
+
+
+_claims = _claim_domain()
 atexit.register(_claims.close)
-os.environ["ROS_DOMAIN_ID"] = str(_claims.enter_context(free_domain(range(1, 102), without_nodes=True)))
+os.environ["ROS_DOMAIN_ID"] = str(next(_claims))
 
 
 # The modules that take longest come first, so that no process is left with one at the end. Those of nodes wait much of

@@ -2,7 +2,6 @@
 """Two graphs on one machine never get the same domain id by chance."""
 
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -13,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros import domain
-from machine_tool_calibration.nodes.ros.domain import claimed_domain, domains_with_nodes, free_domain
+from machine_tool_calibration.nodes.ros.domain import claimed_domain, free_domain
 
 HOLDER = """
 import os, sys
@@ -100,49 +98,3 @@ def test_a_measurement_takes_the_id_that_is_asked_for(monkeypatch: pytest.Monkey
         monkeypatch.setenv("ROS_DOMAIN_ID", wrong)
         with pytest.raises(CalibrationError, match="not a whole number from 0 to 232"), claimed_domain():
             pass
-
-
-def test_domains_with_nodes_are_left_out_where_asked(ids: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(domain, "domains_with_nodes", lambda: frozenset(ids[:1]))
-    with free_domain(ids, without_nodes=True) as found:
-        assert found == ids[1]
-        with free_domain(ids) as by_claim:
-            assert by_claim == ids[0]
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::1"])
-def test_a_port_of_a_domain_is_seen(ros_domain: int, host: str) -> None:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_DGRAM) as node:
-        try:
-            node.bind((host, 7400 + 250 * ros_domain + 249))
-        except OSError as error:
-            pytest.skip(f"no {host} here: {error}")
-        assert ros_domain in domains_with_nodes()
-
-
-def test_ports_are_read_as_the_system_writes_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    table = tmp_path / "udp"
-    head = "   sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
-    rows = [f"{i:5}: 0100007F:{port:04X} 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 {i} 2\n"
-            for i, port in enumerate((53, 7399, 7649, 7650, 32899))]  # fmt: skip
-    table.write_text(head + "".join(rows))
-    monkeypatch.setattr(domain, "_SOCKET_TABLES", (table, tmp_path / "none"))
-    assert domains_with_nodes() == {0, 1, 101}
-
-
-def test_a_system_that_does_not_tell_its_ports_has_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(domain, "_SOCKET_TABLES", (tmp_path / "none",))
-    assert domains_with_nodes() == frozenset()
-
-
-def test_a_running_node_is_seen(ros_domain: int) -> None:
-    rclpy = pytest.importorskip("rclpy")
-    context = rclpy.Context()
-    context.init(domain_id=ros_domain)
-    node = rclpy.create_node("seen", context=context)
-    try:
-        assert ros_domain in domains_with_nodes()
-    finally:
-        node.destroy_node()
-        context.shutdown()

@@ -8,16 +8,13 @@ import os
 import socket
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["claimed_domain", "domains_with_nodes", "free_domain"]
+__all__ = ["claimed_domain", "free_domain"]
 
 # larger ones need ports that the system gives to outgoing connections
 _IDS = range(0, 102)
-_FIRST_PORT, _PORTS_PER_DOMAIN = 7400, 250  # of DDS over UDP (OMG RTPS 2.5, 9.6.2)
-_SOCKET_TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
 
 
 @contextmanager
@@ -42,40 +39,22 @@ def claimed_domain(wanted: int | None = None) -> Iterator[int]:
 
 
 @contextmanager
-def free_domain(ids: Iterable[int] = _IDS, *, without_nodes: bool = False) -> Iterator[int]:
+def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
     """The first domain id that nobody on this machine has claimed, whoever runs it, claimed for as long as this lasts.
 
     Args:
         ids: the domain ids to choose from.
-        without_nodes: leave out domains in which any program takes part, whether it has claimed the domain or not.
 
     Raises:
         CalibrationError: none is free.
     """
     for domain in ids:
         claim = _claim(domain)
-        if claim is None:
-            continue
-        with claim:
-            # looked at after the claim: others that have claimed it until now have started their nodes
-            if without_nodes and domain in domains_with_nodes():
-                continue
-            yield domain
+        if claim is not None:
+            with claim:
+                yield domain
             return
     raise CalibrationError("no ROS domain id is free on this machine; --domain-id chooses one")
-
-
-def domains_with_nodes() -> frozenset[int]:
-    """The domains whose UDP ports are in use on this machine; empty where the system does not tell."""
-    ports: set[int] = set()
-    for table in _SOCKET_TABLES:
-        try:
-            lines = table.read_text(encoding="ascii").splitlines()[1:]
-        except OSError:
-            continue
-        # "  155: 0100007F:6824 00000000:0000 07 …": the second word is the local address and port, in base 16
-        ports |= {int(line.split()[1].rpartition(":")[2], 16) for line in lines if line.strip()}
-    return frozenset((port - _FIRST_PORT) // _PORTS_PER_DOMAIN for port in ports if port >= _FIRST_PORT)
 
 
 def _claim(domain: int) -> socket.socket | None:
