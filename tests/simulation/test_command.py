@@ -9,14 +9,8 @@ import yaml
 from machine_tool_calibration import simulation
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.folder import read_session
-from machine_tool_calibration.simulation import (
-    MachineSpec,
-    SimulationSpec,
-    TrackingPlan,
-    build_machine,
-    machine_document,
-    read_machine,
-)
+from machine_tool_calibration.simulation import MachineSpec, SimulationSpec, TrackingPlan, build_machine, read_machine
+from machine_tool_calibration.simulation.machine_file import machine_document
 from machine_tool_calibration.simulation.options import parse_effect, parse_setting, read_spec, spec_from
 
 MACHINES = sorted((Path(__file__).parents[2] / "config" / "machines").glob("*.yaml"))

@@ -4,9 +4,18 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.simulation import Pointer, aim, distance, mirror_path, probed, sensed_path
 from machine_tool_calibration.simulation.flaws_reading import deviation, refractivity, vapour_pressure
-from machine_tool_calibration.simulation.sensors import across, beam_direction, tilted
+from machine_tool_calibration.simulation.sensors import (
+    Pointer,
+    across,
+    aim,
+    beam_direction,
+    distance,
+    mirror_path,
+    probed,
+    sensed_path,
+    tilted,
+)  # fmt: skip
 
 
 def test_pointing_uses_all_four_quadrants():

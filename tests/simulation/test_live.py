@@ -8,17 +8,15 @@ import pytest
 
 from machine_tool_calibration.simulation import (
     Drift,
-    Environment,
     FlawSpec,
-    LiveMachine,
     RotaryPlan,
     SimulationSpec,
     TrackingPlan,
     choose_flaw,
-    random_environment,
     simulate,
 )
-from machine_tool_calibration.simulation.environment import COLUMNS
+from machine_tool_calibration.simulation.environment import COLUMNS, Environment, random_environment
+from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import sensed_path
 
 

@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.simulation import VirtualMachine
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.machine_file import random_machine
 from machine_tool_calibration.simulation.motions import AxisMotion, constant, motion_names
 
 POINT = np.array([[0.11, 0.27, 0.19]])
@@ -141,8 +142,6 @@ def test_a_shift_of_the_table_acts_in_its_own_sense():
 
 
 def test_tabulated_machine_agrees_at_the_nodes_and_is_straight_between():
-    from machine_tool_calibration.simulation import random_machine
-
     smooth = random_machine("w-b-X-Y-t", {"x": (0, 0.4), "y": (0, 0.4)}, 3)
     nodes = (0.0, 0.1, 0.2, 0.3, 0.4)
     table = smooth.tabulated({"X": nodes})

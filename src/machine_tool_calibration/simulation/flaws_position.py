@@ -42,21 +42,25 @@ def _backlash(axis: str) -> Flaw:
     )
 
 
-def _thermal(axis: str) -> Flaw:
-    """The scale or screw of an axis grows with its temperature, away from where it is fixed."""
+def _thermal(axis: str, *, late: bool = False) -> Flaw:
+    """The scale or screw of an axis grows with its temperature, away from where it is fixed.
+
+    Where it is `late` it is a heavy bed behind the sensor on its surface.
+    """
     column = f"temperature_{axis.lower()}"
 
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        excess = scene.sensed(column) - parameters["reference"]
+        sensed = scene.sensed_late(column, parameters["tau"]) if late else scene.sensed(column)
+        excess = sensed - parameters["reference"]
         return Disturbance(axis={axis: size * excess * (scene.along(axis) - parameters["fixed_point"])})
 
     return Flaw(
-        f"thermal_expansion_{axis.lower()}",
-        f"position of {axis}: size * ({column} - 20) * ({axis.lower()} - fixed_point)",
+        f"thermal_{'lag' if late else 'expansion'}_{axis.lower()}",
+        f"position of {axis}: size * ({column}{' behind by tau' if late else ''} - 20) * ({axis.lower()} - fixed_point)",
         "1/K",
-        8e-6,
+        1e-5 if late else 8e-6,
         disturb,
-        {"reference": 20.0, "fixed_point": 0.0},
+        {**({"tau": 1200.0} if late else {}), "reference": 20.0, "fixed_point": 0.0},
         methods=LINEAR,
     )
 
@@ -247,25 +251,6 @@ def _squareness_thermal(name: str) -> Flaw:
     )
 
 
-def _lag(axis: str) -> Flaw:
-    """A heavy bed behind the sensor on its surface."""
-    column = f"temperature_{axis.lower()}"
-
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        warm = scene.sensed_late(column, parameters["tau"]) - parameters["reference"]
-        return Disturbance(axis={axis: size * warm * (scene.along(axis) - parameters["fixed_point"])})
-
-    return Flaw(
-        f"thermal_lag_{axis.lower()}",
-        f"position of {axis}: size * ({column} behind by tau - 20) * ({axis.lower()} - fixed_point)",
-        "1/K",
-        1e-5,
-        disturb,
-        {"tau": 1200.0, "reference": 20.0, "fixed_point": 0.0},
-        methods=LINEAR,
-    )
-
-
 def _rotary_drift(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
     """The table's foundation settles: its axis moves in a direction of its own, and tilts."""
     way = np.asarray(parameters["direction"], float)
@@ -282,7 +267,7 @@ def _direction(rng: np.random.Generator, _: Scene | None) -> dict[str, list[floa
 THERMAL_FLAWS: tuple[Flaw, ...] = (
     *(_squareness_drift(name) for name in _AXES),
     *(_squareness_thermal(name) for name in _AXES),
-    *(_lag(axis) for axis in "XYZ"),
+    *(_thermal(axis, late=True) for axis in "XYZ"),
     Flaw(
         "rotary_axis_drift",
         "axis of the table moves by size * time along direction, and tilts by tilt (rad/m) of it",

@@ -87,15 +87,10 @@ def random_machine(
     ends = {name.upper(): (float(low), float(high)) for name, (low, high) in travel.items()}
     motions = {}
     for axis in "XYZABC":  # always in this order, so that the errors do not depend on the chain's
-        if axis not in chain.axes:
-            continue
-        if axis in "XYZ":
-            if axis not in ends:
-                raise ModelError(f"the travel of {axis} is needed for its error motions")
-            tables = _linear(rng, axis, ends[axis], size)
-        else:
-            tables = _rotary(rng, axis, size)
-        motions[axis] = AxisMotion(axis, tables)
+        if axis in chain.linear and axis not in ends:
+            raise ModelError(f"the travel of {axis} is needed for its error motions")
+        if axis in chain.axes:
+            motions[axis] = _motion(rng, axis, size, ends)
     squareness = {
         name: float(rng.uniform(-size.squareness, size.squareness))
         for name in ("C0Y", "B0Z", "A0Z")
@@ -109,20 +104,22 @@ def random_machine(
     return VirtualMachine(chain, motions, squareness, line, ends, rotation_sign)
 
 
-def _linear(
-    rng: np.random.Generator, axis: str, ends: tuple[float, float], size: Amplitudes
-) -> tuple[tuple[str, Table], ...]:
-    names = motion_names(axis)
-    along = {name: size.positioning if name[1] == axis else size.straightness for name in names}
-    amplitudes = [size.angular if name[1] in "ABC" else along[name] for name in names]
-    return tuple(zip(names, random_smooth(rng, *ends, amplitudes, knots=size.knots), strict=True))
-
-
-def _rotary(rng: np.random.Generator, axis: str, size: Amplitudes) -> tuple[tuple[str, Table], ...]:
-    names = motion_names(axis)
-    about = {name: size.rotary_angle if name[1] == axis else size.rotary_tilt for name in names}
-    amplitudes = [size.rotary_translation if name[1] in "XYZ" else about[name] for name in names]
-    return tuple(zip(names, random_periodic(rng, amplitudes), strict=True))
+def _motion(
+    rng: np.random.Generator, axis: str, size: Amplitudes, ends: Mapping[str, tuple[float, float]]
+) -> AxisMotion:
+    """Random error motions of an axis; of a linear one between its ends."""
+    names, is_linear = motion_names(axis), axis in "XYZ"
+    if is_linear:
+        along, across, about, tilt = size.positioning, size.straightness, size.angular, size.angular
+    else:
+        along = across = size.rotary_translation
+        about, tilt = size.rotary_angle, size.rotary_tilt
+    own = {name: (along, about) if name[1] == axis else (across, tilt) for name in names}
+    amplitudes = [own[name][name[1] in "ABC"] for name in names]
+    made = (
+        random_smooth(rng, *ends[axis], amplitudes, knots=size.knots) if is_linear else random_periodic(rng, amplitudes)
+    )
+    return AxisMotion(axis, tuple(zip(names, made, strict=True)))
 
 
 _SHORTEST_TRAVEL = 1e-6  # m or rad
