@@ -7,14 +7,10 @@ types of ROS 2 Jazzy are read: making a reader from a stranger's definition woul
 
 from __future__ import annotations
 
-import os
-import re
 import struct
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,11 +36,6 @@ __all__ = [
     "typestore",
 ]
 
-_SEPARATOR = "=" * 80 + "\n"
-_FIELD = re.compile(r"^([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_/]*)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-z]")
-_INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
-_PRIMITIVES = frozenset(["bool", "byte", "char", "string", "wstring", "float32", "float64", *_INTEGERS])
-
 
 @dataclass(frozen=True)
 class Definition:
@@ -67,46 +58,12 @@ def typestore() -> Typestore:
 
 @cache
 def definition_of(name: str) -> Definition:
-    """Definition and hash of a type such as `sensor_msgs/msg/JointState`; empty where it cannot be found."""
+    """Definition and hash of a standard type such as `sensor_msgs/msg/JointState`; empty of any other."""
     store = typestore()
-    if name in store.fielddefs:
-        text, _ = store.generate_msgdef(name, ros_version=2)
-        return Definition(text, store.hash_rihs01(name))
-    return Definition(_installed(name), "")
-
-
-def _installed(name: str) -> str:
-    """The definition from installed `.msg` files, with those of its parts."""
-    texts: dict[str, str] = {}
-    waiting = [name]
-    while waiting:
-        current = waiting.pop(0)
-        if current in texts:
-            continue
-        text = _msg_file(current)
-        if text is None:
-            return ""
-        texts[current] = text
-        package = current.split("/")[0]
-        for line in text.splitlines():
-            match = _FIELD.match(line.strip())
-            if match and match.group(1) not in _PRIMITIVES:
-                part = match.group(1)
-                parts = part.split("/") if "/" in part else [package, part]
-                waiting.append(f"{parts[0]}/msg/{parts[-1]}")
-    first, *rest = texts
-    return texts[first] + "".join(f"{_SEPARATOR}MSG: {part.replace('/msg/', '/')}\n{texts[part]}" for part in rest)
-
-
-def _msg_file(name: str) -> str | None:
-    parts = name.split("/")
-    if len(parts) != 3 or not all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", part) for part in parts):
-        return None
-    for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
-        path = Path(prefix) / "share" / parts[0] / parts[1] / f"{parts[2]}.msg"
-        if prefix and path.is_file():
-            return path.read_text(encoding="utf-8").rstrip("\n") + "\n"
-    return None
+    if name not in store.fielddefs:
+        return Definition()
+    text, _ = store.generate_msgdef(name, ros_version=2)
+    return Definition(text, store.hash_rihs01(name))
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

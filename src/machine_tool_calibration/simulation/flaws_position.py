@@ -47,7 +47,7 @@ def _thermal(axis: str, *, late: bool = False) -> Flaw:
 
     Where it is `late` it is a heavy bed behind the sensor on its surface.
     """
-    column = f"temperature_{axis.lower()}"
+    column, behind = f"temperature_{axis.lower()}", " behind by tau" if late else ""
 
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
         sensed = scene.sensed_late(column, parameters["tau"]) if late else scene.sensed(column)
@@ -56,7 +56,7 @@ def _thermal(axis: str, *, late: bool = False) -> Flaw:
 
     return Flaw(
         f"thermal_{'lag' if late else 'expansion'}_{axis.lower()}",
-        f"position of {axis}: size * ({column}{' behind by tau' if late else ''} - 20) * ({axis.lower()} - fixed_point)",
+        f"position of {axis}: size * ({column}{behind} - 20) * ({axis.lower()} - fixed_point)",
         "1/K",
         1e-5 if late else 8e-6,
         disturb,

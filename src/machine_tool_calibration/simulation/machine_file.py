@@ -116,10 +116,11 @@ def _motion(
         about, tilt = size.rotary_angle, size.rotary_tilt
     own = {name: (along, about) if name[1] == axis else (across, tilt) for name in names}
     amplitudes = [own[name][name[1] in "ABC"] for name in names]
-    made = (
-        random_smooth(rng, *ends[axis], amplitudes, knots=size.knots) if is_linear else random_periodic(rng, amplitudes)
-    )
-    return AxisMotion(axis, tuple(zip(names, made, strict=True)))
+    if is_linear:
+        tables = random_smooth(rng, *ends[axis], amplitudes, knots=size.knots)
+    else:
+        tables = random_periodic(rng, amplitudes)
+    return AxisMotion(axis, tuple(zip(names, tables, strict=True)))
 
 
 _SHORTEST_TRAVEL = 1e-6  # m or rad
