@@ -21,7 +21,6 @@ from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
     Level,
-    from_duration,
     from_message,
     joint_state,
     nanoseconds,
@@ -124,7 +123,7 @@ class AxisSimulator(ManagedNode):
         try:
             points = check_command(
                 message.joint_names,
-                [(list(point.positions), from_duration(point.time_from_start)) for point in message.points],
+                [(list(point.positions), seconds(from_message(point.time_from_start))) for point in message.points],
                 self.site.travel,
             )
         except CalibrationError as error:

@@ -159,9 +159,7 @@ class Executions:
         if any(len(point.positions) != len(names) for point in message.points):
             raise CalibrationError(f"a point has not one position for each of {len(names)} axes")
         places = tuple(dict(zip(names, map(float, point.positions), strict=True)) for point in message.points)
-        times = [
-            command + point.time_from_start.sec * _GIGA + point.time_from_start.nanosec for point in message.points
-        ]
+        times = [command + from_message(point.time_from_start) for point in message.points]
         if command != self._command:
             start = places[0] if places else {}
             is_elsewhere = any(abs(start.get(name, place) - place) > _SAME for name, place in self._place.items())

@@ -185,14 +185,10 @@ class Site:
 
     def functional_point(self, moment: Moment) -> Array:
         """(3,) where the functional point really is, m, workpiece frame."""
-        if not self.chosen:  # the errors depend on the position alone
-            return np.asarray(self.machine.functional_point(_linear(moment))[0])
         return np.asarray(self.live.functional_point(self.scene(moment))[0])
 
     def tool_rotation(self, moment: Moment) -> Array:
         """(3, 3) rotation of the tool with respect to the workpiece."""
-        if not self.chosen:
-            return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
         return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
 
     def table(self, moment: Moment) -> tuple[Array, Array]:
@@ -248,11 +244,6 @@ class Site:
         """
         sight = self.live.sight(np.array([path]), direction[None], azimuth, first, incidence)
         return float(self.live.added(self.scene(moment), sight)[0])
-
-
-def _linear(moment: Moment) -> Array:
-    """(1, 3) commanded x, y, z, m; an axis that the machine lacks stands at zero."""
-    return np.array([[moment.position.get(axis, 0.0) for axis in "xyz"]])
 
 
 def declare_site(

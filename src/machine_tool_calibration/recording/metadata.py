@@ -21,7 +21,6 @@ __all__ = [
     "TopicSummary",
     "bag_information",
     "bag_information_text",
-    "metadata_text",
     "qos_text",
 ]
 
@@ -210,10 +209,5 @@ def bag_information(files: Sequence[FileSummary], topics: Sequence[TopicSummary]
 
 
 def bag_information_text(information: Mapping[str, Any]) -> str:
-    """YAML text of the information, as it stands in a file's `rosbag2` record."""
+    """YAML text of the information, as it stands in a file's `rosbag2` record and in `metadata.yaml`."""
     return yaml.dump(dict(information), Dumper=PlainDumper, sort_keys=False, default_flow_style=False, width=10_000)
-
-
-def metadata_text(information: Mapping[str, Any]) -> str:
-    """Content of `metadata.yaml`."""
-    return bag_information_text({"rosbag2_bagfile_information": dict(information)})

@@ -64,7 +64,8 @@ def _runs(
     """The runs that have readings, with text columns of the user's own."""
     reader = JointStateReader()
     place = Place(f"{bag.path} {names[SESSION]}", f"{bag.path} {names[READING]}")
-    described = _description_text(bag, names[SESSION])
+    # The first description may stand behind the first readings, where the recorder met it late.
+    described = bag.read(next(iter(bag.messages([names[SESSION]]))), text)
     collector = Collector(parse_description(described, place.description), place)
     kept: dict[str, np.ndarray] = {}
     again = False
@@ -89,11 +90,6 @@ def _runs(
             again = False
     if len(collector):
         yield collector, kept
-
-
-def _description_text(bag: BagReader, topic: str) -> str:
-    """The first description; it may stand behind the first readings, where the recorder met it late."""
-    return bag.read(next(iter(bag.messages([topic]))), text)
 
 
 def _labels(bag: BagReader, message: Message) -> dict[str, np.ndarray]:
@@ -127,7 +123,10 @@ def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace:
     prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
     names, table = reading_columns(session)
     time = session.readings.columns.get("time")
-    seconds = np.arange(len(session.readings), dtype=np.float64) if time is None else _ascending(time)
+    if time is None:
+        seconds = np.arange(len(session.readings), dtype=np.float64)
+    else:  # none before the start or an earlier reading, which keeps their order
+        seconds = np.maximum.accumulate(np.fmax(time, 0.0))
     numbered = {label for label, key in INDEX_COLUMNS.values() if getattr(session.description, key, None) is not None}
     labels = {name: values.tolist() for name, values in session.readings.labels.items() if name not in numbered}
     with BagWriter(folder) as bag:
@@ -141,11 +140,6 @@ def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace:
         for stamp, row in zip(stamps.tolist(), table, strict=True):
             data = encode_joint_state(max(0, stamp), MACHINE, names, row)
             bag.write(f"{prefix}/{READING}", data, stamp)
-
-
-def _ascending(time: np.ndarray) -> np.ndarray:
-    """Times at which readings are logged: none before the start or an earlier reading, which keeps their order."""
-    return np.maximum.accumulate(np.fmax(time, 0.0))
 
 
 def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:

@@ -201,38 +201,28 @@ def save_tables(
             raise RecordingError(f"{folder}: is not empty; choose another folder")
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
+    readable = [topic for _, topic in sorted(bag.topics.items()) if topic.readable]
     files: dict[str, Path] = {}
+    before = 0  # messages of the topics that are written
     try:
-        skipped = _save_topics(bag, folder, form, report, files)
+        for topic in filter(lambda topic: topic.messages, readable):
+            name = file_name(topic.name)
+            path = folder / f"{name}.{form}"
+            if path in files.values():
+                path = folder / f"{name}_{len(files)}.{form}"
+
+            def seen(messages: int, topic: str = topic.name, before: int = before) -> None:
+                report(topic, (before + messages) / bag.messages_in_all)
+
+            seen(0)
+            save_table(tables(bag, topic, seen), path)
+            files[topic.name] = path
+            before += topic.messages
     except BaseException:  # half of them would be in the way of another try
         for path in files.values():
             path.unlink(missing_ok=True)
         raise
-    return files, skipped
-
-
-def _save_topics(
-    bag: BagReader, folder: Path, form: str, report: Callable[[str, float], object], files: dict[str, Path]
-) -> list[str]:
-    """Write each topic's table; those written are put into `files`, and those that cannot be read are returned."""
-    skipped: list[str] = []
-    before = 0  # messages of the topics that are written
-    for name, topic in sorted(bag.topics.items()):
-        if not topic.readable:
-            skipped.append(name)
-        elif topic.messages:
-            path = folder / f"{file_name(name)}.{form}"
-            if path in files.values():
-                path = folder / f"{file_name(name)}_{len(files)}.{form}"
-
-            def seen(messages: int, name: str = name, before: int = before) -> None:
-                report(name, (before + messages) / bag.messages_in_all)
-
-            seen(0)
-            save_table(tables(bag, topic, seen), path)
-            files[name] = path
-            before += topic.messages
-    return skipped
+    return files, sorted(bag.topics.keys() - {topic.name for topic in readable})
 
 
 def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:

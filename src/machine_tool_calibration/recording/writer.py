@@ -21,7 +21,6 @@ from machine_tool_calibration.recording.metadata import (
     TopicSummary,
     bag_information,
     bag_information_text,
-    metadata_text,
     qos_text,
 )
 
@@ -269,7 +268,7 @@ class BagWriter:
             self._end()
             part = self.folder / "metadata.yaml.part"
             with part.open("w", encoding="utf-8") as stream:
-                stream.write(metadata_text(self._information()))
+                stream.write(bag_information_text({"rosbag2_bagfile_information": self._information()}))
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(part, self.folder / "metadata.yaml")

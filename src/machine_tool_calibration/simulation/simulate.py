@@ -89,7 +89,8 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
         CalibrationError: an effect that does not exist or does not occur in this method, a machine that
             does not fit the plan.
     """
-    rng = _streams(spec.seed)
+    children = np.random.SeedSequence(spec.seed).spawn(len(_STREAMS))
+    rng = {name: np.random.default_rng(child) for name, child in zip(_STREAMS, children, strict=True)}
     plan = spec.plan
     if machine is None:
         machine = build_machine(
@@ -103,7 +104,9 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
     machine = plan.prepared(machine)
     environment = random_environment(rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns)
     measurement = measure(plan, environment, rng["setup"])
-    shaken = _repeatability(spec, measurement, rng["repeatability"])
+    shaken = Disturbance()
+    if spec.repeatability:
+        shaken = Disturbance(point=spec.repeatability * rng["repeatability"].normal(size=(len(measurement.scene), 3)))
     chosen = (
         *(_choose(effect, index, spec, measurement, machine) for index, effect in enumerate(spec.effects)),
         *extra,
@@ -144,17 +147,6 @@ def measured_again(simulated: Simulated, seed: int) -> Session:
     total = clean + simulated.session.sigma * np.random.default_rng(seed).normal(size=len(clean))
     displacement = np.where(np.isnan(readings.displacement), np.nan, since_first(total, simulated.truth.datum))
     return simulated.session.with_readings(replace(readings, displacement=displacement))
-
-
-def _streams(seed: int) -> dict[str, np.random.Generator]:
-    children = np.random.SeedSequence(seed).spawn(len(_STREAMS))
-    return {name: np.random.default_rng(child) for name, child in zip(_STREAMS, children, strict=True)}
-
-
-def _repeatability(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Disturbance:
-    if spec.repeatability == 0:
-        return Disturbance()
-    return Disturbance(point=spec.repeatability * rng.normal(size=(len(measurement.scene), 3)))
 
 
 def _apply(

@@ -36,7 +36,6 @@ __all__ = [
     "cloud",
     "columns",
     "dated",
-    "from_duration",
     "from_message",
     "joint_state",
     "nanoseconds",
@@ -78,8 +77,8 @@ _GIGA = 1_000_000_000
 _DIGITS = 19  # of a time in ns
 
 
-def from_message(stamp: Time) -> int:
-    """Nanoseconds of a stamp."""
+def from_message(stamp: Time | Duration) -> int:
+    """Nanoseconds of a stamp, or of a duration."""
     return int(stamp.sec) * _GIGA + int(stamp.nanosec)
 
 
@@ -87,11 +86,6 @@ def to_message(stamp: int) -> Time:
     """The stamp of a time in nanoseconds."""
     sec, nanosec = divmod(stamp, _GIGA)
     return Time(sec=sec, nanosec=nanosec)
-
-
-def from_duration(duration: Duration) -> float:
-    """Seconds of a duration."""
-    return int(duration.sec) + int(duration.nanosec) * 1e-9
 
 
 def duration_message(time: float) -> Duration:
