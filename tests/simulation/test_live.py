@@ -15,6 +15,7 @@ from machine_tool_calibration.simulation import (
     choose_flaw,
     simulate,
 )
+from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.environment import COLUMNS, Environment, random_environment
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import sensed_path
@@ -70,7 +71,8 @@ def test_live_readings_are_those_of_the_session():
         origin, direction = live.beam(now, plan.pointer(), azimuth, 0.0, station)
         length = sensed_path(live.functional_point(now), origin, direction)
         first.setdefault(setup, length[0])
-        sight = live.sight(length, direction, azimuth, first[setup], incidence=azimuth)
+        turned = np.array([azimuth])
+        sight = Sight(length, direction, turned, incidence=turned, change=length - first[setup])
         path.append(float((length + live.added(now, sight))[0]))
     path = np.array(path)
     begin = np.unique(session.readings.setup, return_index=True)[1]

@@ -110,8 +110,7 @@ class SimulatedPart:
         # The workpiece turns in the plane: heights are the probe's own.
         surface[:, 2], facing[:, 2] = centre[2], 0.0
         contact = float(probed(centre[None], normal[None], surface, facing, self.part.radius)[0])
-        zero = np.zeros(1)
-        sight = Sight(zero, -normal[None], np.array([np.arctan2(normal[1], normal[0])]), zero, zero)
+        sight = Sight(np.zeros(1), -normal[None], azimuth=np.arctan2(normal[1:2], normal[:1]))
         return contact + float(self.live.added(scene, sight)[0]) - self.pretravel.at(touch.normal)
 
 

@@ -23,6 +23,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
+from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.environment import Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
@@ -242,7 +243,8 @@ class Site:
             first: path of the setup's first reading, m.
             incidence: angle at the retroreflector, rad.
         """
-        sight = self.live.sight(np.array([path]), direction[None], azimuth, first, incidence)
+        one = (np.array([value]) for value in (azimuth, incidence, path - first))
+        sight = Sight(np.array([path]), direction[None], *one)
         return float(self.live.added(self.scene(moment), sight)[0])
 
 

@@ -145,8 +145,7 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
         fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
         path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed, disturbance.errors))
         moved = path - plan.distance
-        nothing = np.zeros(len(path))
-        sight = Sight(moved, beam[setup], nothing, nothing, since_first(moved, block))
+        sight = Sight(moved, beam[setup], change=since_first(moved, block))
         return path + disturbance.added(sight)
 
     def judged(machine: VirtualMachine) -> dict[str, Any]:

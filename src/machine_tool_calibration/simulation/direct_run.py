@@ -23,13 +23,7 @@ __all__ = ["DirectPlan", "plan_direct"]
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
 Datum = Literal["none", "offset", "rigid"]
-_DATUM: dict[str, Datum] = {
-    "iso230_2": "none",
-    "straightness": "rigid",
-    "grid_plate": "rigid",
-    "drilled_plate": "rigid",
-    "points": "none",
-}
+_DATUM: dict[str, Datum] = {"iso230_2": "none", "points": "none"}  # rigid of all others
 _INSTRUMENT: dict[str, Instrument] = {
     "iso230_2": "laser_interferometer",
     "straightness": "straightedge",
@@ -136,7 +130,7 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     _approach_from_below(plan, direction, len(forth))
     scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
-    datum = plan.datum or _DATUM[plan.kind]
+    datum = plan.datum or _DATUM.get(plan.kind, "rigid")
     place, turned = rng.normal(size=(2, plan.mountings, 3))
     place = plan.misplacement * place * (datum != "none")
     turned = plan.misplacement * 20.0 * turned * (datum == "rigid")
@@ -146,9 +140,8 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
         actual = disturbance.functional_point(machine, position) / np.reshape(1.0 + disturbance.growth, (-1, 1))
         seen = rotate(actual, turned[setup]) + place[setup]
         deviation: Array = np.einsum("ni,ni->n", sense, seen - position)
-        nothing = np.zeros(len(deviation))
         path = np.einsum("ni,ni->n", sense, position)
-        sight = Sight(path, sense, np.arctan2(sense[:, 1], sense[:, 0]), nothing, path)
+        sight = Sight(path, sense, azimuth=np.arctan2(sense[:, 1], sense[:, 0]), change=path)
         return deviation + disturbance.added(sight)
 
     def judged(machine: VirtualMachine) -> dict[str, Any]:

@@ -32,9 +32,9 @@ class Sight:
 
     path: Array
     direction: Array
-    azimuth: Array
-    incidence: Array
-    change: Array
+    azimuth: Array = field(default_factory=lambda: np.zeros(1))
+    incidence: Array = field(default_factory=lambda: np.zeros(1))
+    change: Array = field(default_factory=lambda: np.zeros(1))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@
     live.functional_point(now)                     # (1, 3): with backlash, heat and all error motions
     origin, direction = live.beam(now, pointer, azimuth, elevation, true_station)
     path = sensed_path(live.functional_point(now), origin, direction)
-    path + live.added(now, live.sight(path, direction, azimuth, first_path))
+    path + live.added(now, Sight(path, direction, azimuth, incidence, path - first_path))
 
 Everything takes many moments at once as well (a stretch of the displacement stream).
 """
@@ -118,18 +118,6 @@ class LiveMachine:
         n, disturbance = len(scene), self.disturbance(scene)
         flat, up = np.broadcast_to(azimuth, n), np.broadcast_to(elevation, n)
         return pointer.beam(flat, up, station + disturbance.station, disturbance.turn)
-
-    def sight(
-        self,
-        path: Array,
-        direction: Array,
-        azimuth: Array | float = 0.0,
-        first: float = 0.0,
-        incidence: Array | float = 0.0,
-    ) -> Sight:
-        """What the instrument looks at: `first` is the path of the datum reading, m."""
-        n = len(path)
-        return Sight(path, direction, np.broadcast_to(azimuth, n), np.broadcast_to(incidence, n), path - first)
 
     def added(self, scene: Scene, sight: Sight) -> Array:
         """(n,) what the flaws of air and instrument add to the path, m."""

@@ -235,13 +235,7 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
         facing = machine.table_direction(outward[label], angle, "C", shift)
         actual = centre + disturbance.functional_point(machine, command) - command
         touched = probed(actual, normal, surface, facing, radius, bend[label])
-        sight = Sight(
-            np.zeros(len(angle)),
-            -normal,
-            np.arctan2(normal[:, 1], normal[:, 0]),
-            np.zeros(len(angle)),
-            np.zeros(len(angle)),
-        )
+        sight = Sight(np.zeros(len(angle)), -normal, azimuth=np.arctan2(normal[:, 1], normal[:, 0]))
         return touched + disturbance.added(sight)
 
     def judged(machine: VirtualMachine) -> dict[str, Any]:
