@@ -133,28 +133,20 @@ def test_other_names(tmp_path: Path) -> None:
         assert str(caught.value) == expected
 
 
-def test_the_last_run_counts(tmp_path: Path) -> None:
-    first, second = read_session(DATA / "tracking_2d"), read_session(DATA / "step_diagonal")
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        pytest.param("step_diagonal", slice(None), id="another procedure"),
+        pytest.param("tracking_2d", slice(None), id="the same procedure started again"),
+        pytest.param("tracking_2d", slice(20, None), id="the description sent again, which changes nothing"),
+    ],
+)
+def test_the_last_run_counts(name: str, rows: slice, tmp_path: Path) -> None:
+    first, last = read_session(DATA / "tracking_2d"), read_session(DATA / name)
     with BagWriter(tmp_path / "bag") as bag:
         write(bag, first, rows=slice(0, 20))
-        write(bag, second, at=1000)
-    assert_equal(second, session_from_bag(tmp_path / "bag"))
-
-
-def test_the_same_procedure_started_again(tmp_path: Path) -> None:
-    session = read_session(DATA / "tracking_2d")
-    with BagWriter(tmp_path / "bag") as bag:
-        write(bag, session, rows=slice(0, 20))
-        write(bag, session, at=1000)
-    assert_equal(session, session_from_bag(tmp_path / "bag"))
-
-
-def test_a_description_that_is_sent_again_changes_nothing(tmp_path: Path) -> None:
-    session = read_session(DATA / "tracking_2d")
-    with BagWriter(tmp_path / "bag") as bag:
-        write(bag, session, rows=slice(0, 20))
-        write(bag, session, rows=slice(20, None), at=1000)
-    assert_equal(session, session_from_bag(tmp_path / "bag"))
+        write(bag, last, rows=rows, at=1000)
+    assert_equal(last, session_from_bag(tmp_path / "bag"))
 
 
 def damaged(tmp_path: Path, names: list[str], values: list[float]) -> str:

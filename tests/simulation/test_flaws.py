@@ -19,6 +19,7 @@ from machine_tool_calibration.simulation import (
     choose_flaw,
     simulate,
 )
+from machine_tool_calibration.simulation.flaws_position import shaped
 
 PLANS = {
     "rotary_a": RotaryPlan(axis="A", both_ways=True),
@@ -133,17 +134,9 @@ def test_a_structure_behind_its_sensor():
 
 @pytest.mark.parametrize("name", ["EXC", "EYC", "EZC", "EAC", "EBC", "ECC"])
 def test_error_motions_of_the_rotary_axis(name):
-    session, signal, _ = put_in("rotary", name, 1e-5, shape="random", seed=3)
-    simulated = simulate(
-        SimulationSpec(
-            plan=PLANS["rotary"],
-            seed=11,
-            effects=[FlawSpec(id=name, size=1e-5, parameters={"shape": "random", "seed": 3})],
-        )
-    )
-    plain = simulate(SimulationSpec(plan=PLANS["rotary"], seed=11))
+    session, signal, chosen = put_in("rotary", name, 1e-5, shape="random", seed=3)
     c = session.readings.columns["c"]
-    motion = simulated.truth.machine.motion(name, c) - plain.truth.machine.motion(name, c)
+    motion = shaped(name, chosen.size, chosen.parameters, {})(c)
     assert np.max(np.abs(motion)) > 5e-6
     target = {t.id: t.position for t in session.description.targets}
     p = np.array([target[i] for i in session.readings.labels["target"]])

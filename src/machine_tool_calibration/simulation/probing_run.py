@@ -71,14 +71,14 @@ def _spheres(first: tuple[float, float], second: tuple[float, float], radius: fl
     return [*_circle("sphere1", *first, radius, 8), *_circle("sphere2", *second, radius, 8)]
 
 
-def cross(half: float = 0.082, width: float = 0.018, along: int = 8, spheres: bool = True) -> tuple[PartPoint, ...]:
+def cross(half: float = 0.082, width: float = 0.018, spheres: bool = True) -> tuple[PartPoint, ...]:
     """A cross-shaped pocket: four arms of `half` length and half width `width`, walls probed from inside, m."""
     points = []
     for quarter in range(4):
         c, s = (1, 0, -1, 0)[quarter], (0, 1, 0, -1)[quarter]
         arm = [
             (float(x), side * width, 0.0, -side)
-            for x in np.linspace(width + 0.004, half - 0.003, along)
+            for x in np.linspace(width + 0.004, half - 0.003, 8)
             for side in (1.0, -1.0)
         ]
         arm += [(half, float(y), -1.0, 0.0) for y in np.linspace(-width, width, 5)[1:-1]]
@@ -90,24 +90,21 @@ def cross(half: float = 0.082, width: float = 0.018, along: int = 8, spheres: bo
     return _numbered(points)
 
 
-def pins(
-    count: int = 18, pitch_radius: float = 0.2, radius: float = 0.006, spheres: bool = True
-) -> tuple[PartPoint, ...]:
-    """Cylindrical pins on a pitch circle, four points on each, m."""
+def pins(count: int = 18, pitch_radius: float = 0.2, spheres: bool = True) -> tuple[PartPoint, ...]:
+    """Cylindrical pins of 12 mm on a pitch circle, four points on each, m."""
     points = []
     for k in range(count):
         angle = 2.0 * np.pi * k / count
         x, y = float(pitch_radius * np.cos(angle)), float(pitch_radius * np.sin(angle))
-        points += _circle(f"pin{k + 1}", x, y, radius, 4)
+        points += _circle(f"pin{k + 1}", x, y, 0.006, 4)
     if spheres:
         points += _spheres((0.31, 0.12), (-0.14, -0.29), 0.015)
     return _numbered(points)
 
 
-def cam(
-    count: int = 80, radius: float = 0.06, lift: tuple[float, float] = (0.012, 0.006), spheres: bool = True
-) -> tuple[PartPoint, ...]:
-    """A smooth disc cam r = radius + lift_1 cos(t) + lift_2 cos(2t + 0.7), normals and curvature from it, m."""
+def cam(count: int = 80, radius: float = 0.06, spheres: bool = True) -> tuple[PartPoint, ...]:
+    """A smooth disc cam r = radius + 12 mm cos(t) + 6 mm cos(2t + 0.7), normals and curvature from it, m."""
+    lift = (0.012, 0.006)
     t = np.arange(count) * 2.0 * np.pi / count
     r = radius + lift[0] * np.cos(t) + lift[1] * np.cos(2.0 * t + 0.7)
     d = -lift[0] * np.sin(t) - 2.0 * lift[1] * np.sin(2.0 * t + 0.7)
