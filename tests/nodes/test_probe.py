@@ -29,7 +29,7 @@ from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.probing_run import cam
 
-from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended, resumed
+from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended
 from .forked import ForkedGraph
 
 TRAVEL = {"x": [-0.13, 0.13], "y": [-0.13, 0.13], "z": [-0.05, 0.05]}
@@ -187,27 +187,6 @@ def test_a_run_whose_probe_dies_says_so_and_keeps_its_readings(bench, monkeypatc
     count = int(re.search(r"(\d+) of 200", str(dead.value))[1])
     assert 30 <= count < 200
     assert len(read_session(output / "session", check=False).readings) == count
-
-
-def test_a_procedure_whose_probe_dies_says_so_and_goes_on_with_the_next(bench):
-    file, place = bench.write("procedure.yaml", procedure(angles=(0.0, 0.9))), bench.write("site.yaml", site())
-    common = {"use_sim_time": True, "site": place, "time_origin": ORIGIN}
-    impatient = {"use_sim_time": True, "procedure": file, "answer": 0.5, "patience": 2.0}
-    programs = [Program("axis_simulator", common), Program("probe", common), Program("procedure", impatient)]
-    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
-    operator = bench.operator(graph)
-    begin(operator)
-    resumed(operator, lambda: operator.heard.count[1] >= 10)
-    graph.kill("probe")
-    resumed(operator, lambda: operator.procedure.message.startswith("no answer from instrument"))
-    assert re.fullmatch(r"no answer from instrument for \d+ s", operator.procedure.message)
-    assert operator.procedure.level == 2 and operator.procedure.entries["state"] == "error"
-    kept = operator.procedure.number("captured")
-    late = bench.operator(graph)
-    assert late.wait(lambda: late.heard.count[1] == kept >= 10, PATIENCE), "readings are latched"
-    graph.start("probe")
-    resumed(operator, lambda: operator.procedure.entries["state"] == "finished")
-    assert operator.wait(lambda: operator.heard.count[1] == 80, PATIENCE)
 
 
 class PlayedAxes:
