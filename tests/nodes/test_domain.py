@@ -4,10 +4,8 @@
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -56,19 +54,6 @@ def test_two_processes_never_have_the_same(ids: list[int]) -> None:
 def test_nor_have_two_users(ids: list[int], user: int) -> None:
     with held_elsewhere(ids, user) as (theirs, _), free_domain(ids) as ours:
         assert [theirs, ours] == ids[:2]
-
-
-def test_files_that_others_left_behind_do_not_matter(
-    ids: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for number in ids:
-        (tmp_path / f"machine_tool_calibration-{os.getuid()}-domain-{number}.lock").mkdir(mode=0o000)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with free_domain(ids) as found:
-        assert found == ids[0]
-    monkeypatch.setattr(tempfile, "tempdir", "/nonexistent")
-    with free_domain(ids) as found:
-        assert found == ids[0]
 
 
 def test_a_claim_ends_with_its_process_however_that_ends(ids: list[int]) -> None:

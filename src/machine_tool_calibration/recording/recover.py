@@ -95,18 +95,18 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
         bag.flush()
         summaries = bag.summaries
         topics = len(bag.topics)
-    if not sum(summary.messages for summary in summaries):
+    saved = [summary for summary in summaries if summary.messages]
+    if not saved:
         shutil.rmtree(output)
         reason = f": {problems[0]}" if problems else ""
         raise RecordingError(f"{path}: no message could be saved{reason}")
-    saved = [summary for summary in summaries if summary.messages]
     return Recovered(
         folder=Path(output),
         files=tuple(files),
         messages=sum(summary.messages for summary in saved),
         topics=topics,
-        first=min((summary.first for summary in saved), default=0),
-        last=max((summary.last for summary in saved), default=0),
+        first=min(summary.first for summary in saved),
+        last=max(summary.last for summary in saved),
         lost_bytes=lost,
         problems=tuple(problems),
     )
