@@ -49,7 +49,10 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     Attributes:
         ignored: messages that were ignored, by topic.
         choices: values of a parameter that are allowed, by its name.
+        is_configured: whether what the parameters name is in use.
     """
+
+    is_configured = False
 
     def __init__(self, name: str, **more: Any) -> None:
         # before the node's own start, which subscribes to the clock
@@ -62,11 +65,6 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
         # what was given, until the node declares it
         self._given = set(self.get_parameters_by_prefix("")) - set(_OF_ROS)
         self.add_on_set_parameters_callback(self._set)
-
-    @property
-    def is_configured(self) -> bool:
-        """Whether what the parameters name is in use."""
-        return False
 
     @property
     def ignored_entries(self) -> dict[str, object]:
@@ -250,7 +248,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        self._is_configured = self._is_active = False
+        self._is_active = False
         GuardedNode.__init__(self, type(self).__module__.rpartition(".")[2])
         LifecycleNodeMixin.__init__(self)
         self.fault, self.done = "", False
@@ -260,11 +258,6 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         )
         self.settings()
         self.say_unknown_parameters()
-
-    @property
-    def is_configured(self) -> bool:
-        """Whether what the parameters name is in use."""
-        return self._is_configured
 
     # --- for nodes to override; they raise CalibrationError where it cannot be done
 
@@ -279,9 +272,6 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
 
     def deactivate(self) -> None:
         """Leave in order; topics, services and timers are destroyed afterwards."""
-
-    def cleanup(self) -> None:
-        """Let go of what `configure` has taken."""
 
     # --- the transitions
 
@@ -311,15 +301,14 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Be as at the start."""
-        self.guarded(self.cleanup)()
-        self._is_configured = False
+        self.is_configured = False
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End in order, from whatever state; the process ends with it."""
         if self._is_active:
             self.on_deactivate(state)
-        if self._is_configured:
+        if self.is_configured:
             self.on_cleanup(state)
         self.done = True
         return TransitionCallbackReturn.SUCCESS
@@ -345,7 +334,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
             elif not self.autostart:  # else who starts it says so
                 self.get_logger().error(f"not {what}: {self.fault}")
             return TransitionCallbackReturn.FAILURE
-        self._is_configured = True
+        self.is_configured = True
         return TransitionCallbackReturn.SUCCESS
 
     def _entities(self) -> list[Any]:
