@@ -156,19 +156,12 @@ def test_pictures_in_the_present_folder(verb, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "iso230_6.png", "residuals.png"}
 
 
-def test_formulation_of_a_step_diagonal(verb):
-    told = verb("identify", DATA / "step_diagonal", "--formulation", "new", "--json")
-    assert np.shape(told.document["error_map"]["x"])[1] == 3
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nowhere"], "nowhere: no such file or folder"),
         ([DATA / "tracking_2d", "--effect", "gremlins"], "gremlins"),
         ([DATA / "tracking_2d", "--model", "clay"], "known are free, rigid_body"),
-        ([DATA / "tracking_2d", "--formulation", "new"], "step"),
-        ([DATA / "tracking_2d", "--formulation", "new", "--effect", "backlash_x"], "without --effect"),
         ([DATA / "tracking_2d", DATA / "nothing"], "nothing: no such file or folder"),
     ],
 )

@@ -230,7 +230,7 @@ def test_an_error_motion_is_drawn_once():
 def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     tables = {table.title: table for table in blocks("tracking_2d", TextTable)}
     assert tables["Effects looked for, the most probable first"].rows[0][0] == "✓ backlash_y"
-    assert [row[0] for row in tables["Step by step"].rows] == ["first model", "1 reading set aside", "backlash_y"]
+    assert [row[0] for row in tables["Step by step"].rows] == ["first model", "1 reading set aside", "+ backlash_y"]
     assert [row[0] for row in tables["Readings set aside"].rows] == ["90"]
     found = evaluated("tracking_2d")
     assert any(title.startswith("contributors") for title in tables) and found.budget is not None

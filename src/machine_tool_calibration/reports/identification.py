@@ -45,7 +45,6 @@ __all__ = [
     "group_by_reason",
     "readings_set_aside",
     "session_headline",
-    "show_profiles",
     "show_result",
     "summary_rows",
 ]
@@ -255,15 +254,6 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
 
 def _place(axis: str, value: float) -> str:
     return f"{np.degrees(value) if axis in 'abc' else 1e3 * value:.6g}"
-
-
-def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
-    """Profiles of the three axes by one of the formulations of a step diagonal."""
-    for axis in "xyz":
-        rows = tuple((str(k), *map(micrometres, row)) for k, row in enumerate(document["error_map"][axis]))
-        title = say("result.formulation", axis=axis.upper(), formulation=document["formulation"])
-        if rows:
-            show_table(screen, TextTable(title, (*heads("block"), "ex", "ey", "ez"), rows))
 
 
 def _variants(document: Mapping[str, Any]) -> str:

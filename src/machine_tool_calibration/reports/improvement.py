@@ -24,7 +24,7 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["improvement_document", "show_improvement", "step_document"]
+__all__ = ["improvement_document", "show_improvement", "step_document", "steps_table"]
 
 # Growth of the map's uncertainty that is explained.
 _GROWN = 1.2
@@ -70,7 +70,7 @@ def show_improvement(screen: Console, done: Improvement) -> None:
     for words in negative_words(last.joint, last.effects):
         screen.print(words)
     show_suspicions(screen, done.diagnosis.suspicious)
-    show_table(screen, _steps(done))
+    show_table(screen, steps_table(done))
     if len(done.steps) > 1:
         show_table(screen, _side_by_side(done))
 
@@ -108,7 +108,8 @@ def _what_grows(done: Improvement) -> str:
     return say("improved.grows", **dict(zip(("before", "after"), told, strict=True)))
 
 
-def _steps(done: Improvement) -> TextTable:
+def steps_table(done: Improvement) -> TextTable:
+    """The models on the way, one a row."""
     rows = []
     chance = {f.name: f.probability for f in done.diagnosis.ranked}
     for step in done.steps:
