@@ -28,7 +28,6 @@ from machine_tool_calibration.reports.budget import budget_tables
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.conformity import conformity_table, decision_words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.direct_deviations import direct_tables
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.history_tables import tried_models
 from machine_tool_calibration.reports.identification import (
@@ -209,7 +208,6 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
     drawing = turnable(found.result, words)
     if drawing is not None:
         yield Turnable(drawing)
-    yield from direct_tables(found.document["error_map"])
 
 
 def _standard(found: Evaluation, name: str) -> Iterator[str | TextTable | Picture]:

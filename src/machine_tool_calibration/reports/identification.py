@@ -11,8 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
-from machine_tool_calibration.reports.goodness import fit_words, fits
+from machine_tool_calibration.reports.goodness import fit_words, fits, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
@@ -181,7 +180,7 @@ def show_result(
         screen.print(words)
     show_table(screen, TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []}))))
     of_standards = (standard_tables(document["error_map"], name, _MOST_PLACES) for name in STANDARDS)
-    for part in chain(direct_tables(document["error_map"]), *of_standards, value_tables(result, _MOST_PLACES)):
+    for part in chain(*of_standards, value_tables(result, _MOST_PLACES)):
         if isinstance(part, TextTable):
             show_table(screen, part)
         else:
