@@ -13,9 +13,7 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, TrackingPlan, simulate
-
-from ..again import measured_again
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -109,19 +107,6 @@ def test_error_motions_are_tables_over_their_axes(verb):
     assert [row.split()[0] for row in rows] == ["0", "80", "160", "240", "320", "400"]
     assert all(re.match(r"\s*\d+ +([-+]?[\d.]+ ± [\d.]+|0) ", row) for row in rows)
     assert "not determined: EZX, EZY, EAX, EBX" in told.text
-
-
-def test_several_sessions_together(verb, tmp_path):
-    for seed in (1, 2):
-        spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=seed)
-        session = simulate(spec).session
-        write_session(session, tmp_path / f"day{seed}")
-    measured_again(tmp_path / "day1", tmp_path / "again")
-    document = verb("identify", tmp_path / "day1", tmp_path / "again", "--json").document
-    assert [entry["label"] for entry in document["sessions"]] == ["day1", "again"]
-    told = verb("identify", tmp_path / "day1", tmp_path / "again", "--output", tmp_path / "both")
-    assert told.out.count("tracking interferometer in 2 dimensions") == 2
-    assert {path.name for path in (tmp_path / "both").iterdir()} >= {"result.json", "error_motions.png"}
 
 
 def test_missing_readings_are_listed_by_row(verb, tmp_path):
