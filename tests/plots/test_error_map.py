@@ -11,8 +11,8 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.model import motion_value, place_of
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables, read_tables
-from machine_tool_calibration.plots.pictures import draw
-from machine_tool_calibration.plots.style import round_down, spaced
+from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.plots.style import round_down, save, spaced
 from machine_tool_calibration.plots.tracking import draw_stations
 from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
 
@@ -116,15 +116,15 @@ def test_points_at_random_are_joined_to_their_nominal_places():
 
 def test_files_of_a_session(tmp_path, volume):
     session, result = volume
-    written = draw([session], result.document(), tmp_path)
+    written = save(figures([session], result.document()), tmp_path)
     assert sorted(path.name for path in written) == ["error_map.png", "error_motions.png", "stations.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
 
 
 def test_common_pictures_of_any_result(tmp_path, plane):
     _, result = plane
-    assert [path.name for path in draw((), result.document(), tmp_path)] == ["error_map.png"]
-    assert draw((), {**result.document(), "error_map": {}, "parameters": []}, tmp_path) == []
+    assert [path.name for path in save(figures((), result.document()), tmp_path)] == ["error_map.png"]
+    assert save(figures((), {**result.document(), "error_map": {}, "parameters": []}), tmp_path) == []
 
 
 def test_tables_in_micrometres_with_their_bands(volume):
