@@ -109,10 +109,12 @@ def _parts(table: TextTable, width: int) -> list[list[int]]:
 
 
 def _widths(table: TextTable, columns: Sequence[int], room: int) -> dict[int, int]:
-    """How wide columns are beside each other: the widest give way, down to what each needs."""
+    """How wide columns are beside each other: the widest give way, heads that break first, down to what each needs."""
     widths = {k: max(_longest(table, k), len(table.columns[k]), 1) for k in columns}
+    least = {k: _least(table, k) for k in columns}
     for _ in range(sum(widths.values()) + _GAP * (len(columns) - 1) - room):
-        wider = [k for k in columns if widths[k] > _least(table, k)] or columns
+        heads = [k for k in columns if widths[k] > max(_longest(table, k), least[k])]
+        wider = heads or [k for k in columns if widths[k] > least[k]] or columns
         widths[max(wider, key=lambda k: widths[k])] -= 1
     return widths
 
