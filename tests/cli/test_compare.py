@@ -35,13 +35,6 @@ def test_the_first_sentence_says_whether_the_model_fits(method: str, verb: Verb)
     assert "nan" not in out
 
 
-def test_json_is_one_document(verb: Verb) -> None:
-    document = verb("compare", SESSION, "--json", "--effect", "linear_drift").document
-    assert document["format"] == "mtcal-comparison/1"
-    assert document["effects"] == ["linear_drift"]
-    assert {share["name"] for share in document["setups"]} == {"A", "B", "C", "D"}
-
-
 @pytest.mark.parametrize("method", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
 def test_pictures_and_readings_are_written(method: str, tmp_path: Path, verb: Verb) -> None:
     document = verb("compare", DATA / method, "--output", tmp_path / "new", "--json").document

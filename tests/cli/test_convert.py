@@ -111,9 +111,3 @@ def test_a_target_is_needed(verb: Verb) -> None:
     assert "Missing argument 'TARGET'" in err
     err = verb("convert", DATA.parent / "tracking_2d", "--dry-run", status=2).err
     assert "--dry-run is for tables of other programs" in err
-
-
-def test_its_options_for_foreign_tables_stand_apart_in_its_help(verb: Verb) -> None:
-    out = verb("convert", "--help").out
-    own, foreign = (out.index(title) for title in ("\nOptions:", "\nTables of other programs:"))
-    assert own < out.index("\n  --topic") < foreign < out.index("\n  --mapping")

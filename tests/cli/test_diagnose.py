@@ -12,14 +12,6 @@ from ..told import Verb
 pytestmark = pytest.mark.usefixtures("found_once")
 
 
-def test_one_document(original: Path, verb: Verb) -> None:
-    shown = verb("diagnose", original, "--json")
-    document = shown.document
-    assert document["format"] == "mtcal-diagnosis/1"
-    assert document["accepted"] == ["backlash_y"]
-    assert shown.err == ""
-
-
 def test_people_read_the_verdict_first(original: Path, verb: Verb) -> None:
     out = verb("diagnose", original).out
     assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."

@@ -10,7 +10,6 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 
-from ..again import measured_again
 from ..told import Verb
 
 BAD = "something is missing in it, or the declared uncertainty is too small"
@@ -68,14 +67,6 @@ def test_conformity_and_budget_are_those_of_the_model_in_use(improved: Path, ver
     assert BETTER not in shown.err
     used = shown.document
     assert used["figures"] == verb(*asked, "--effect", "backlash_y").document["figures"] != plain["figures"]
-
-
-def test_several_sessions(improved: Path, session: Path, tmp_path: Path, verb: Verb) -> None:
-    again = measured_again(session, tmp_path / "again")
-    words = [str(improved), str(again), "--format", "isg", "-o", str(tmp_path / "a")]
-    bad, better = warned(words, verb)
-    assert BAD in bad
-    assert BETTER in better and better.endswith("--effect backlash_y does")
 
 
 def test_a_damaged_history_stops_nothing(session: Path, tmp_path: Path, verb: Verb) -> None:

@@ -13,9 +13,7 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, TrackingPlan, simulate
-
-from ..again import measured_again
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -111,19 +109,6 @@ def test_error_motions_are_tables_over_their_axes(verb):
     assert "not determined: EZX, EZY, EAX, EBX" in told.text
 
 
-def test_several_sessions_together(verb, tmp_path):
-    for seed in (1, 2):
-        spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=seed)
-        session = simulate(spec).session
-        write_session(session, tmp_path / f"day{seed}")
-    measured_again(tmp_path / "day1", tmp_path / "again")
-    document = verb("identify", tmp_path / "day1", tmp_path / "again", "--json").document
-    assert [entry["label"] for entry in document["sessions"]] == ["day1", "again"]
-    told = verb("identify", tmp_path / "day1", tmp_path / "again", "--output", tmp_path / "both")
-    assert told.out.count("tracking interferometer in 2 dimensions") == 2
-    assert {path.name for path in (tmp_path / "both").iterdir()} >= {"result.json", "error_motions.png"}
-
-
 def test_missing_readings_are_listed_by_row(verb, tmp_path):
     shutil.copytree(DATA / "tracking_2d", tmp_path / "session")
     file = tmp_path / "session" / "observations.csv"
@@ -156,19 +141,12 @@ def test_pictures_in_the_present_folder(verb, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "iso230_6.png", "residuals.png"}
 
 
-def test_formulation_of_a_step_diagonal(verb):
-    told = verb("identify", DATA / "step_diagonal", "--formulation", "new", "--json")
-    assert np.shape(told.document["error_map"]["x"])[1] == 3
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nowhere"], "nowhere: no such file or folder"),
         ([DATA / "tracking_2d", "--effect", "gremlins"], "gremlins"),
         ([DATA / "tracking_2d", "--model", "clay"], "known are free, rigid_body"),
-        ([DATA / "tracking_2d", "--formulation", "new"], "step"),
-        ([DATA / "tracking_2d", "--formulation", "new", "--effect", "backlash_x"], "without --effect"),
         ([DATA / "tracking_2d", DATA / "nothing"], "nothing: no such file or folder"),
     ],
 )

@@ -34,6 +34,7 @@ def test_a_report_is_written(positioning: Path, tmp_path: Path, capsys: pytest.C
     [
         (["-o", "report.docx"], "a report is an .html or a .pdf file"),
         (["--language", "fr"], "there is no language 'fr'"),
+        (["--language", "../en"], "there is no language '../en'"),
         (["--from-history"], "no model was tried yet"),
         (["--budget", "none.yaml"], "none.yaml"),
     ],

@@ -136,15 +136,6 @@ def test_missing_readings_are_not_taken_again(simulated: Simulated) -> None:
     assert all(session.readings.repeat[rows] == 0)
 
 
-def test_only_some_setups(simulated: Simulated) -> None:
-    session = simulated("tracking_2d")
-    for option in further_options(session, [2]):
-        assert option.kind not in ("station", "index")
-        assert "station C" in option.words
-        assert option.seconds is not None
-        assert option.seconds < 1000
-
-
 def test_a_new_station_sees_the_same_targets_from_elsewhere(simulated: Simulated) -> None:
     session = simulated("tracking_2d")
     option = named(further_options(session), "station")

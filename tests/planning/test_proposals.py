@@ -13,10 +13,10 @@ from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.planning import what_to_measure
-from machine_tool_calibration.planning.advice import Advice, Separation, Visibility
+from machine_tool_calibration.planning.advice import Advice, Visibility
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Sensed
-from machine_tool_calibration.planning.what_to_measure import _cheaper, _separation, visibilities
+from machine_tool_calibration.planning.what_to_measure import _separation, visibilities
 
 PAIR = ("one", "other")
 
@@ -90,35 +90,6 @@ def test_the_first_of_a_group_counts_against_each_of_the_others() -> None:
     assert found is not None
     assert found.cosine_before == pytest.approx(0.6)
     assert found.apart_before == pytest.approx(0.8)
-
-
-FOUND = Separation(PAIR, "swing", "everything again", 0.99, 0.3, 1.0, 50.0, 1000.0, "waiting")
-
-
-@pytest.mark.parametrize(
-    ("cosine", "kind", "measure"),
-    [(0.79, "swing", "one setup"), (0.81, "swing", "everything again"), (0.1, "backwards", "everything again")],
-)
-def test_one_setup_is_proposed_where_it_is_enough(
-    monkeypatch: pytest.MonkeyPatch, cosine: float, kind: str, measure: str
-) -> None:
-    asked: list[list[int]] = []
-
-    def further(session: object, setups: list[int]) -> list[Option]:
-        asked.append(setups)
-        return [option(kind, 30.0, "one setup")]
-
-    monkeypatch.setattr(what_to_measure, "further_options", further)
-    session: Any = SimpleNamespace(readings=SimpleNamespace(setup=np.array([4, 2, 2, 4])))
-    found = _cheaper(FOUND, session, [], lambda option: pair(cosine, 10.0))
-    assert asked == [[2]]
-    assert found.measure == measure
-    if measure == "one setup":
-        assert (found.seconds, found.aside) == (30.0, "besides swing")
-        assert found.cosine_after == pytest.approx(cosine)
-        assert found.apart_after == pytest.approx(20.0 * np.sqrt(1.0 - cosine**2))
-    else:
-        assert found == FOUND
 
 
 SMALLEST = 1e-6

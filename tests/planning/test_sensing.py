@@ -7,6 +7,7 @@ import pytest
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.sensing import Assumed, sense
 from machine_tool_calibration.session.session import Session
 
@@ -75,8 +76,6 @@ def test_what_the_model_absorbs_has_no_information(simulated: Simulated) -> None
 
 
 def test_a_part_that_is_turned_turns_its_effect_only(simulated: Simulated) -> None:
-    from machine_tool_calibration.planning.options import further_options
-
     session = simulated("tracking_2d")
     option = next(o for o in further_options(session) if o.kind == "turned")
     form = assumed("retroreflector_form", (3.0,), s2=1e-6, c3=1e-6)
@@ -89,8 +88,6 @@ def test_a_part_that_is_turned_turns_its_effect_only(simulated: Simulated) -> No
 
 
 def test_setups_that_are_new_get_coefficients_of_the_usual_size(simulated: Simulated) -> None:
-    from machine_tool_calibration.planning.options import further_options
-
     session = simulated("tracking_2d")
     option = next(o for o in further_options(session) if o.kind == "again")
     size = {f"{station}.v{axis}": 2e-9 for station in "ABCD" for axis in "xy"}

@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection
 
-from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.model import motion_value, place_of
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables, read_tables
-from machine_tool_calibration.plots.pictures import draw
-from machine_tool_calibration.plots.style import round_down, spaced
-from machine_tool_calibration.plots.tracking import draw_residuals, draw_stations
-from machine_tool_calibration.reports.identification import summary_rows
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.plots.style import round_down, save, spaced
+from machine_tool_calibration.plots.tracking import draw_stations
 from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
 
 
@@ -119,15 +116,15 @@ def test_points_at_random_are_joined_to_their_nominal_places():
 
 def test_files_of_a_session(tmp_path, volume):
     session, result = volume
-    written = draw([session], result.document(), tmp_path)
+    written = save(figures([session], result.document()), tmp_path)
     assert sorted(path.name for path in written) == ["error_map.png", "error_motions.png", "stations.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
 
 
 def test_common_pictures_of_any_result(tmp_path, plane):
     _, result = plane
-    assert [path.name for path in draw((), result.document(), tmp_path)] == ["error_map.png"]
-    assert draw((), {**result.document(), "error_map": {}, "parameters": []}, tmp_path) == []
+    assert [path.name for path in save(figures((), result.document()), tmp_path)] == ["error_map.png"]
+    assert save(figures((), {**result.document(), "error_map": {}, "parameters": []}), tmp_path) == []
 
 
 def test_tables_in_micrometres_with_their_bands(volume):
@@ -168,23 +165,6 @@ def test_a_station_that_was_not_read_is_left_out():
     _, result = identified(lost=lambda r: r.setup == 3)
     figure = draw_stations(result.document()["error_map"])
     assert [text.get_text()[0] for text in figure.axes[0].texts] == ["A", "B", "C"]
-
-
-def test_residuals_of_every_station(plane):
-    _, result = plane
-    figure = draw_residuals(result.fit)
-    drawn = np.concatenate(
-        [line.get_ydata() for panel in figure.axes for line in panel.get_lines() if line.get_marker() == "."]
-    )
-    assert np.allclose(np.sort(drawn), np.sort(result.fit.residuals * 1e6))
-    readings = result.fit.model.observations.readings
-    own = rms(result.fit.residuals[readings.setup == 0])
-    assert figure.axes[0].get_title() == f"A: {quantity(own, 'm')} RMS"
-    said = dict(summary_rows(result.document()))
-    title = figure.get_suptitle()
-    assert said["readings used"] in title
-    assert said["RMS residual"] in title
-    assert said["reduced chi-square"].split()[0] in title
 
 
 @pytest.mark.parametrize(("value", "expected"), [(1.0, 1.0), (19.9, 10.0), (20.0, 20.0), (0.0049, 0.002), (7e5, 5e5)])

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.probing import draw_probing
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.simulation import ProbingPlan, SimulationSpec, simulate
 
 
@@ -55,5 +56,5 @@ def test_disc_says_that_c_is_not_seen():
 
 def test_file_is_written(pins, tmp_path):
     session, document = pins
-    (file,) = draw([session], document, tmp_path)
+    (file,) = save(figures([session], document), tmp_path)
     assert file.read_bytes().startswith(b"\x89PNG")

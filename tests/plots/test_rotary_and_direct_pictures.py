@@ -12,7 +12,8 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
 from machine_tool_calibration.plots.compare import draw_map as draw_residual_map
 from machine_tool_calibration.plots.error_map import draw_motions
-from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 from machine_tool_calibration.words import words
@@ -26,7 +27,7 @@ def test_rotary_axis(tmp_path: Path) -> None:
     axis = "A"
     session = _session(method="rotary_axis", axis=axis, hidden={"P": (1.0, 1.5)})
     document = identify(session).document()
-    files = draw([session], document, tmp_path)
+    files = save(figures([session], document), tmp_path)
     assert [file.name for file in files] == ["error_motions.png", "arrangement.png"]
     assert all(file.stat().st_size > 10_000 for file in files)
     figure = rotary_axis.draw_motions(document["error_map"], axis)
@@ -48,7 +49,7 @@ def test_rotary_axis(tmp_path: Path) -> None:
 )
 def test_direct(tmp_path: Path, kind: str, names: list[str]) -> None:
     session = _session(method="direct", kind=kind, repeats=3)
-    files = draw([session], identify(session).document(), tmp_path)
+    files = save(figures([session], identify(session).document()), tmp_path)
     assert [file.name for file in files] == names
     assert all(file.stat().st_size > 5_000 for file in files)
 

@@ -19,9 +19,7 @@ from matplotlib.quiver import QuiverKey
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
-from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
 from machine_tool_calibration.report import figures
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.report.figures import Picture
@@ -29,7 +27,7 @@ from machine_tool_calibration.report.page import html, write_report
 from machine_tool_calibration.report.sections import Section, Turnable, sections
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.session.provenance import data_hash, flattened
+from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 from machine_tool_calibration.words import LANGUAGES, Verbatim, Words, words
@@ -230,7 +228,7 @@ def test_an_error_motion_is_drawn_once():
 def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     tables = {table.title: table for table in blocks("tracking_2d", TextTable)}
     assert tables["Effects looked for, the most probable first"].rows[0][0] == "✓ backlash_y"
-    assert [row[0] for row in tables["Step by step"].rows] == ["first model", "1 reading set aside", "backlash_y"]
+    assert [row[0] for row in tables["Step by step"].rows] == ["first model", "1 reading set aside", "+ backlash_y"]
     assert [row[0] for row in tables["Readings set aside"].rows] == ["90"]
     found = evaluated("tracking_2d")
     assert any(title.startswith("contributors") for title in tables) and found.budget is not None
@@ -334,20 +332,3 @@ def test_numbers_have_the_decimal_sign_of_the_language():
     picture = figures.told(Picture("one", "", figure), german)
     picture.figure.draw_without_rendering()
     assert "0,25" in [text.get_text() for text in picture.figure.findobj(Text)]
-
-
-def test_a_folder_and_a_recording_make_the_same_report(tmp_path):
-    found = evaluated("tracking_2d")
-    session_to_bag(found.measured.recorded[0], tmp_path / "bag")
-    assert data_hash(session_from_bag(tmp_path / "bag")) == found.result.provenance.sha256
-
-
-@pytest.mark.parametrize("language", ["fr", "../en"])
-def test_an_unknown_language_is_refused(language):
-    with pytest.raises(CalibrationError, match=r"there is no language .*; there are en, de"):
-        words(language)
-
-
-def test_another_ending_is_refused(tmp_path):
-    with pytest.raises(CalibrationError, match=r"a report is an \.html or a \.pdf file"):
-        write_report(evaluated("tracking_2d"), words("en"), [tmp_path / "report.docx"])

@@ -12,7 +12,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, mark_not_determined
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus, probability
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -45,10 +45,6 @@ def test_values_have_no_exponent_and_two_figures_of_uncertainty(
     value: float | None, uncertainty: float | None, shown: str
 ) -> None:
     assert plus_minus(value, uncertainty, 1e6) == shown
-
-
-def test_p_values() -> None:
-    assert [probability(p) for p in (None, 0.123, 1e-9)] == [NOT_DETERMINED, "0.12", "< 1e-6"]
 
 
 def test_columns_without_any_number_are_left_out_and_named() -> None:

@@ -15,6 +15,7 @@ from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.models import Model
+from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State, measurements_in
 
 
@@ -116,8 +117,6 @@ def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
 
 
 def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> None:
-    from machine_tool_calibration.workbench.readings import Readings
-
     state = opened(hidden)
     readings = Readings(state)
     state.watch(readings.refresh)
@@ -134,8 +133,6 @@ def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> No
 
 
 def test_readings_are_selected_by_their_rows(hidden: Path, struck: Path) -> None:
-    from machine_tool_calibration.workbench.readings import Readings
-
     readings = Readings(opened(hidden))
     readings.refresh()
     readings.select_rows("7, 20-22,280-999")
@@ -153,8 +150,6 @@ def test_readings_are_selected_by_their_rows(hidden: Path, struck: Path) -> None
 
 
 def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
-    from machine_tool_calibration.workbench.readings import Readings
-
     state = opened(hidden)
     readings = Readings(state)
     readings.refresh()
@@ -171,8 +166,6 @@ def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
 
 
 def test_arrows_of_a_line_stand_up_from_it(tmp_path: Path) -> None:
-    from machine_tool_calibration.workbench.readings import Readings
-
     simulate("iso230_2", seed=3).save(tmp_path / "line")
     readings = Readings(opened(tmp_path / "line"))
     readings.refresh()
@@ -185,8 +178,6 @@ def test_arrows_of_a_line_stand_up_from_it(tmp_path: Path) -> None:
 
 
 def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: Path) -> None:
-    from machine_tool_calibration.workbench.readings import Readings
-
     for seed, axis in enumerate("xyz"):
         simulate("iso230_2", seed=seed, axis=axis).save(tmp_path / axis)
     readings = Readings(opened(*(tmp_path / axis for axis in "xyz")))
@@ -266,8 +257,6 @@ def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) ->
 
 
 def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> None:
-    from machine_tool_calibration.workbench.readings import Readings
-
     state = opened(hidden, struck)
     pickle.dumps(state.model)  # it goes from process to process
     count = len(state.sessions[0].readings)

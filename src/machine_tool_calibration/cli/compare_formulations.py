@@ -68,30 +68,20 @@ def _document(comparison: FormulationComparison) -> Mapping[str, Any]:
     """SI units; NaN becomes null."""
     return {
         "format": "mtcal-formulations/1",
-        "formulations": {
-            name: {
-                **{
-                    key: value
-                    for letter, error, uncertainty, blocks in zip(
-                        "xyz", profiles.error, profiles.uncertainty, profiles.blocks, strict=True
-                    )
-                    for key, value in ((letter, error), (f"{letter}_u", uncertainty), (f"{letter}_position", blocks))
-                },
-                **{
-                    kind: {
-                        key: value
-                        for figure in profiles.figures()
-                        if figure.kind == kind
-                        for key, value in ((figure.name, figure.value), (f"{figure.name}_u", figure.uncertainty))
-                    }
-                    for kind in _UNITS
-                },
-            }
-            for name, profiles in comparison.profiles.items()
-        },
+        "formulations": {name: _profiles(profiles) for name, profiles in comparison.profiles.items()},
         "refused": dict(comparison.refused),
         "mirror_tilts": dict(comparison.tilts),
     }
+
+
+def _profiles(found: Profiles) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for letter, error, uncertainty, blocks in zip("xyz", found.error, found.uncertainty, found.blocks, strict=True):
+        out |= {letter: error, f"{letter}_u": uncertainty, f"{letter}_position": blocks}
+    for figure in found.figures():
+        kind = out.setdefault(figure.kind, {})
+        kind |= {figure.name: figure.value, f"{figure.name}_u": figure.uncertainty}
+    return out
 
 
 def _show(comparison: FormulationComparison) -> None:

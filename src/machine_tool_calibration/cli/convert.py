@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.foreign_options import (
-    SectionedCommand,
     file_form,
     foreign_options,
     mapping_from,
@@ -87,7 +86,7 @@ _ENDING = re.compile(r"\.[A-Za-z]\w{1,4}")  # a folder's name may hold a point t
 _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
 
-@click.command("convert", cls=SectionedCommand)
+@click.command("convert")
 @click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=PATH)
 @click.option(
     "--to",

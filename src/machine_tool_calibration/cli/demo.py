@@ -17,7 +17,8 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
-from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import show_head
@@ -266,10 +267,9 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     improvement = improve(measured.session, progress=progress)
     progress("drawing", 1.0)
     folder = measured.output / "pictures"
-    folder.mkdir()
-    last = plain(improvement.steps[-1].result.document())
-    pictures = [*draw([measured.session], last, folder), *save_improvement(improvement, folder)]
     first, final = (improvement.steps[k].result for k in (0, -1))
+    drawn = figures([measured.session], plain(final.document()))
+    pictures = [*save(drawn, folder, final.provenance), *save_improvement(improvement, folder)]
     assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
     before, after = error_against_truth(measured, first), error_against_truth(measured, final)
     return _Demonstration(seed, hidden, measured, improvement, before, after, pictures)

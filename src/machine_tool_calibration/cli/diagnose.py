@@ -22,17 +22,14 @@ __all__ = ["command"]
     is_flag=True,
     help="All that was found: each effect, what is confounded or would not show, smallest sizes, what to measure.",
 )
-@click.option("--all", "everything", is_flag=True, help="The details, with every effect that was looked for.")
 @click.option("-o", "--output", type=FOLDER, help="Folder for pictures (PNG) and the numbers behind them (CSV).")
 @json_option
-def command(
-    measurements: tuple[Path, ...], wanted: Wanted, details: bool, everything: bool, output: Path | None, as_json: bool
-) -> None:
+def command(measurements: tuple[Path, ...], wanted: Wanted, details: bool, output: Path | None, as_json: bool) -> None:
     """Say which physical effect the model lacks, how large it is, and what to measure to be sure.
 
     SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried,
     alone and together with others, beside what does not reproduce between runs and setups; the answer is the
-    probability that it is missing. With --details it names
+    probability that it is missing. With --details it tells all of them, and names
     confounded effects that this measurement cannot distinguish, effects that would not show in it, the smallest size
     that it would have found, structure that no effect explains, and readings that do not belong to the rest.
 
@@ -59,4 +56,4 @@ def command(
     if as_json:
         write_json(answer.document())
     else:
-        answer.show(console(), 0 if everything else 8, details=details or everything)
+        answer.show(console(), details=details)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
-    from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.reports.measured import Measured
     from machine_tool_calibration.session.session import Session
 
@@ -31,7 +30,6 @@ __all__ = [
     "model_options",
     "no_model",
     "sessions_argument",
-    "unused_model",
 ]
 
 
@@ -115,57 +113,36 @@ class Wanted:
         return fitted(measurement, choose(measured), measured.history)
 
     def note_unused(self, fit: Fit, paths: Sequence[Path]) -> None:
-        """Say that the history holds a better model, where it was not asked for: see `unused_model`."""
-        if not self.from_history:
-            better = unused_model(fit.measurement.sessions, paths, fit.chosen.effects, fit.result.joint)
-            if better:
-                note(better)
+        """Say that the history of the sessions holds a better model, where it was not asked for, and how to use it.
 
+        Args:
+            fit: what was identified, and the sessions with all their readings.
+            paths: where they were read; the history is in it or beside it.
+        """
+        from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+        from machine_tool_calibration.reports.quantities import rounded
 
-def unused_model(
-    sessions: Sequence[Session],
-    paths: Sequence[Path],
-    effects: Collection[str],
-    fit: JointFit | None,
-    *,
-    effects_only: bool = False,
-) -> str | None:
-    """That the sessions' history holds a better model than the one used, and how to use it; None if it does not.
-
-    Args:
-        sessions: with all their readings; several have a history of their own.
-        paths: where they were read; the history is in it or beside it.
-        effects: ids in the model that was used.
-        fit: of that model; None if it is of other readings too, so that no figures can be compared.
-        effects_only: whether to say how by effects, as for several sessions together.
-    """
-    from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
-    from machine_tool_calibration.reports.quantities import rounded
-
-    kept = history_path(*paths)
-    try:
-        entry = read_history(kept).in_use
-    except SessionError as error:
-        return f"warning: {error}"
-    if entry is None or entry.data != fingerprint(*sessions):
-        return None
-    more = [name for name in entry.effects if name not in effects]
-    aside = 0 if effects_only else entry.readings_aside
-    if not more and not aside:
-        return None
-    chi = entry.reduced_chi_square
-    fell = ""
-    if fit is not None and chi is not None:
-        if chi >= fit.reduced_chi_square:
-            return None
-        fell = f" (reduced chi-square {rounded(chi)} instead of {rounded(fit.reduced_chi_square)})"
-    what = [", ".join(more)] if more else []
-    what += [f"{aside} reading{'' if aside == 1 else 's'} set aside"] if aside else []
-    how = " ".join(f"--effect {name}" for name in more) if effects_only else "--from-history"
-    return (
-        f"note: {kept} holds a better model, number {entry.number}, with {' and '.join(what)}{fell}; "
-        f"it was not used: {how} does"
-    )
+        if self.from_history:
+            return
+        kept = history_path(*paths)
+        try:
+            entry = read_history(kept).in_use
+        except SessionError as error:
+            note(f"warning: {error}")
+            return
+        if entry is None or entry.data != fingerprint(*fit.measurement.sessions):
+            return
+        more, aside = [name for name in entry.effects if name not in fit.effects], entry.readings_aside
+        chi, now = entry.reduced_chi_square, fit.reduced_chi_square
+        if not (more or aside) or (chi is not None and chi >= now):
+            return
+        what = [", ".join(more)] if more else []
+        what += [f"{aside} reading{'' if aside == 1 else 's'} set aside"] if aside else []
+        fell = "" if chi is None else f" (reduced chi-square {rounded(chi)} instead of {rounded(now)})"
+        note(
+            f"note: {kept} holds a better model, number {entry.number}, with {' and '.join(what)}{fell}; "
+            "it was not used: --from-history does"
+        )
 
 
 def no_model(paths: Sequence[Path]) -> CalibrationError:

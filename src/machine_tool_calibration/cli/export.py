@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, unused_model
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import FOLDER, PATH, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
@@ -144,13 +144,9 @@ def command(
             note(f"not determined: {names}: {why}")
     if bad := bad_fit(result.joint, result.error_map.content):
         note(bad)
-    if isinstance(result, Result):
-        asked.note_unused(fit, measurements)
-    else:
+    asked.note_unused(fit, measurements)
+    if not isinstance(result, Result):
         note(result.agreement.statement)
-        for opened, path in zip(fit.measurement.sessions, measurements, strict=True):
-            if better := unused_model([opened], [path], fit.chosen.effects, None, effects_only=True):
-                note(better)
     if harm := harm_words(made):
         note(f"warning: {harm}")
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -14,45 +13,25 @@ import click
 from machine_tool_calibration.cli.output import FILE, options
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["SectionedCommand", "file_form", "foreign_options", "mapping_from", "only_form"]
+__all__ = ["file_form", "foreign_options", "mapping_from", "only_form"]
 
 _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
 """Options of how the text of a table is written, but for those that are given in other words."""
-_SECTION = "Tables of other programs"
-
-
-class _Option(click.Option):
-    """An option that is listed in a section of its own."""
-
-
-class SectionedCommand(click.Command):
-    """A command whose options for foreign tables are listed apart."""
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options in two sections."""
-        for title, wanted in (("Options", False), (_SECTION, True)):
-            options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
-            rows = [p.get_help_record(ctx) for p in options if isinstance(p, _Option) is wanted]
-            with formatter.section(title):
-                formatter.write_dl([row for row in rows if row is not None])
-
-
-_option = partial(click.option, cls=_Option)
 
 foreign_options = options(
-    _option(
+    click.option(
         "--table",
         type=click.Choice(["points", "ranges", "iso230-2", "readings"]),
         help="SOURCE is a text table: nominal and measured coordinates, distances from a tracker's stations, or "
         "readings by ISO 230-2; `readings`: those of any method, of which --description is the session.yaml.",
     ),
-    _option(
+    click.option(
         "--mapping",
         type=FILE,
         help="YAML file (format: mtcal-mapping/1) that says all that the following options say; options come first.",
     ),
-    _option("--dry-run", is_flag=True, help="Show what would be read, in SI units, and write nothing."),
-    _option(
+    click.option("--dry-run", is_flag=True, help="Show what would be read, in SI units, and write nothing."),
+    click.option(
         "--column",
         "columns",
         multiple=True,
@@ -62,8 +41,8 @@ foreign_options = options(
         "target, c; iso230-2: position, deviation or actual, run, direction; readings: as in observations.csv, where "
         "the table has another name for it.",
     ),
-    _option("--extra", "extras", multiple=True, metavar="NAME=COLUMN", help="Column that is kept as a covariate."),
-    _option(
+    click.option("--extra", "extras", multiple=True, metavar="NAME=COLUMN", help="Column that is kept as a covariate."),
+    click.option(
         "--unit",
         "units",
         multiple=True,
@@ -71,79 +50,89 @@ foreign_options = options(
         help="Unit of all lengths, angles … (--unit mm), or of one quantity (--unit deviation=um). A unit in brackets "
         "in the column's name, as in `X [mm]`, counts too.",
     ),
-    _option(
+    click.option(
         "--value",
         "values",
         multiple=True,
         metavar="QUANTITY=VALUE",
         help="A quantity that is the same in every row, as in z=120mm or dir_x=1.",
     ),
-    _option(
+    click.option(
         "--separator",
         help="A character, or comma, semicolon, tab, bar, space; by default that of the first four in the header.",
     ),
-    _option(
+    click.option(
         "--decimal",
         type=click.Choice(["point", "comma"]),
         help="Decimal mark; by default the one that the numbers have where commas do not separate them.",
     ),
-    _option("--encoding", help="Of the text: utf-8 or utf-16, which are told apart by default, latin-1, cp1252 …"),
-    _option("--skip", type=click.IntRange(min=0), help="Lines before the header."),
-    _option("--skip-after-header", type=click.IntRange(min=0), help="Lines after the header, such as one of units."),
-    _option("--no-header", is_flag=True, help="No line names the columns; they are called 1, 2, 3 …"),
-    _option("--comment", metavar="TEXT", help="Lines that begin with this are left out."),
-    _option("--missing", multiple=True, metavar="TEXT", help="Text that stands for no value, beside the empty cell."),
-    _option(
+    click.option("--encoding", help="Of the text: utf-8 or utf-16, which are told apart by default, latin-1, cp1252 …"),
+    click.option("--skip", type=click.IntRange(min=0), help="Lines before the header."),
+    click.option(
+        "--skip-after-header", type=click.IntRange(min=0), help="Lines after the header, such as one of units."
+    ),
+    click.option("--no-header", is_flag=True, help="No line names the columns; they are called 1, 2, 3 …"),
+    click.option("--comment", metavar="TEXT", help="Lines that begin with this are left out."),
+    click.option(
+        "--missing", multiple=True, metavar="TEXT", help="Text that stands for no value, beside the empty cell."
+    ),
+    click.option(
         "--time-format",
         metavar="FORMAT",
         help="Of time stamps, such as '%m/%d/%Y %H:%M:%S'; not needed for 2024-05-03 10:15:00, 3.5.2024 10:15:00 and "
         "times of day.",
     ),
-    _option(
+    click.option(
         "--sign",
         type=click.Choice(["actual-minus-nominal", "nominal-minus-actual"]),
         help="Sign of deviations in the table; actual minus nominal by default.",
     ),
-    _option("--origin", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."),
-    _option(
+    click.option("--origin", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."),
+    click.option(
         "--align",
         is_flag=True,
         help="points: shift and turn the measured points of each setup onto the nominal ones, as a tracker's need.",
     ),
-    _option("--axis", type=click.Choice(["x", "y", "z"]), help="iso230-2: the axis that was moved."),
-    _option(
+    click.option("--axis", type=click.Choice(["x", "y", "z"]), help="iso230-2: the axis that was moved."),
+    click.option(
         "--actual", is_flag=True, help="iso230-2: the columns of the runs hold actual positions instead of deviations."
     ),
-    _option(
+    click.option(
         "--senses", type=click.Choice(["x", "y", "z"]), help="iso230-2: the direction read, if not along the axis."
     ),
-    _option("--long", is_flag=True, help="iso230-2: a row for each reading, as with a column of directions."),
-    _option("--transposed", is_flag=True, help="iso230-2: a row for each run, the positions in the header."),
-    _option(
+    click.option("--long", is_flag=True, help="iso230-2: a row for each reading, as with a column of directions."),
+    click.option("--transposed", is_flag=True, help="iso230-2: a row for each run, the positions in the header."),
+    click.option(
         "--up",
         multiple=True,
         metavar="NAME",
         help="iso230-2: column (or row) of a run up, in order; otherwise by names such as `1 up`.",
     ),
-    _option("--down", multiple=True, metavar="NAME", help="iso230-2: column (or row) of a run down, in order."),
-    _option("--station", "stations", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: where a station stands."),
-    _option("--target", "targets", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: a target on a rotary table."),
-    _option("--setup", "setup_name", metavar="ID", help="Name of the setup; the file's name by default."),
-    _option(
+    click.option("--down", multiple=True, metavar="NAME", help="iso230-2: column (or row) of a run down, in order."),
+    click.option(
+        "--station", "stations", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: where a station stands."
+    ),
+    click.option(
+        "--target", "targets", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: a target on a rotary table."
+    ),
+    click.option("--setup", "setup_name", metavar="ID", help="Name of the setup; the file's name by default."),
+    click.option(
         "--trust-units",
         is_flag=True,
         help="Take numbers as they are that look like another unit, frame or order; the session says so "
         "(trust_units: true), and is read and identified without such refusals.",
     ),
-    _option("--chain", metavar="CHAIN", help="The machine, such as w-Y-X-b-Z-t."),
-    _option("--uncertainty", metavar="LENGTH", help="Standard uncertainty (k = 1) of one reading, such as 1.5um."),
-    _option("--datum", type=click.Choice(["none", "offset", "rigid"]), help="What is unknown of each setup."),
-    _option(
+    click.option("--chain", metavar="CHAIN", help="The machine, such as w-Y-X-b-Z-t."),
+    click.option("--uncertainty", metavar="LENGTH", help="Standard uncertainty (k = 1) of one reading, such as 1.5um."),
+    click.option("--datum", type=click.Choice(["none", "offset", "rigid"]), help="What is unknown of each setup."),
+    click.option(
         "--instrument",
         metavar="NAME",
         help="What read, such as laser_interferometer, cmm or indicator; without it no effects of a beam in air.",
     ),
-    _option("--term", "terms", multiple=True, metavar="NAME", help="Machine error to identify, such as EXX or C0Y."),
+    click.option(
+        "--term", "terms", multiple=True, metavar="NAME", help="Machine error to identify, such as EXX or C0Y."
+    ),
 )
 
 

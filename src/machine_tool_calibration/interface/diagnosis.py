@@ -197,15 +197,15 @@ class Diagnosis(Answer, Found):
         """The verdict in one line."""
         return verdict_line(self)
 
-    def show(self, screen: Console, /, most: int = 8, *, details: bool = False) -> None:
+    def show(self, screen: Console, /, *, details: bool = False) -> None:
         """Print what `mtcal diagnose` prints: the verdict, the effects and the next step.
 
         Args:
             screen: where to.
-            most: effects beside those found that are listed; all if 0.
-            details: with confounded effects, what to measure next and what is hidden, as with `--details`.
+            details: with every effect that was looked for, confounded effects, what to measure next and what is
+                hidden, as with `--details`.
         """
-        show_diagnosis(screen, self, self.conclusions, most, details=details)
+        show_diagnosis(screen, self, self.conclusions, details=details)
 
     def report(self, *, details: bool = False) -> str:
         """What `show` prints, as text."""

@@ -30,18 +30,17 @@ from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
 from machine_tool_calibration.interface.features import Features
 from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
-from machine_tool_calibration.interface.show import Shown, chosen
+from machine_tool_calibration.interface.show import Answer, chosen
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import compare_fits
 from machine_tool_calibration.methods.probing.propagation import Distribution, monte_carlo
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
-from machine_tool_calibration.plots.tracking import draw_residuals
 from machine_tool_calibration.reports import result_tables as tables
-from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import show_result
 from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.quantities import quantity, rounded
@@ -55,7 +54,7 @@ __all__ = ["Fit", "fitted", "identify", "split_effects"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Shown):
+class Fit(Answer):
     """The machine's errors from one measurement, each with its uncertainty.
 
     Attributes:
@@ -199,10 +198,6 @@ class Fit(Shown):
     def show(self, screen: Console, /) -> None:
         """Print what `mtcal identify` prints: how well it fits, errors with uncertainty, what is not determined."""
         show_result(screen, self._document, self.measurement.sessions, self.result)
-
-    def document(self) -> dict[str, Any]:
-        """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
-        return dict(plain(self._document))
 
     @property
     def pictures(self) -> tuple[str, ...]:
@@ -386,8 +381,7 @@ class Fit(Shown):
         return Measured(self.measurement.sessions, self.chosen, self.history).document(self.result)
 
     def _figures(self) -> dict[str, Figure]:
-        more = {"residuals": draw_residuals(self.result.fit)} if isinstance(self.result, Result) else {}
-        return figures(self.measurement.sessions, self._document) | more
+        return figures(self.measurement.sessions, self._document) | {"residuals": draw_setups(compare(self.result))}
 
 
 def identify(

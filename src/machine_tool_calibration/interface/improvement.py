@@ -151,9 +151,8 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
         before = steps[-1] if steps else None
         none = tuple(() for _ in fit.chosen.sessions)
         steps.append(step_after(before, _change(before, fit), fit.chosen, fit.result, none))
-    first = models[0]
-    declared = noise_of(first.result.joint.fits[0]).declared
-    return notebook(draw_steps(steps, first.measurement.sessions, declared))
+    declared = noise_of(models[0].result.joint.fits[0]).declared
+    return notebook(draw_steps(steps, declared))
 
 
 def _change(before: Step | None, fit: Fit) -> str:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["Mounting", "Option", "further_options", "mounted_again"]
+__all__ = ["Option", "further_options", "mounted_again"]
 
 
 # What is done beside measuring, s: only to choose between measurements that are equally good.
@@ -66,54 +66,32 @@ class Option:
         return cls(kind, words, extended[0], first, extended[1], aside, turned or {})
 
 
-@dataclass(frozen=True)
-class Mounting:
-    """How setups are made again.
-
-    Attributes:
-        session: what was measured.
-        description: with the setups made again; they have unknowns of their own.
-        place: the new setup of each old one; the same where nothing has to be mounted.
-        words: to be put behind what is measured again.
-        aside: what comes on top of the measuring time.
-    """
-
-    session: Session
-    description: Description
-    place: dict[int, int]
-    words: str
-    aside: str
-
-    def added(self, changed: Changed) -> tuple[Session, float | None]:
-        """The session with further readings in the setups made again, and their time, s."""
-        setup = self.session.readings.setup[changed.rows]
-        new = np.array([self.place.get(int(s), int(s)) for s in setup], dtype=np.int64)
-        return appended(self.session, changed, setup=new, description=self.description)
-
-
-def mounted_again(session: Session, rows: IntArray) -> Mounting:
+def mounted_again(session: Session, rows: IntArray) -> tuple[Description, IntArray, str]:
     """The setups of some readings made again.
 
     An instrument that goes from station to station, or a mirror from diagonal to diagonal, has to be mounted again for
     any further reading: then the setup's unknowns are new ones. A part on the rotary table stays where it is.
+
+    Returns:
+        The description with them, for each setup the one that takes its place, and what comes on top of the measuring
+        time, in words.
     """
     description = session.description
     mounted = spec_of(session).mounted(description)
+    place = np.arange(len(description.setups))
     if not mounted:
-        return Mounting(session, description, {}, "", "")
+        return description, place, ""
     setups: list[Any] = list(description.setups)
     ids = {setup.id for setup in setups}
-    place = {}
-    for s in sorted(set(session.readings.setup[rows].tolist())):
+    for s in np.unique(session.readings.setup[rows]).tolist():
         # In front, because the end of an id may state the order of the moves.
         name = f"again_{setups[s].id}"
         while name in ids:
             name = f"again_{name}"
         ids.add(name)
-        place[int(s)] = len(setups)
+        place[s] = len(setups)
         setups.append(setups[s].model_copy(update={"id": name}))
-    new = description.model_copy(update={"setups": tuple(setups)})
-    return Mounting(session, new, place, "", f"mounting {mounted} again")
+    return description.model_copy(update={"setups": tuple(setups)}), place, f"mounting {mounted} again"
 
 
 _WARMER = 5.0
@@ -121,39 +99,28 @@ _SWING = 2.5
 _TURNS = (90.0, 45.0)
 
 
-def further_options(session: Session, setups: Sequence[int] | None = None) -> list[Option]:
-    """Further measurements, one repetition each, that this session allows; the simplest first.
-
-    Args:
-        session: what was measured.
-        setups: only in these setups; in all of them if absent. Places that are new are proposed only if absent.
-    """
-    rows = first_repetition(session, setups)
+def further_options(session: Session) -> list[Option]:
+    """Further measurements, one repetition each, that this session allows; the simplest first."""
+    rows = first_repetition(session)
     if not len(rows):
         return []
-    what: str = say("measure.everything")
-    if setups is not None and len(session.setup_ids) > 1:
-        names = ", ".join(session.setup_ids[s] for s in setups)
-        what = say("measure.setups", word=spec_of(session).setup_word, names=names)
-    measure = say("measure.repeat" if np.ptp(session.readings.repeat) else "measure.once_more", what=what)
-    out = list(_repeated(session, rows, measure))
-    if setups is None:
-        further = spec_of(session).further_places
-        out += [] if further is None else load(further)(session, session.description)
-    return out
+    further = spec_of(session).further_places
+    places = [] if further is None else load(further)(session, session.description)
+    return [*_repeated(session, rows), *places]
 
 
-def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option]:
+def _repeated(session: Session, rows: IntArray) -> Iterator[Option]:
     """The same again, in another way."""
-    again = mounted_again(session, rows)
+    description, place, mounting = mounted_again(session, rows)
+    measure = say("measure.repeat" if np.ptp(session.readings.repeat) else "measure.once_more")
 
     def option(
         kind: str, how: str, changed: Changed, aside: str = "", turned: dict[str, float] | None = None
     ) -> Option:
-        besides = " and ".join(text for text in (again.aside, aside) if text)
-        return Option.of(
-            session, kind, together((measure, again.words, how), ""), again.added(changed), besides, turned or {}
-        )
+        besides = " and ".join(text for text in (mounting, aside) if text)
+        setup = place[session.readings.setup[changed.rows]]
+        extended = appended(session, changed, setup=setup, description=description)
+        return Option.of(session, kind, together((measure, how), ""), extended, besides, turned)
 
     yield option("again", say("measure.as_before"), Changed(rows))
     backwards = _backwards(session, rows)

@@ -22,7 +22,6 @@ from machine_tool_calibration.planning.advice import Advice, Separation, Visibil
 from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import together
 
 __all__ = ["SEARCH", "Conclusions", "assumed_effects", "conclude", "present_effects", "visibilities", "what_to_measure"]
@@ -125,9 +124,8 @@ def visibilities(
     return out
 
 
-_TOLD_APART = 0.8
-# Cosines closer than this are equally good: the quicker measurement is proposed.
-_EQUAL = 0.05
+# Cosines closer than this, or below the other, are equally good: the quicker measurement is proposed.
+_EQUAL, _DIFFERENT = 0.05, 0.4
 _NOTHING = "none of the further measurements that were considered distinguishes them"
 
 
@@ -146,10 +144,9 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     assumed = assumed_effects(diagnosis)
     present = present_effects(diagnosis)
     chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
-    single = len(sessions) == 1
-    limits = limits_of(sessions[0], chosen.model) if single else None
+    limits = limits_of(sessions[0], chosen.model) if len(sessions) == 1 else None
 
-    def tried(option: Option, at: int = 0) -> Sensed | None:
+    def tried(option: Option, at: int) -> Sensed | None:
         try:
             return sense(
                 chosen.instead(at, option.session),
@@ -179,7 +176,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
         given = [name for name in diagnosis.accepted if name not in group]
         separation = _separation(group, now.beside(given), [(o, s.beside(given)) for o, s in seen])
         if separation is not None:
-            separations.append(_cheaper(separation, sessions[0], given, tried) if single else separation)
+            separations.append(separation)
     others = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
     return Advice(tuple(separations), tuple(seldom), limits)
@@ -199,7 +196,7 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
     if not tries:
         return found
     least = min(cosine for cosine, _, _ in tries)
-    good = [t for t in tries if t[0] <= max(least + _EQUAL, min(_TOLD_APART / 2, before))]
+    good = [t for t in tries if t[0] <= max(least + _EQUAL, min(_DIFFERENT, before))]
     # Among equals the quickest, and of these the simplest.
     cosine, _, k = min(good, key=lambda t: (t[1], t[2]))
     option, sensed = seen[k]
@@ -207,33 +204,6 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
     if cosine >= priors.ALIKE or cosine > before - _EQUAL:
         return found
     return replace(found, kind=option.kind, measure=option.words, seconds=option.seconds, aside=option.aside)
-
-
-def _cheaper(
-    separation: Separation, session: Session, given: Sequence[str], tried: Callable[[Option], Sensed | None]
-) -> Separation:
-    """The same measurement in one setup only, where that is enough."""
-    used = np.unique(session.readings.setup)
-    if separation.kind in (None, "station", "index") or len(used) < 2 or separation.cosine_after > _TOLD_APART:
-        return separation
-    for option in further_options(session, [int(used[0])]):
-        if option.kind != separation.kind:
-            continue
-        sensed = tried(option)
-        if sensed is None or not all(name in sensed.place for name in separation.effects):
-            continue
-        sensed = sensed.beside(given)
-        cosine = _alike(separation.effects, sensed)
-        if cosine <= _TOLD_APART:
-            return replace(
-                separation,
-                measure=option.words,
-                cosine_after=cosine,
-                apart_after=_apart(separation.effects, sensed),
-                seconds=option.seconds,
-                aside=option.aside,
-            )
-    return separation
 
 
 def _alike(group: Sequence[str], sensed: Sensed) -> float:

@@ -4,34 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.plots.direct import standard_figures
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
-from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.method import load
-from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "figures"]
-
-
-def draw(sessions: Sequence[Session], result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the pictures of a result document (`figures`) into a folder.
-
-    Returns:
-        The files.
-    """
-    return save(figures(sessions, result), folder, Provenance.read(result["provenance"]))
+__all__ = ["figures"]
 
 
 def figures(sessions: Sequence[Session], result: Mapping[str, Any]) -> dict[str, Figure]:
-    """The pictures of a result document by name, not written.
+    """The pictures of a result document by name.
 
     Of one session those that its method has; of several, or where the method has none of its own, the map and the
     tables of error motions, where there are any.

@@ -6,11 +6,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -27,8 +28,8 @@ from machine_tool_calibration.reports.budget import budget_tables
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.conformity import conformity_table, decision_words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.direct_deviations import direct_tables
 from machine_tool_calibration.reports.goodness import fits
+from machine_tool_calibration.reports.history_tables import tried_models
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
@@ -36,14 +37,13 @@ from machine_tool_calibration.reports.identification import (
     readings_set_aside,
     summary_rows,
 )
-from machine_tool_calibration.reports.information import setup_place
+from machine_tool_calibration.reports.improvement import steps_table
+from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.quantities import (
     micrometres,
-    of_map,
     plus_minus,
     probability,
     quantity,
-    rounded,
     sizes_in_words,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
@@ -60,7 +60,6 @@ __all__ = ["Section", "Turnable", "sections"]
 
 # Setups that are listed.
 _SETUPS = 20
-_ENVIRONMENT = ("temperature", "air_pressure", "relative_humidity")
 
 
 @dataclass(frozen=True)
@@ -173,8 +172,7 @@ def _measurement(found: Evaluation) -> Iterator[str | TextTable]:
         if about:
             yield TextTable(say("report.about"), ("", ""), about)
         yield _set_up(session)
-        yield _setups(session)
-        yield _environment(session)
+        yield from islice(session_tables(session, summarize(session)), 2)  # setups and columns
 
 
 def _said(name: str) -> str:
@@ -205,31 +203,11 @@ def _set_up(session: Session) -> TextTable:
     return TextTable(say("report.what_and_how"), ("", ""), tuple(row for row in rows if row[1]))
 
 
-def _setups(session: Session) -> TextTable:
-    rows = [
-        (Verbatim(own.id), setup_place(setup), str(own.readings), str(own.repeats))
-        for setup, own in zip(session.description.setups, summarize(session).setups, strict=True)
-    ]
-    note = say("text.more", n=len(rows) - _SETUPS) if len(rows) > _SETUPS else ""
-    return TextTable(say("report.setups"), heads("setup", "place", "readings", "repeats"), tuple(rows[:_SETUPS]), note)
-
-
-def _environment(session: Session) -> TextTable:
-    rows = []
-    for name, values in session.readings.columns.items():
-        if name.startswith(_ENVIRONMENT) and np.isfinite(values).any():
-            scale, unit = (1e-2, "hPa") if name == "air_pressure" else (1e2, "%") if "humidity" in name else (1.0, "°C")
-            low, high = (f"{scale * float(end):.2f}" for end in (np.nanmin(values), np.nanmax(values)))
-            rows.append((named("column", name), low, high, unit))
-    return TextTable(say("report.environment"), heads("", "lowest", "highest", "unit"), tuple(rows))
-
-
 def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture | Turnable]:
     yield from map_pictures(found)
     drawing = turnable(found.result, words)
     if drawing is not None:
         yield Turnable(drawing)
-    yield from direct_tables(found.document["error_map"])
 
 
 def _standard(found: Evaluation, name: str) -> Iterator[str | TextTable | Picture]:
@@ -310,31 +288,12 @@ def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
 
 
 def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
-    rows: list[tuple[str, int, float, float | None, float | None, float | None]]
-    columns = (*heads("model", "readings", "residual_um_rms"), "χ²/ν", *heads("map_um_rms", "map_u_um"))
-    if found.measured.history:
-        known = {entry.number: entry for entry in found.measured.history}
-        rows = [
-            (say("text.join", one=entry.number, other=entry.changed(known.get(entry.parent or 0))), entry.used,
-             entry.rms_residual, entry.reduced_chi_square, entry.map_rms,
-             None if found.budget else entry.map_uncertainty_rms)
-            for entry in found.measured.history
-        ]  # fmt: skip
-        yield TextTable(say("report.steps_history"), columns, tuple(map(_step, rows)))
+    if history := found.measured.history:
+        yield tried_models(History(current=history[-1].number, models=history))
     done = found.improvement
     if done is not None and len(done.steps) > 1:
-        rows = [
-            (step.change or say("step.first"), step.result.joint.assembly.problem.n_readings, step.result.rms_residual,
-             step.reduced_chi_square, step.map_rms, step.map_uncertainty)
-            for step in done.steps
-        ]  # fmt: skip
-        yield TextTable(say("report.steps"), columns, tuple(map(_step, rows)))
+        yield steps_table(done)
         yield Picture("improve", say("report.figure_improve"), draw_improvement(done))
-
-
-def _step(row: tuple[str, int, float, float | None, float | None, float | None]) -> tuple[str, ...]:
-    name, readings, residual, chi, size, u = row
-    return (name, str(readings), micrometres(residual), rounded(chi), *of_map(size, u))
 
 
 def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:

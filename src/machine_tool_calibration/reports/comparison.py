@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
 from machine_tool_calibration.methods.build import error_map, suspicious_fits
-from machine_tool_calibration.reports.direct_deviations import scatter_words
 from machine_tool_calibration.reports.documents import plain
-from machine_tool_calibration.reports.goodness import fit_words, fits
+from machine_tool_calibration.reports.goodness import fit_words, fits, scatter_words
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.session.catalogue import spec_of

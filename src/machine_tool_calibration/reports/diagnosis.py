@@ -336,18 +336,8 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     return TextTable(say("found.excluded"), heads("effect", "why"), rows)
 
 
-def show_diagnosis(
-    screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN, *, details: bool = False
-) -> None:
-    """The verdict, the effects and the next step; with details all words and all tables.
-
-    Args:
-        screen: where.
-        found: the diagnosis.
-        then: what follows from it.
-        shown: of the details, how many candidates beside the accepted ones; 0 for all.
-        details: whether they are wanted.
-    """
+def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, *, details: bool = False) -> None:
+    """The verdict, the effects and the next step; with details all words, all tables and all effects."""
     if not details:
         for paragraph in verdict_words(found, then.changes, then.advice, brief=True):
             screen.print(paragraph)
@@ -355,7 +345,7 @@ def show_diagnosis(
         screen.print(next_step(found, then.advice))
         screen.print(say("found.details"))
         return
-    report = diagnosis_report(found, then.advice, then.changes, shown)
+    report = diagnosis_report(found, then.advice, then.changes, shown=0)
     for paragraph in (*report.words, *report.forecast):
         screen.print(paragraph)
     for table in (*report.tables, *report.details):

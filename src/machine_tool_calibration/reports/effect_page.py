@@ -87,16 +87,11 @@ def effects_table(effects: Sequence[Effect]) -> TextTable:
 
 
 def _without_axis(effect: Effect) -> tuple[str, ...]:
-    """What an effect says of itself, with a mark where the axis stands."""
-    motion = re.fullmatch(r"E[XYZ]([XYZ])|E[ABC]([XYZ])|[ABC]0[XYZ]", effect.id)
-    axis = (motion[1] or motion[2] or "") if motion else effect.id[-1] if effect.id[-2:-1] == "_" else ""
-    texts = (effect.title, effect.formula, *effect.methods)
-    if motion:
-        kind = "squareness" if "0" in effect.id else "rotation" if motion[2] else "translation"
-        texts = (kind, *(text.replace(effect.id, "*") for text in texts))
-    if not axis:
-        return texts
-    return tuple(re.sub(rf"(?<![A-Za-z]){axis}(?![A-Za-z])", "*", text, flags=re.IGNORECASE) for text in texts)
+    """What an effect says of itself, with a mark where an axis or an error of axes is named."""
+    texts = [effect.title, effect.formula]
+    for mark, names in (("rotation", "E[ABC][XYZ]"), ("*", "(E?[XYZ]|[ABC]0?)?[XYZABC]|[xyz]")):
+        texts = [re.sub(rf"(?<![A-Za-z])({names})(?![A-Za-z])", mark, text) for text in texts]
+    return (*texts, *effect.methods)
 
 
 def shown_table(shown: Sequence[Shown]) -> TextTable:

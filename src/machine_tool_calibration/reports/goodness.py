@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 from machine_tool_calibration.reports.quantities import p_value as chance
-from machine_tool_calibration.reports.quantities import rounded
+from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.words import Said, say
 
-__all__ = ["Fits", "fit_words", "fits"]
+__all__ = ["Fits", "fit_words", "fits", "scatter_words"]
 
 Fits = Literal["bad", "nearly", "well", "too well"]
 
@@ -30,3 +31,26 @@ def fit_words(reduced_chi_square: float, p_value: float) -> Said:
     """How well a model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
     how, ratio = fits(p_value), rounded(reduced_chi_square**0.5)
     return say(f"fit.{how.replace(' ', '_')}", ratio=ratio, p=chance(p_value))
+
+
+def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
+    """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
+    scatter = content.get("scatter")
+    if scatter is None or scatter["found"] is None:
+        return None
+    found, declared = scatter["found"], scatter["declared"]
+    both, ratio = _both(found, declared), rounded(found / declared)
+    if fits(p_value) == "bad" and fits(scatter.get("one_direction_p_value", 0.0)) != "bad":
+        return say("fit.one_direction", both=_both(scatter["one_direction"], declared))
+    if scatter["uncertainties_from"] == "scatter":
+        return say("fit.scatter_used", ratio=ratio, both=both)
+    if fits(p_value) == "bad":
+        # What differs from run to run takes it up, so that the scatter beside that is as declared.
+        return say("fit.runs_differ", ratio=ratio, both=both)
+    if fits(p_value) == "too well":
+        return say("fit.declared_used", ratio=ratio, both=both)
+    return say("fit.scatter_as_declared", both=both)
+
+
+def _both(found: float, declared: float) -> Said:
+    return say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))

@@ -11,8 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
-from machine_tool_calibration.reports.goodness import fit_words, fits
+from machine_tool_calibration.reports.goodness import fit_words, fits, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
@@ -45,7 +44,6 @@ __all__ = [
     "group_by_reason",
     "readings_set_aside",
     "session_headline",
-    "show_profiles",
     "show_result",
     "summary_rows",
 ]
@@ -182,7 +180,7 @@ def show_result(
         screen.print(words)
     show_table(screen, TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []}))))
     of_standards = (standard_tables(document["error_map"], name, _MOST_PLACES) for name in STANDARDS)
-    for part in chain(direct_tables(document["error_map"]), *of_standards, value_tables(result, _MOST_PLACES)):
+    for part in chain(*of_standards, value_tables(result, _MOST_PLACES)):
         if isinstance(part, TextTable):
             show_table(screen, part)
         else:
@@ -255,15 +253,6 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
 
 def _place(axis: str, value: float) -> str:
     return f"{np.degrees(value) if axis in 'abc' else 1e3 * value:.6g}"
-
-
-def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
-    """Profiles of the three axes by one of the formulations of a step diagonal."""
-    for axis in "xyz":
-        rows = tuple((str(k), *map(micrometres, row)) for k, row in enumerate(document["error_map"][axis]))
-        title = say("result.formulation", axis=axis.upper(), formulation=document["formulation"])
-        if rows:
-            show_table(screen, TextTable(title, (*heads("block"), "ex", "ey", "ez"), rows))
 
 
 def _variants(document: Mapping[str, Any]) -> str:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
@@ -24,7 +23,7 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["improvement_document", "show_improvement", "step_document"]
+__all__ = ["improvement_document", "show_improvement", "step_document", "steps_table"]
 
 # Growth of the map's uncertainty that is explained.
 _GROWN = 1.2
@@ -64,15 +63,13 @@ def step_document(step: Step) -> dict[str, Any]:
 
 
 def show_improvement(screen: Console, done: Improvement) -> None:
-    """In words first, then a row for every step and before and after side by side."""
+    """In words first, then a row for every step."""
     screen.print(_words(done))
     last = done.steps[-1].result
     for words in negative_words(last.joint, last.effects):
         screen.print(words)
     show_suspicions(screen, done.diagnosis.suspicious)
-    show_table(screen, _steps(done))
-    if len(done.steps) > 1:
-        show_table(screen, _side_by_side(done))
+    show_table(screen, steps_table(done))
 
 
 def _words(done: Improvement) -> str:
@@ -108,7 +105,8 @@ def _what_grows(done: Improvement) -> str:
     return say("improved.grows", **dict(zip(("before", "after"), told, strict=True)))
 
 
-def _steps(done: Improvement) -> TextTable:
+def steps_table(done: Improvement) -> TextTable:
+    """The models on the way, one a row."""
     rows = []
     chance = {f.name: f.probability for f in done.diagnosis.ranked}
     for step in done.steps:
@@ -128,18 +126,3 @@ def _steps(done: Improvement) -> TextTable:
     before, after = ("model", "size_pm", "probability", "residual"), ("map_moves", "map", "U_map", "volumetric")
     columns = (*heads(*before), "chi²/ν", *heads(*after))
     return TextTable(say("improved.steps"), columns, tuple(rows), say("improved.note"))
-
-
-def _side_by_side(done: Improvement) -> TextTable:
-    both = (done.steps[0], done.steps[-1])
-    figures: dict[str, Callable[[Step], str]] = {
-        "effects": lambda step: ", ".join(step.result.effects) or say("improved.none"),
-        "readings": lambda step: str(step.result.joint.assembly.problem.n_readings),
-        "rms": lambda step: micrometres(step.result.rms_residual),
-        "chi": lambda step: rounded(step.reduced_chi_square),
-        "map": lambda step: of_map(step.map_rms, step.map_uncertainty)[0],
-        "volumetric_um": lambda step: micrometres(step.residual_volumetric_error(both[1])),
-    }
-    rows = [(say(f"improved.{name}"), *map(shown, both)) for name, shown in figures.items()]
-    rows.insert(4, (say("head.p_value"), *(probability(step.result.joint.p_value) for step in both)))
-    return TextTable(say("improved.both"), heads("", "before", "after_it"), tuple(rows))

@@ -13,7 +13,7 @@ from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration, fixed
 from machine_tool_calibration.reports.tables import TextTable, heads, show_head, show_suspicions, show_table
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.words import named, say
+from machine_tool_calibration.words import Verbatim, named, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,7 +26,6 @@ __all__ = [
     "counts_in_words",
     "measurement_document",
     "session_tables",
-    "setup_place",
     "show_recording",
     "show_session",
 ]
@@ -129,8 +128,8 @@ def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTa
     """Setups and columns of a session, and the models that its method has, where there are several."""
     rows = tuple(
         (
-            setup.id,
-            setup_place(entry),
+            Verbatim(setup.id),
+            _place(entry),
             str(setup.readings),
             str(setup.missing or ""),
             str(setup.repeats),
@@ -148,7 +147,7 @@ def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTa
         yield TextTable(say("recorded.models"), heads("name", "when"), tuple(spec_of(session).models.items()))
 
 
-def setup_place(setup: Any) -> str:
+def _place(setup: Any) -> str:
     """Where a setup stands, or which one it is; empty where it has no place of its own."""
     if hasattr(setup, "position"):
         return "(" + ", ".join(fixed(1e3 * value, 1) for value in setup.position) + ") mm"
@@ -168,10 +167,12 @@ def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
         unit = "°C"
     elif column.name == "air_pressure":
         unit, factor = "hPa", 0.01
+    elif column.name == "relative_humidity":
+        unit, factor = "%", 100.0
     elif column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _SMALL:
         unit, factor = "µm", 1e6
     low, high = (("" if value is None else f"{value * factor:.6g}") for value in (column.low, column.high))
-    return column.name, low, high, unit, str(column.missing or "")
+    return named("column", column.name), low, high, unit, str(column.missing or "")
 
 
 def _minutes(seconds: float | None) -> str:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from textwrap import fill
 from typing import TYPE_CHECKING
 
 from machine_tool_calibration.words import say
@@ -18,11 +17,8 @@ __all__ = ["TextTable", "heads", "is_number", "shortened", "show_head", "show_su
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
-# Between two columns; and what a column of longer text needs to be read with ease.
+# Between two columns.
 _GAP = 2
-_EASE = 24
-# How narrow a heading becomes before any is broken at every word.
-_HEAD = 10
 # A column of nothing else stands to the right, so that places stand below each other.
 _NUMBER = re.compile(r"[-+−]?[\d.,:]+(e[-+]\d+)?( ± [\d.,]+)?( ?%)?|< ?[\d.,e-]+|–|…")
 
@@ -80,13 +76,21 @@ def show_table(screen: Console, table: TextTable) -> None:
 
     Where the screen is too narrow for all columns, the rest follows below, again with the first one.
     """
+    from rich.table import Table
     from rich.text import Text
 
     if table.title:
         screen.print()
         screen.print(Text(table.title, style="bold"))
     for columns in _parts(table, screen.width):
-        _show_part(screen, table, columns)
+        shown = Table(box=None, show_header=any(table.columns), header_style="bold", pad_edge=False)
+        for k, width in _widths(table, columns, screen.width).items():
+            numbers = all(is_number(row[k]) for row in table.rows if row[k])
+            head = Text(table.columns[k])
+            shown.add_column(head, overflow="fold", width=width, justify="right" if numbers else "left")
+        for row in table.rows:
+            shown.add_row(*(Text(row[k]) for k in columns))
+        screen.print(shown)
     if table.note:
         screen.print(Text(f"({table.note})", style="dim"))
 
@@ -104,59 +108,24 @@ def _parts(table: TextTable, width: int) -> list[list[int]]:
     return parts
 
 
+def _widths(table: TextTable, columns: Sequence[int], room: int) -> dict[int, int]:
+    """How wide columns are beside each other: the widest give way, heads that break first, down to what each needs."""
+    widths = {k: max(_longest(table, k), len(table.columns[k]), 1) for k in columns}
+    least = {k: _least(table, k) for k in columns}
+    for _ in range(sum(widths.values()) + _GAP * (len(columns) - 1) - room):
+        heads = [k for k in columns if widths[k] > max(_longest(table, k), least[k])]
+        wider = heads or [k for k in columns if widths[k] > least[k]] or columns
+        widths[max(wider, key=lambda k: widths[k])] -= 1
+    return widths
+
+
 def _least(table: TextTable, k: int) -> int:
-    """How narrow a column can become: a short text on one line, a longer one at words of usual length."""
+    """How narrow a column can become: a short text on one line, a longer one and the head at words of usual length."""
     longest = _longest(table, k)
-    words = (word for row in table.rows for word in row[k].split())
-    text = longest if longest <= _UNBROKEN else min(max(len(word) for word in words), _UNBROKEN)
-    return max(text, *(len(line) for line in _folded(table.columns[k], 1).split("\n")), 1)
+    broken = [table.columns[k], *(row[k] for row in table.rows if longest > _UNBROKEN)]
+    word = max((len(word) for text in broken for word in text.split()), default=1)
+    return max(word, longest) if longest <= _UNBROKEN else min(word, _UNBROKEN)
 
 
 def _longest(table: TextTable, k: int) -> int:
     return max((len(line) for row in table.rows for line in row[k].split("\n")), default=0)
-
-
-def _folded(text: str, width: int) -> str:
-    return fill(text, width, break_long_words=False)
-
-
-def _show_part(screen: Console, table: TextTable, used: list[int]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = Table(box=None, show_header=any(table.columns), header_style="bold", pad_edge=False)
-    longest = {k: _longest(table, k) for k in used}
-    heads = {k: table.columns[k] for k in used}
-
-    def missing() -> int:
-        # What rich may still break counts as if it could become so narrow.
-        texts = {k: min(longest[k], _EASE) for k in used}
-        widths = (max(texts[k], *(len(line) for line in heads[k].split("\n"))) for k in used)
-        return sum(widths) + _GAP * (len(used) - 1) - screen.width
-
-    # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
-    for narrow in (_HEAD, 1):
-        if missing() > 0:
-            heads = {k: _folded(table.columns[k], max(longest[k], narrow)) for k in used}
-    lines = {k: max(len(line) for line in heads[k].split("\n")) for k in used}
-    widths = _narrowed(
-        [max(longest[k], lines[k]) for k in used],
-        [max(_least(table, k), lines[k]) for k in used],
-        screen.width - _GAP * (len(used) - 1),
-    )
-    for k, width in zip(used, widths, strict=True):
-        numbers = all(is_number(row[k]) for row in table.rows if row[k])
-        shown.add_column(Text(heads[k]), overflow="fold", width=width, justify="right" if numbers else "left")
-    for row in table.rows:
-        shown.add_row(*(Text(row[k]) for k in used))
-    screen.print(shown)
-
-
-def _narrowed(wanted: list[int], least: list[int], room: int) -> list[int]:
-    """Widths of columns that share the room: the widest give way, first down to what each needs, then further."""
-    widths = list(wanted)
-    for floor in (least, [1] * len(least)):
-        while sum(widths) > room and any(w > low for w, low in zip(widths, floor, strict=True)):
-            widest = max(range(len(widths)), key=lambda k: (widths[k] > floor[k], widths[k]))
-            widths[widest] -= 1
-    return widths

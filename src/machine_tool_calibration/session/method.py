@@ -39,7 +39,6 @@ class MethodSpec:
         no_tables: why a model has no tables of error motions, and what to do.
 
         words: of a description, what is measured, in words.
-        setup_word: what people call a setup.
         mounted: of a description, what has to be mounted again for further readings in a setup, whose unknowns then are
             new ones; empty where everything stays in place.
         turned_part: what may be turned by orienting the spindle, and the effects that turn with it.
@@ -75,7 +74,6 @@ class MethodSpec:
     no_tables: str = ""
 
     words: Callable[[Any], str] | None = None
-    setup_word: str = "setup"
     mounted: Callable[[Any], str] = lambda description: "the instrument"
     turned_part: tuple[str, tuple[str, ...]] = ("", ())
 

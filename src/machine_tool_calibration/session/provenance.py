@@ -63,12 +63,6 @@ class Provenance:
     sha256: str
     sessions: tuple[Origin, ...]
 
-    @classmethod
-    def read(cls, document: Mapping[str, Any]) -> Provenance:
-        """From its document."""
-        sessions = tuple(Origin(**entry) for entry in document["sessions"])
-        return cls(**{**document, "effects": tuple(document["effects"]), "sessions": sessions})
-
     def document(self) -> dict[str, Any]:
         """As part of a document."""
         return {**asdict(self), "effects": list(self.effects), "sessions": [asdict(one) for one in self.sessions]}

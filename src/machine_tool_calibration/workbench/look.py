@@ -17,7 +17,7 @@ from bokeh.document.callbacks import invoke_with_curdoc
 from bokeh.models import HoverTool
 from bokeh.plotting import figure
 
-from machine_tool_calibration.plots.style import COLORS
+from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.reports.tables import TextTable
 
 __all__ = [
@@ -68,11 +68,6 @@ BUTTON = """
 .bk-btn[disabled] { color: #9a9a9a !important; background: #f4f4f4 !important; border: 1px dashed #c4c4c4 !important;
   opacity: 1 !important; cursor: not-allowed !important; }
 """
-
-
-def setup_color(index: int) -> str:
-    """Of a setup, by its number."""
-    return COLORS[index % len(COLORS)]
 
 
 def stations_of(setups: Sequence[Any], which: Iterable[int]) -> dict[str, Any]:

@@ -40,7 +40,6 @@ SPEC = MethodSpec(
     model="ball_bar.model",
     models={"circle": "the only one"},
     words=lambda description: "circles with a ball bar",
-    setup_word="circle",
     mounted=lambda description: "the ball bar",
     reads_deviations=True,
 )

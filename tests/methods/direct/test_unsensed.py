@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib
@@ -21,7 +20,7 @@ from machine_tool_calibration.methods.identify import identify, identify_session
 from machine_tool_calibration.model.result import map_change
 from machine_tool_calibration.plots import direct as pictures
 from machine_tool_calibration.plots.error_map import draw_map
-from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.plots.pictures import figures
 
 matplotlib.use("agg")
 NODES = np.linspace(0.0, 0.4, 5)
@@ -132,9 +131,9 @@ def test_subscribers_and_controllers_get_what_was_measured(direct: SimpleNamespa
     assert "x" in shown and not shown & {"y", "z"}
 
 
-def test_pictures_name_the_direction(direct: SimpleNamespace, tmp_path: Path) -> None:
+def test_pictures_name_the_direction(direct: SimpleNamespace) -> None:
     document = identify(_plate(direct, both=False)).document()
     assert "not determined along y" in pictures.draw_map(document["error_map"]).axes[0].get_title()
     figure = draw_map(document["error_map"])
     assert "not determined along y, z" in figure.get_suptitle() and "largest error" in figure.get_suptitle()
-    assert draw((), document, tmp_path)
+    assert figures((), document)

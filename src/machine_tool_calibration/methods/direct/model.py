@@ -31,7 +31,6 @@ from machine_tool_calibration.methods.direct.datum import (
     silent_directions,
 )
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
-from machine_tool_calibration.methods.direct.plate import plate_steps
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Term, weight_row
@@ -303,10 +302,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     }
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
-        runs, steps = positioning_runs(observations), plate_steps(observations, setups)
+        runs = positioning_runs(observations)
         content["scatter"] = _scatter(observations, fit, runs)
         content |= ({"iso230_2": runs} if runs else {}) | diagonal_tests(observations)
-        content |= {} if steps is None else {"plate": steps}
     return ErrorMap(content, points, error, uncertainty, covariance)
 
 

@@ -16,7 +16,6 @@ SPEC = MethodSpec(
     models={
         "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
     },
-    setup_word="angle of C",
     mounted=lambda description: "",
     turned_part=("the probe", ("probe_pretravel",)),
     reads_deviations=True,

@@ -16,7 +16,6 @@ SPEC = MethodSpec(
     models={
         "free": "the only one: six error motions at every angle, targets and stations unknown",
     },
-    setup_word="station",
     mounted=lambda description: "the instrument",
     turns_one_axis=True,
     counts_from_run=True,

@@ -24,7 +24,6 @@ SPEC = MethodSpec(
         "aligned_mirror": "no angular errors, and mirrors exactly square to their beams, as the conventional "
         "formulation assumes: only to compare with it",
     },
-    setup_word="run",
     mounted=lambda description: "the mirror",
     states_runs=True,
     counts_from_run=True,

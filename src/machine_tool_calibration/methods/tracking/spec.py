@@ -33,7 +33,6 @@ SPEC = MethodSpec(
         "sessions can share the tables, and places between the targets are told",
     },
     words=_words,
-    setup_word="station",
     mounted=lambda description: "the instrument",
     turned_part=("the retroreflector", ("retroreflector_form",)),
     free_order=True,

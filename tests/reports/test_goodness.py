@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of deviations that were read directly: the steps of a plate, and the figures of ISO 230-2."""
+"""What is said of deviations that were read directly: their scatter, and the figures of ISO 230-2."""
 
 from typing import Any
 
-from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
+from machine_tool_calibration.reports.goodness import scatter_words
 from machine_tool_calibration.reports.standards import standard_tables
 from machine_tool_calibration.reports.tables import TextTable
 
@@ -12,41 +12,6 @@ RUN: dict[str, Any] = {
     "mean_up": [0.0, 1e-6, 4e-6], "mean_down": [None, -1e-6, None], "reversal": [None, 2e-6, None],
     "s_up": [3e-7] * 3, "s_down": [None] * 3, "B": 2.0e-6, "B_U": 0.5e-6, "M": 3.0e-6, "E_up": 4.0e-6,
 }  # fmt: skip
-
-
-def size(of: str, value: float | None, p_value: float | None) -> dict[str, Any]:
-    return {"of": of, "value": value, "unit": "m/m", "standard_uncertainty": 1e-6, "p_value": p_value}
-
-
-def step(model: str, scatter: float, p_value: float | None, *sizes: dict[str, Any]) -> dict[str, Any]:
-    known = {} if p_value is None else {"p_value": p_value}
-    return {"model": model, "unknowns": 3, "rms": scatter, "scatter": scatter, "parameters": list(sizes), **known}
-
-
-def plate(*, curves: float) -> dict[str, Any]:
-    scale = step("scale", 4e-6, 1e-9, size("scale", 3e-5, 1e-9))
-    two = step("scales", 3e-6, 0.2, size("scale of X", 2e-5, 0.2), size("squareness", None, None))
-    steps = [step("rigid", 9e-6, None), scale, two, step("curves", 2e-6, curves)]
-    return {"places": 100, "steps": steps}
-
-
-def words(content: dict[str, Any]) -> list[str]:
-    return [entry for entry in direct_tables(content) if isinstance(entry, str)]
-
-
-def test_the_steps_of_a_plate_say_what_is_significant() -> None:
-    (said,) = words({"plate": plate(curves=1e-4)})
-    assert said == (
-        "Significant (p < 0.01): scale. Not significant: scale of X. Curves beyond that are significant "
-        "(they take 1.00 µm)."
-    )
-    (more,) = words({"plate": plate(curves=0.5)})
-    assert "Curves beyond that are not significant" in more
-    table, *_ = direct_tables({"plate": plate(curves=1e-4)})
-    assert isinstance(table, TextTable) and len(table.rows) == 4
-    _, one, two, _ = (row[-1] for row in table.rows)
-    assert "(not significant)" not in str(one)
-    assert "(not significant)" in str(two) and str(two).endswith("squareness not determined")
 
 
 def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> None:
