@@ -21,7 +21,6 @@ from machine_tool_calibration.words import together
 
 __all__ = [
     "build_model",
-    "doubtful",
     "error_map",
     "model_names",
     "rejected_readings",
@@ -90,17 +89,8 @@ def suspicious_fits(
         sessions: as they were measured, where the fits have means of repeats.
     """
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
-    each = [
-        (name, [*(one.words for one in _elsewhere(fit)), *doubtful(fit)]) for name, fit in zip(named, fits, strict=True)
-    ]
-    found = [together((name, words), "") for name, own in each for words in own]
+    found = [together((name, one.words), "") for name, fit in zip(named, fits, strict=True) for one in _elsewhere(fit)]
     return [*suspicions(sessions or [fit.model.observations.session for fit in fits], labels), *found]
-
-
-def doubtful(fit: Fit) -> list[str]:
-    """Places whose readings no others check and that stand out, in words."""
-    where = spec_of(fit.model.observations.session).doubtful
-    return [] if where is None or len(fit.joint.fits) > 1 else [one.words for one in load(where)(fit)]
 
 
 def _elsewhere(fit: Fit) -> Iterator[Misplaced]:
