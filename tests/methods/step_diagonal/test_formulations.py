@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations, identify_by_formulation
+from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
 from machine_tool_calibration.methods.step_diagonal.formulations import (
-    alternative,
     conventional,
     increments,
     new,
@@ -62,20 +61,6 @@ def test_conventional_is_right_only_without_a_tilt(moves):
 def test_new_is_right_with_any_tilt(moves):
     errors, _, tilted, linear = moves
     assert new(tilted, linear, STEP) == pytest.approx(errors, abs=1e-15)
-
-
-def test_corrected_alternative_equals_new_after_turning(moves):
-    errors, _, tilted, linear = moves
-    blocks = [step * np.arange(N + 1) for step in STEP]
-
-    def summed(change):
-        return np.concatenate(
-            [np.vstack([np.zeros(3), np.cumsum(change[axis].T, axis=0)]).ravel() for axis in range(3)]
-        )
-
-    turned = eq17(blocks, summed(alternative(tilted, linear, STEP)))
-    assert turned == pytest.approx(eq17(blocks, summed(errors)), abs=1e-14)
-    assert turned == pytest.approx(eq17(blocks, summed(new(tilted, linear, STEP))), abs=1e-14)
 
 
 def test_formulas_pass_leading_dimensions_through(moves):
@@ -173,13 +158,6 @@ def test_two_dimensional_formulas():
     length = np.hypot(*step)
     assert out[0, 1] == pytest.approx(length / (2 * step[1]) * (R[0, 0] - R[1, 0]))
     assert new(R, np.zeros((2, 4)), step)[0, 1].mean() == pytest.approx(0.0, abs=1e-12)
-
-
-def test_alternative_is_for_space_only(written):
-    session, _ = _plane(written)
-    with pytest.raises(ModelError, match=r"Eq. \(20\), is for three axes"):
-        identify_by_formulation(session, "alternative")
-    assert set(compare_formulations(session).profiles) == {"conventional", "new", "least_squares", "small_angles"}
 
 
 def test_a_missing_run_is_named(written, exact, without):
