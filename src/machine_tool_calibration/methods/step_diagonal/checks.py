@@ -23,7 +23,6 @@ from machine_tool_calibration.session.checks.units import LARGEST_MACHINE, LARGE
 from machine_tool_calibration.session.description import Place, StepDiagonal
 from machine_tool_calibration.session.judgements import Checks, Held, Judgement
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say
 
 __all__ = ["DiagonalChecks"]
 
@@ -32,8 +31,6 @@ __all__ = ["DiagonalChecks"]
 _OUTSIDE, _ON_HALT = 0.5, 0.02
 # Blocks beyond which no halts are compared: nobody made as many.
 _MOST_BLOCKS = 10_000
-# Factor between the steps, or the way, that are stated and those of the places.
-_STEPS = 1.5
 # A displacement may be off its place by a part of the path, by what a mirror's tilt makes of the way across the beam,
 # rad, and by this, m.
 _SCALE, _TILT, _ERROR = 2e-3, 0.03, 1e-3
@@ -97,28 +94,6 @@ class DiagonalChecks(Checks):
             off_prediction(session, path, groups(readings.setup, readings.repeat)),
             _ERROR + _SCALE * length + _TILT * across,
         )
-
-    def suspicious(self, session: Session) -> Iterator[str]:
-        """Runs that step and blocks make longer, or of other steps, than their places."""
-        description, places = session.description.as_a(StepDiagonal), session.readings.position()
-        moves = np.array([run.direction for run in description.setups])[session.readings.setup] != 0.0
-        for axis, step, moved, place in zip("xyz", description.step, moves.T, places.T, strict=True):
-            halts = np.unique(np.round(place[moved], 9))
-            if len(halts) < 3:
-                continue
-            between = float(np.median(np.diff(halts)))
-            if not 1 / _STEPS < between / step < _STEPS or description.blocks * step > _STEPS * np.ptp(halts):
-                yield say(
-                    "suspicion.steps",
-                    blocks=description.blocks,
-                    step=f"{1e3 * step:.4g}",
-                    axis=axis,
-                    count=len(halts),
-                    low=f"{1e3 * halts[0]:.6g}",
-                    high=f"{1e3 * halts[-1]:.6g}",
-                    between=f"{1e3 * between:.4g}",
-                )
-                return
 
 
 def _off_diagonal(session: Session) -> Array:
