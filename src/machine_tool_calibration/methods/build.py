@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol, cast
 
 import numpy as np
 
@@ -27,16 +26,6 @@ __all__ = [
     "sharing_variant",
     "suspicious_fits",
 ]
-
-
-class _Method(Protocol):
-    """What the module of a method offers."""
-
-    def build(self, session: Session, model: str) -> MethodModel:
-        """The model of a session."""
-
-    def error_map(self, model: MethodModel, fit: Fit) -> ErrorMap:
-        """The machine's errors from a fit of such a model."""
 
 
 def model_names(method: str | None = None) -> tuple[str, ...]:
@@ -69,13 +58,15 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
         raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
-    return cast(_Method, load(spec_of(session).model)).build(session, name), name
+    built: MethodModel = load(spec_of(session).model).build(session, name)
+    return built, name
 
 
 def error_map(fit: Fit) -> ErrorMap:
     """The machine's errors from one session's share in a fit."""
     spec = spec_of(fit.model.observations.session)
-    return cast(_Method, load(spec.map or spec.model)).error_map(fit.model, fit)
+    found: ErrorMap = load(spec.map or spec.model).error_map(fit.model, fit)
+    return found
 
 
 def suspicious_fits(
