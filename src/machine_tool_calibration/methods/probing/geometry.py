@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, first_true
-from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.checks.nominal_geometry import turned
@@ -92,14 +92,8 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
         readings: which point was touched at which c.
         rotation_sign: -1 if C positive turns the workpiece clockwise seen from +Z, as in the paper.
 
-    Raises:
-        SessionError: a reading names a point that the workpiece does not have.
     """
-    names = readings.labels["point"]
-    point = places_among(names, [entry.id for entry in description.workpiece])
-    bad = first_true(point < 0)
-    if bad is not None:
-        raise SessionError(f"reading {readings.row[bad]}: the workpiece has no point {str(names[bad])!r}")
+    point = places_among(readings.labels["point"], [entry.id for entry in description.workpiece])
     position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
     at, along = turned(position[point], angle), turned(normal[point], angle)
