@@ -44,7 +44,7 @@ def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
 
 
 def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """What a controller understands from the files: deviations that it takes away.
+    """What a controller understands from files that were written for it: deviations that it takes away.
 
     Args:
         form: one of FORMATS.
@@ -52,7 +52,7 @@ def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> Axis
         tables: for the chain and the words, which no controller reads from these files.
 
     Raises:
-        CalibrationError: no such format, or text that is not of it.
+        CalibrationError: no such format.
     """
     return _format(form)[1](files, tables)
 
