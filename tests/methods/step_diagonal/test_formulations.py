@@ -172,12 +172,7 @@ def test_a_missing_run_is_named(written, exact, without):
 
 def test_a_missing_reading_is_named(exact):
     session = exact(1).session
-    readings = session.readings
-    displacement = readings.displacement.copy()
-    displacement[4] = np.nan
-    holed = session.with_readings(type(readings)(
-        readings.setup, readings.repeat, displacement, readings.columns, readings.labels, readings.row
-    ))  # fmt: skip
+    holed = session.without(session.readings.row == 4, as_lost=True)
     with pytest.raises(ModelError, match="run ppp: no reading on both sides of move x of block 2"):
         identify_by_formulation(holed, "new")
     assert np.isfinite(identify_by_formulation(holed, "least_squares").error[0]).all()
@@ -185,12 +180,7 @@ def test_a_missing_reading_is_named(exact):
 
 def test_repeats_fill_each_others_gaps(exact):
     session = exact(1, repeats=2).session
-    readings = session.readings
-    displacement = readings.displacement.copy()
-    displacement[4] = np.nan
-    holed = session.with_readings(type(readings)(
-        readings.setup, readings.repeat, displacement, readings.columns, readings.labels, readings.row
-    ))  # fmt: skip
+    holed = session.without(session.readings.row == 4, as_lost=True)
     assert increments(holed).lacking == ()
 
 
