@@ -90,7 +90,7 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
     check_session(session, place)
     if isinstance(description, Direct):  # a misspelt error would be met at the identification only
         asked_tables(description.machine.kinematics, description.terms, readings.position())
-    notes = [*rows.notes]
+    notes = [*(f"{columns.table.source}: {text}" for columns in read for text in columns.table.notes), *rows.notes]
     missing = int(np.count_nonzero(~np.isfinite(readings.displacement)))
     if missing:
         notes.append(f"{missing} of {len(readings)} readings are empty cells: kept as missing")

@@ -118,6 +118,7 @@ class TextTable:
         lines: (rows,) line of each row in the file, from 1.
         header_line: of the header; of the first row where there is none.
         form: how numbers are written.
+        notes: lines that were left out and look like rows.
     """
 
     source: str
@@ -126,6 +127,7 @@ class TextTable:
     lines: tuple[int, ...]
     header_line: int
     form: FileForm
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -245,9 +247,12 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
     lines = _lines(path, form)
     numbered = [(number, text) for number, text in enumerate(lines, start=1) if number > form.skip and text.strip()]
     form = _recognised(form, [text for _, text in numbered])
+    left_out = []
     if form.comment:
+        left_out = [entry for entry in numbered if entry[1].lstrip().startswith(form.comment)]
         numbered = [entry for entry in numbered if not entry[1].lstrip().startswith(form.comment)]
     begin = 1 if form.header else 0
+    left_out += numbered[begin : begin + form.skip_after_header]
     numbered = numbered[:begin] + numbered[begin + form.skip_after_header :]
     if len(numbered) < begin + 1:
         raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
@@ -265,7 +270,19 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
                 f"{source} line {places[row]}: {width[row]} cells where {'the header' if begin else 'another row'} has "
                 f"{count}" + ("; is the separator right?" if count == 1 else "")
             )
-    return TextTable(source, names, cells[begin:, :count], tuple(places[begin:]), places[0], form)
+    notes = tuple(
+        f"line {number} is left out (comment or skip_after_header) and looks like a row: {text.strip()[:60]}"
+        for number, text in sorted(left_out)
+        if number > places[0] - begin and _is_row(text, count, form)
+    )
+    return TextTable(source, names, cells[begin:, :count], tuple(places[begin:]), places[0], form, notes)
+
+
+def _is_row(text: str, count: int, form: FileForm) -> bool:
+    """Whether a line has as many cells as the table, and numbers in two of them or more."""
+    cells = _cells(text.replace('"', ""), _SEPARATORS.get(form.separator, form.separator))
+    numbers = sum(_NUMBER.fullmatch(cell.strip().replace(form.decimal, ".")) is not None for cell in cells)
+    return len(cells) == count and numbers >= 2
 
 
 def _recognised(form: FileForm, lines: Sequence[str]) -> FileForm:
