@@ -16,7 +16,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.description import Probing
 
 __all__ = ["Limits", "NominalTouch", "Part", "judge"]
@@ -89,7 +88,7 @@ class Part:
 
     def touch(self, point: int, c: float, standoff: float) -> NominalTouch:
         """The planned touch of a point with C at an angle, rad."""
-        place, normal = (turned(vectors[point : point + 1], np.array([self.sign * c]))[0] for vectors in self._points)
+        place, normal = (self._turned(vectors[point : point + 1], c)[0] for vectors in self._points)
         return NominalTouch(point, place + self.radius * normal, normal, standoff)
 
     def meant(self, position: Mapping[str, float], farthest: float) -> NominalTouch:
@@ -103,7 +102,7 @@ class Part:
             SessionError: the axes stand in front of no point, or of two.
         """
         c = position.get("c", 0.0)
-        place, normal = (turned(vectors, np.array([self.sign * c])) for vectors in self._points)
+        place, normal = (self._turned(vectors, c) for vectors in self._points)
         away = np.array([position["x"], position["y"]]) - place - self.radius * normal
         standoff = np.sum(away * normal, axis=1)
         beside = np.linalg.norm(away - standoff[:, None] * normal, axis=1)
@@ -116,6 +115,10 @@ class Part:
             raise SessionError(f"at {where} the stylus stands in front of the points {ids[0]!r} and {ids[1]!r}")
         k = int(found[0])
         return NominalTouch(k, place[k] + self.radius * normal[k], normal[k], float(standoff[k]))
+
+    def _turned(self, vectors: Array, c: float) -> Array:
+        cos, sin = np.cos(self.sign * c), np.sin(self.sign * c)
+        return np.asarray(vectors @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def judge(displacement: float, standoff: float, limits: Limits) -> str:
