@@ -13,12 +13,12 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.probing.features import Features, features
-from machine_tool_calibration.methods.probing.geometry import turn
 from machine_tool_calibration.methods.probing.map import common_motions, responses
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.model.rigid_body import map_field
+from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PartPoint, ProbingPlan, SimulationSpec, simulate
@@ -49,7 +49,7 @@ def planned_session(description: Probing) -> Session:
     setup, repeat, point = (index.ravel() for index in np.indices(shape))
     c = np.array([entry.c for entry in description.setups])[setup]
     sign = description.machine.rotation_sign or -1
-    place = turn(points[point], sign * c)
+    place = turned(points[point], sign * c)
     readings = Readings(
         setup=setup,
         repeat=repeat,
@@ -194,7 +194,7 @@ def _centred(fit: Fit, model: ProbingModel) -> Array:
     for setup in model.description.setups:
         rows = np.zeros((2, len(names)))
         rows[[0, 1], [names.index(f"{name}({setup.id})") for name in ("EXC", "EYC")]] = 1.0
-        rows[:, : len(mean)] -= (mean - turn(mean, np.asarray(model.observations.session.rotation_sign * setup.c))).T
+        rows[:, : len(mean)] -= (mean - turned(mean, np.asarray(model.observations.session.rotation_sign * setup.c))).T
         out.append(np.sqrt(np.maximum(np.diag(rows @ fit.covariance @ rows.T), 0.0)))
     return np.array(out).T
 

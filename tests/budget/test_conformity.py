@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,10 +86,7 @@ def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., 
     x = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
     session = runs(np.tile(20e-6 * x + np.array([0, 0, 6e-6, 0, 0]), 4), terms=["EYX"])
     columns = {**session.readings.columns, "gx": np.zeros(20), "gy": np.ones(20)}
-    readings = session.readings
-    across = type(readings)(
-        readings.setup, readings.repeat, readings.displacement, columns, readings.labels, readings.row
-    )
+    across = replace(session.readings, columns=columns)
     found = one(judged(fit_sessions(session.with_readings(across)), {"EYX": 10e-6}))
     assert found.value == pytest.approx(6e-6)
     assert found.decision == "pass"

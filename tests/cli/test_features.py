@@ -99,10 +99,10 @@ def test_centres_and_walls_are_drawn_where_they_are_magnified(listed: Path) -> N
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("features: {a: [1]}", "no list of features: the key format must be mtcal-feature-points/1"),
-        ("format: mtcal-feature-points/1", "features must be a mapping of names to lists of points"),
+        ("features: {a: [1]}", "the key 'format' is missing"),
+        ("format: mtcal-feature-points/1", "the key 'features' is missing"),
         ("format: mtcal-feature-points/1\nfeatures: {a: [1, 2]}\nframe: a", "line 3: unknown key 'frame'"),
-        ("format: mtcal-feature-points/1\nfeatures:\n  a: 7", "line 3: features.a must be a list of ids of points"),
+        ("format: mtcal-feature-points/1\nfeatures:\n  a: 7", "line 3: features.a must be a list, not 7"),
         ("format: mtcal-feature-points/1\nfeatures:\n  a: [x1]", "feature a: the workpiece has no point 'x1'"),
     ],
 )

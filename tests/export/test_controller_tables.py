@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export import FORMATS, linuxcnc, read_tables, write_tables
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables, axis_tables
@@ -21,7 +21,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.recording.open import open_measurement
 
 DATA = Path(__file__).parents[1] / "data"
-VOLUMETRIC = ("isg", "etalon", "csv", "json")
+VOLUMETRIC = ("isg", "etalon")
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +58,6 @@ def test_tables_are_the_parameters_of_the_result(plane: Result, tables: AxisTabl
     assert "EZX" in {entry.name for entry in tables.left_out}
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"tables": {"EXX": {}}}', '{"tables": 3}'])
-def test_what_is_no_document_of_tables_is_one_line(text: str, tables: AxisTables) -> None:
-    with pytest.raises(CalibrationError, match=r"^compensation\.json: not a document of "):
-        read_tables("json", {"compensation.json": text}, tables)
-
-
 @pytest.mark.parametrize("form", VOLUMETRIC)
 def test_a_volumetric_table_takes_all_errors_away(form: str, plane: Result, tables: AxisTables) -> None:
     left = summary(residual_errors(plane.error_map, read_tables(form, write_tables(form, tables, "cell 1"), tables)))
@@ -72,7 +66,7 @@ def test_a_volumetric_table_takes_all_errors_away(form: str, plane: Result, tabl
     assert not left[-1].worse
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", sorted({*FORMATS} - {"csv", "json"}))
 def test_a_wrong_sign_shows_in_the_preview(form: str, plane: Result, tables: AxisTables) -> None:
     wrong = read_tables(form, write_tables(form, negated(tables), "cell 1"), tables)
     left = summary(residual_errors(plane.error_map, wrong))
@@ -134,14 +128,12 @@ def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
     assert one.backlash["X"][0] == pytest.approx(other.backlash["X"][0], abs=1e-12)
 
 
-def test_linuxcnc_reads_256_lines_at_most(tables: AxisTables) -> None:
+def test_linuxcnc_has_256_lines_at_most(tables: AxisTables) -> None:
     nodes = np.linspace(0.0, 1.0, 1001)
     made = one_axis(tables, nodes, 1e-5 * nodes)
     lines = linuxcnc.write(made, "cell 1")["x.comp"].splitlines()
     assert len(lines) == 256
     assert lines[0].startswith("0.000000 ") and lines[-1].startswith("1000.000000 1000.0100000")
-    with pytest.raises(CalibrationError, match="257 lines"):
-        linuxcnc.read({"x.comp": "\n".join(f"{k} {k} {k}" for k in range(257))}, made)
 
 
 def test_linuxcnc_needs_a_positioning_error(tables: AxisTables) -> None:
@@ -171,19 +163,15 @@ def test_isg_numbers_are_millimetres_and_radians(tables: AxisTables) -> None:
     assert "  100.000000 0.000020000000\n}  // end of ECX\n" in blocks
 
 
-@pytest.mark.parametrize("form", ["csv", "json"])
-def test_plain_files_come_back_to_the_last_bit(form: str, tables: AxisTables) -> None:
-    back = read_tables(form, write_tables(form, tables, "cell 1"), tables)
-    for made, read in zip(tables.tables, back.tables, strict=True):
-        assert made.name == read.name
-        assert np.array_equal(made.nodes, read.nodes) and np.array_equal(made.value, read.value)
-
-
-def test_plain_files_say_deviation_and_compensation(tables: AxisTables) -> None:
+def test_plain_files_say_deviation_and_compensation_to_the_last_bit(tables: AxisTables) -> None:
     text = write_tables("csv", tables, "cell 1")["compensation.csv"]
     rows = list(csv.DictReader(line for line in text.splitlines() if line[0] != "#"))
     assert all(float(row["compensation"]) == -float(row["deviation"]) for row in rows)
+    exx = [(float(row["position"]), float(row["deviation"])) for row in rows if row["name"] == "EXX"]
+    assert exx == list(zip(tables.tables[0].nodes, tables.tables[0].value, strict=True))
     document = json.loads(write_tables("json", tables, "cell 1")["compensation.json"])
+    assert document["tables"]["EXX"]["deviation"] == tables.tables[0].value.tolist()
+    assert document["tables"]["EXX"]["position"] == tables.tables[0].nodes.tolist()
     assert document["tables"]["EXX"]["compensation"] == [-v for v in document["tables"]["EXX"]["deviation"]]
     assert document["chain"] == "w-C-b-Y-X-Z-t"
 

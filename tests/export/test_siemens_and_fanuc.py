@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export import read_tables, write_tables
 from machine_tool_calibration.export.fanuc import MOST_POINTS
 from machine_tool_calibration.export.preview import residual_errors, summary
@@ -212,28 +212,3 @@ def test_uneven_nodes_are_put_on_even_steps(machine: AxisTables) -> None:
     text = write_tables("siemens", uneven, "cell 1")["AX_EEC.INI"]
     assert "$AA_ENC_COMP_STEP[0,X1]=50.000000\n" in text and "must be 7 or more" in text
     assert "$AA_ENC_COMP[0,3,X1]=0.005000\n" in text and "$AA_ENC_COMP[0,4,X1]=0.004000\n" in text
-
-
-@pytest.mark.parametrize(
-    ("form", "file", "text", "words"),
-    [
-        ("siemens", "AX_EEC.INI", "$MA_X[0]=1", r"AX_EEC.INI, line 1: .* sets no value"),
-        ("siemens", "AX_EEC.INI", "$AA_ENC_COMP[0,0,X1]=0.1", "incomplete, 'MIN' is missing"),
-        ("siemens", "AX_EEC.INI", "$AA_ENC_COMP[0,0,X1]=one", "'one' is not a number"),
-        ("fanuc", "pitch_error.txt", "N10000Q0P1", r"line 1: .* is not a point of the form"),
-        ("fanuc", "pitch_error.txt", "N10000P8;", "line 1: 8 is more than 7"),
-        ("fanuc", "pitch_error.txt", "N10000P7;", "points of X from 0 to 5 are not all there"),
-    ],
-)
-def test_other_text_is_refused_in_one_line(form: str, file: str, text: str, words: str, machine: AxisTables) -> None:
-    files = {"compensation.txt": "X: 3620=0 3621=0 3622=5 3623=1 3624=100.000 mm"} if form == "fanuc" else {}
-    with pytest.raises(CalibrationError, match=words) as caught:
-        read_tables(form, {**files, file: text}, machine)
-    assert "\n" not in str(caught.value)
-
-
-def test_points_that_do_not_reach_the_end_are_refused(machine: AxisTables) -> None:
-    lines = ["$AA_ENC_COMP[0,0,X1]=0", "$AA_ENC_COMP[0,1,X1]=0", "$AA_ENC_COMP_STEP[0,X1]=10"]
-    lines += ["$AA_ENC_COMP_MIN[0,X1]=0", "$AA_ENC_COMP_MAX[0,X1]=100"]
-    with pytest.raises(CalibrationError, match="2 points do not reach from MIN to MAX"):
-        read_tables("siemens", {"AX_EEC.INI": "\n".join(lines)}, machine)

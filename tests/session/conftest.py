@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.folder import read_session
+
 DATA = Path(__file__).parents[1] / "data"
 
 DIRECT = """format: mtcal-session/1
@@ -59,6 +62,14 @@ class Folder:
 
     def set_field(self, row: int, column: str, value: str) -> None:
         self.edit_rows(lambda fields, number: {**fields, column: value} if number == row else fields)
+
+    def refusal(self) -> str:
+        """What is said of the defect in one line, without how an implausible size is taken as it is."""
+        with pytest.raises(SessionError) as caught:
+            read_session(self.path)
+        text = str(caught.value).removesuffix(" (trust_units: true in session.yaml takes it as it is)")
+        assert "\n" not in text
+        return text.replace(f"{self.path}/", "")
 
     def drop_column(self, column: str) -> None:
         lines = [line.split(",") for line in self.lines()]

@@ -120,30 +120,6 @@ def slipped(rows: int) -> Damage:
     return lambda s: s.with_readings(replace(s.readings, displacement=np.roll(s.readings.displacement, rows)))
 
 
-def ten_rows_elsewhere(session: Session) -> Session:
-    setup = session.readings.setup.copy()
-    setup[np.flatnonzero(setup == 0)[5:15]] = len(session.setup_ids) - 1
-    return session.with_readings(replace(session.readings, setup=setup))
-
-
-def in_first_setup(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
-    """The readings of one setup alone changed."""
-
-    def damage(session: Session) -> Session:
-        reading, mine = session.readings.displacement.copy(), session.readings.setup == 0
-        reading[mine] = change(reading[mine])
-        return session.with_readings(replace(session.readings, displacement=reading))
-
-    return damage
-
-
-def ten_readings_of_another(session: Session) -> Session:
-    reading = session.readings.displacement.copy()
-    own, other = (np.flatnonzero(session.readings.setup == k)[10:20] for k in (0, 1))
-    reading[own] = reading[other]
-    return session.with_readings(replace(session.readings, displacement=reading))
-
-
 def beam_for_reading(session: Session) -> Session:
     azimuth = session.readings.columns["azimuth"]
     exchanged = columns(azimuth=lambda v: session.readings.displacement)(session)
@@ -186,7 +162,6 @@ def swaps(count: int, *keys: str) -> dict[str, tuple[Damage, str]]:
 # One wrong sign, a wrong start, a wrong column: what contradicts what, and what is likelier meant.
 SLIPPED: dict[str, tuple[Damage, str]] = {
     "readings two rows late": (slipped(2), "displacement looks shifted by 2 rows down"),
-    "ten rows of another setup": (ten_rows_elsewhere, "they look like readings of setup"),
     "degrees Fahrenheit": (fahrenheit, "these look like degrees Fahrenheit"),
 }
 SIGNED: dict[str, tuple[Damage, str]] = {
@@ -217,12 +192,7 @@ ENVIRONMENT: dict[str, tuple[Damage, str]] = {
     "a mark for nothing": (columns(temperature_air=lambda v: np.where(v > v[5], v, -999.0)), "is an empty field"),
 }
 STATIONS = {"stations in millimetres": (scaled_entries("setups", "position", 1e3), "millimetres")}
-ONE_SETUP = {
-    "one setup two rows late": (in_first_setup(lambda v: np.roll(v, 2)), "displacement looks shifted by 2 rows down"),
-    "one setup of the other sign": (in_first_setup(np.negative), "displacement looks of the opposite sign"),
-    "ten readings of another setup": (ten_readings_of_another, "they look like readings of setup 'B'"),
-}
-TRACKING = UNITS | ENVIRONMENT | SIGNS | SLIPPED | ONE_SETUP | BEAM | STATIONS | swaps(4, "position")
+TRACKING = UNITS | ENVIRONMENT | SIGNS | SLIPPED | BEAM | STATIONS | swaps(4, "position")
 ROTARY = (
     {k: v for k, v in UNITS.items() if "positions" not in k}
     | SIGNS

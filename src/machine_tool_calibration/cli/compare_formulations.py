@@ -25,7 +25,6 @@ _UNITS = {"positioning": "µm", "straightness": "µm", "squareness": "µrad"}
 _HEADS = {
     "conventional": "conventional\nEq. (2)",
     "new": "new\nEqs. (6)-(19)",
-    "alternative": "alternative\nEq. (20)",
     "least_squares": "least squares",
     "small_angles": "least squares,\nsmall angles",
 }
@@ -39,9 +38,8 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     """Compare the formulations of a laser step diagonal, as Table 1 of Ibaraki and Hata 2010 does.
 
     MEASUREMENT is a session folder or a recording of the method step_diagonal. The conventional formulation (Wang)
-    takes the mirror to be at right angles to the beam; the new and the alternative one are immune to its tilt; least
-    squares uses every reading, without and with small angular errors of the axes (with them: what `mtcal identify`
-    does).
+    takes the mirror to be at right angles to the beam; the new one is immune to its tilt; least squares uses every
+    reading, without and with small angular errors of the axes (with them: what `mtcal identify` does).
 
     \b
     mtcal compare-formulations measurements/diagonals

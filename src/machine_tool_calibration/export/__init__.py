@@ -22,8 +22,9 @@ _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "fanuc": (fanuc.write, fanuc.read),
     "isg": (isg.write, isg.read),
     "etalon": (etalon.write, etalon.read),
-    "csv": (table_csv.write, table_csv.read),
-    "json": (table_json.write, table_json.read),
+    # No controller reads these: whoever enters the values takes them as they are.
+    "csv": (table_csv.write, lambda files, tables: tables),
+    "json": (table_json.write, lambda files, tables: tables),
 }
 FORMATS = tuple(_FORMATS)
 
@@ -43,7 +44,7 @@ def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
 
 
 def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """What a controller understands from the files: deviations that it takes away.
+    """What a controller understands from files that were written for it: deviations that it takes away.
 
     Args:
         form: one of FORMATS.
@@ -51,7 +52,7 @@ def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> Axis
         tables: for the chain and the words, which no controller reads from these files.
 
     Raises:
-        CalibrationError: no such format, or text that is not of it.
+        CalibrationError: no such format.
     """
     return _format(form)[1](files, tables)
 

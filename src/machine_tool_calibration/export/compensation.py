@@ -11,7 +11,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.export import read_tables, write_tables
 from machine_tool_calibration.export.error_states import ErrorStates, error_states
 from machine_tool_calibration.export.preview import ResidualError, ResidualErrors, residual_errors, summary
-from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTables, axis_tables, joint_axis_tables
+from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTables, axis_tables
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.provenance import Provenance
@@ -90,9 +90,8 @@ def compensation(result: Result | JointResult, source: str, own: Sequence[Effect
         source: what it is called in the files' heads.
         own: the user's own effects.
     """
-    tables = joint_axis_tables(result) if isinstance(result, JointResult) else axis_tables(result)
     states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
-    return Compensation(tables, states, source, result.provenance, result.variance_added is not None)
+    return Compensation(axis_tables(result), states, source, result.provenance, result.variance_added is not None)
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:

@@ -13,8 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import SIGN, as_read, head, number, rebuilt
+from machine_tool_calibration.export.head import SIGN, as_read, head, rebuilt
 from machine_tool_calibration.export.isg import NEGATE, UNITS
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
@@ -42,21 +41,13 @@ def write(tables: AxisTables, source: str) -> dict[str, str]:
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """Deviations as the format's description says.
-
-    Raises:
-        CalibrationError: not such blocks.
-    """
-    text = "\n".join(line.split("//")[0] for line in files[_FILE].splitlines())
-    rest = _BLOCK.sub("", text).strip()
-    if rest:
-        raise CalibrationError(f"{_FILE}: {rest.splitlines()[0][:60]!r} belongs to no block")
+    """Deviations of such a file as the format's description says."""
     found, squareness = [], {}
-    for name, value, points in _BLOCK.findall(text):
+    for name, value, points in _BLOCK.findall(re.sub(r"//.*", "", files[_FILE])):
         if value:
-            squareness[name] = number(value, _FILE, 0)
+            squareness[name] = float(value)
             continue
-        values = np.array([number(word, _FILE, 0) for word in points.split()]).reshape(-1, 2)
+        values = np.array(points.split(), dtype=float).reshape(-1, 2)
         scale = 1e-3 if name[1] in "XYZ" else 1.0
         found.append(as_read(name, 1e-3 * values[:, 0], scale * values[:, 1]))
     return rebuilt(tables, found, squareness)

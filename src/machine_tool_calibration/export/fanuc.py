@@ -32,8 +32,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.export.head import head, held_beyond, middle_line, number, positioning, rebuilt
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.export.head import head, held_beyond, middle_line, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
 __all__ = ["MOST_POINTS", "read", "write"]
@@ -132,26 +132,12 @@ def _whole_numbers(table: AxisTable, total: Array) -> tuple[Array, int]:
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """Deviations that the control takes away: sums from the reference point, which step amid the sections.
-
-    Raises:
-        CalibrationError: lines of another form, a value that is too large, or points that are missing.
-    """
-    value: dict[int, int] = {}
-    for k, line in enumerate(files[_DATA].splitlines(), start=1):
-        match = _POINT.fullmatch(line)
-        if match is None and line != "%":
-            raise CalibrationError(f"{_DATA}, line {k}: {line[:40]!r} is not a point of the form N10000P0;")
-        if match is not None:
-            value[int(match[1]) - _FIRST] = int(match[2])
-            if abs(int(match[2])) > _LARGEST:
-                raise CalibrationError(f"{_DATA}, line {k}: {match[2]} is more than {_LARGEST}")
+    """Deviations that the control takes away by such files: sums from the reference point, in steps amid sections."""
+    value = {int(point) - _FIRST: int(entry) for point, entry in _POINT.findall(files[_DATA])}
     found = []
     for axis, *entries in _PLACES.findall(files[_REMARKS].rpartition("\n\n")[2]):  # what comes before are words
-        reference, low, high, times, interval = (number(entry, _REMARKS, 0) for entry in entries)
+        reference, low, high, times, interval = map(float, entries)
         points = np.arange(int(low), int(high) + 1)
-        if not set(points.tolist()) <= set(value):
-            raise CalibrationError(f"{_DATA}: points of {axis} from {int(low)} to {int(high)} are not all there")
         steps = times * _UNIT * np.array([value[k] for k in points.tolist()])
         middle = 1e-3 * interval * (points - reference - 0.5)
         level = np.concatenate([[0.0], np.cumsum(steps)])

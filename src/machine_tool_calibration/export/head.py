@@ -8,10 +8,10 @@ from collections.abc import Collection
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["as_read", "head", "held_beyond", "middle_line", "number", "positioning", "rebuilt"]
+__all__ = ["as_read", "head", "held_beyond", "middle_line", "positioning", "rebuilt"]
 
 SIGN = (
     "deviations, actual minus commanded position of the tool in the workpiece frame (ISO 230-1); the compensation is "
@@ -55,18 +55,6 @@ def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collect
         lines.append(f"not in this format: {', '.join(absent)}")
     lines += [f"not determined: {entry.name}: {entry.why}" for entry in tables.left_out]
     return [" ".join(line.split()) for line in lines]
-
-
-def number(text: str, file: str, line: int) -> float:
-    """A number of a file.
-
-    Raises:
-        CalibrationError: it is none.
-    """
-    try:
-        return float(text)
-    except ValueError:
-        raise CalibrationError(f"{file}, line {line}: {text[:40]!r} is not a number") from None
 
 
 def rebuilt(

@@ -9,11 +9,11 @@ remark, a line with `#` a new table; millimetres and radians. In the list of par
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import groupby
 
 import numpy as np
 
-from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import SIGN, as_read, head, number, rebuilt
+from machine_tool_calibration.export.head import SIGN, as_read, head, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
 __all__ = ["NEGATE", "UNITS", "read", "write"]
@@ -55,37 +55,19 @@ def _value(table: AxisTable, k: int) -> str:
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """Deviations as the format's description says.
-
-    Raises:
-        CalibrationError: not such a table.
-    """
+    """Deviations of such a file as the format's description says."""
     found: list[AxisTable] = []
     squareness: dict[str, float] = {}
-    names: list[str] = []
-    rows: list[list[float]] = []
-
-    def close() -> None:
-        if not names:
-            return
-        values = np.array(rows, dtype=float).reshape(len(rows), len(names))
+    lines = (line.split("//")[0].split() for line in files[_FILE].splitlines())
+    for ends, part in groupby(filter(None, lines), key=lambda words: words == ["#"]):
+        if ends:
+            continue
+        names, *rows = part
+        values = np.array(rows, dtype=float)
         if names[0] not in ("X", "Y", "Z"):
-            squareness.update(zip(names, values[0].tolist(), strict=True))
-            return
-        for j, name in enumerate(names[1:], start=1):
+            squareness |= zip(names, values[0].tolist(), strict=True)
+            continue
+        for name, column in zip(names[1:], values.T[1:], strict=True):
             scale = 1e-3 if name[1] in "XYZ" else 1.0
-            found.append(as_read(name, 1e-3 * values[:, 0], scale * values[:, j]))
-
-    for k, line in enumerate(files[_FILE].splitlines(), start=1):
-        words = line.split("//")[0].split()
-        if words == ["#"]:
-            close()
-            names, rows = [], []
-        elif words and not names:
-            names = words
-        elif words:
-            if len(words) != len(names):
-                raise CalibrationError(f"{_FILE}, line {k}: {len(words)} entries under {len(names)} names")
-            rows.append([number(word, _FILE, k) for word in words])
-    close()
+            found.append(as_read(name, 1e-3 * values[:, 0], scale * column))
     return rebuilt(tables, found, squareness)

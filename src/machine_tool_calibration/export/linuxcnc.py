@@ -21,8 +21,7 @@ from typing import Literal
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import as_read, head, middle_line, number, positioning, rebuilt
+from machine_tool_calibration.export.head import as_read, head, middle_line, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
 __all__ = ["MOST_LINES", "read", "write"]
@@ -81,27 +80,14 @@ def _thinned(table: AxisTable) -> tuple[Array, Array]:
 
 
 def read(files: Mapping[str, str], tables: AxisTables, kind: Literal[0, 1] = 0) -> AxisTables:
-    """Deviations as LinuxCNC takes them from files of that type.
-
-    Raises:
-        CalibrationError: lines that are no triplets, not ascending, or too many.
-    """
+    """Deviations as LinuxCNC takes them from such files of that type."""
     found, backlash = [], {}
     for file, text in files.items():
         if not file.endswith(".comp"):
             continue
         axis = file[0].upper()
-        rows = [line.split() for line in text.splitlines()]
-        if len(rows) > MOST_LINES:
-            raise CalibrationError(f"{file}: {len(rows)} lines; LinuxCNC reads {MOST_LINES} at most")
-        if any(len(row) != 3 for row in rows):
-            raise CalibrationError(f"{file}: every line must be three numbers")
-        values = np.array([[number(entry, file, k + 1) for entry in row] for k, row in enumerate(rows)]) * 1e-3
-        nominal = values[:, 0]
-        if np.any(np.diff(nominal) <= 0.0):
-            raise CalibrationError(f"{file}: the nominal positions must ascend")
-        forward, reverse = (values[:, j] - nominal if kind == 0 else -values[:, j] for j in (1, 2))
-        mean = (forward + reverse) / 2
-        found.append(as_read(f"E{axis}{axis}", nominal, mean))
+        nominal, *columns = 1e-3 * np.loadtxt(text.splitlines()).T
+        forward, reverse = (column - nominal if kind == 0 else -column for column in columns)
+        found.append(as_read(f"E{axis}{axis}", nominal, (forward + reverse) / 2))
         backlash[axis] = float(np.mean(reverse - forward)) / 2
     return rebuilt(tables, found, backlash=backlash)

@@ -31,8 +31,8 @@ from itertools import permutations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.export.head import head, held_beyond, middle_line, number, rebuilt
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.export.head import head, held_beyond, middle_line, rebuilt
 from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTable, AxisTables
 
 __all__ = ["read", "write"]
@@ -123,43 +123,23 @@ def _evenly(table: AxisTable) -> tuple[Array, Array]:
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """Deviations that the control takes away: straight lines between the points, the end values beyond them.
-
-    Raises:
-        CalibrationError: a line that is none of such a file, or a table whose points and parameters do not agree.
-    """
-    values: dict[str, dict[int, float]] = {}
-    parameters: dict[str, dict[str, str]] = {}
-    for file, text in files.items():
-        for k, line in enumerate(text.splitlines(), start=1):
-            words = line.split(";")[0].strip()
-            if not words or words in ("M17", "CHANDATA(1)") or words.startswith("%_N_"):
-                continue
-            match = _LINE.fullmatch(words)
-            if match is None:
-                raise CalibrationError(f"{file}, line {k}: {words[:60]!r} sets no value of a compensation table")
-            kind, word, inside, entry = match.groups()
-            places = [place.strip() for place in inside.split(",")]
-            owner = f"{kind} {places[-1] if kind == 'AA_ENC_COMP' else places[0]}"
-            if word is None:
-                values.setdefault(owner, {})[int(number(places[1], file, k))] = 1e-3 * number(entry, file, k)
-            else:
+    """Deviations that the control takes away by such files: straight lines between the points, beyond them the ends."""
+    values: dict[tuple[str, str], list[float]] = {}
+    parameters: dict[tuple[str, str], dict[str, str]] = {}
+    for text in files.values():
+        for kind, word, inside, entry in _LINE.findall(re.sub(r";.*", "", text)):
+            places = inside.split(",")
+            owner = (kind, places[-1] if kind == "AA_ENC_COMP" else places[0])
+            if word:
                 parameters.setdefault(owner, {})[word[1:]] = entry
-    return rebuilt(tables, [_table(owner, values[owner], parameters.get(owner, {})) for owner in values])
-
-
-def _table(owner: str, values: Mapping[int, float], parameters: Mapping[str, str]) -> AxisTable:
-    kind, which = owner.split()
-    try:
-        low, high, step = (1e-3 * float(parameters[word]) for word in ("MIN", "MAX", "STEP"))
+            else:  # in the order of the points
+                values.setdefault(owner, []).append(1e-3 * float(entry))
+    found = []
+    for (kind, which), own in parameters.items():
+        low, step = (1e-3 * float(own[word]) for word in ("MIN", "STEP"))
+        moved = output = which
         if kind == "AN_CEC":
-            motion, output = parameters["INPUT_AXIS"].strip("()"), parameters["OUTPUT_AXIS"].strip("()")
-        else:
-            motion = output = which
-        ordered = np.array([values[k] for k in range(len(values))])
-    except (KeyError, ValueError) as error:
-        raise CalibrationError(f"${owner.replace(' ', '[')}]: incomplete, {error} is missing or no number") from None
-    nodes: Array = low + step * np.arange(len(ordered), dtype=float)
-    if abs(nodes[-1] - high) > step / 2:
-        raise CalibrationError(f"${owner.replace(' ', '[')}]: {len(ordered)} points do not reach from MIN to MAX")
-    return held_beyond(f"E{output[0]}{motion[0]}", nodes, ordered)
+            moved, output = own["INPUT_AXIS"].strip("()"), own["OUTPUT_AXIS"].strip("()")
+        value = np.array(values[kind, which])
+        found.append(held_beyond(f"E{output[0]}{moved[0]}", low + step * np.arange(len(value), dtype=float), value))
+    return rebuilt(tables, found)

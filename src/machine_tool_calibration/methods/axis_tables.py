@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.identify import JointResult
 
-__all__ = ["SLOPES", "AxisTable", "AxisTables", "axis_tables", "joint_axis_tables"]
+__all__ = ["SLOPES", "AxisTable", "AxisTables", "axis_tables"]
 
 # The straightness whose slope a squareness error is.
 SLOPES = {"A0Z": "EYZ", "B0Z": "EXZ", "C0Y": "EXY"}
@@ -153,72 +153,49 @@ class AxisTables:
         return AxisTable(name, own.nodes, value - value[np.argmin(np.abs(own.nodes))], own.uncertainty)
 
 
-def axis_tables(result: Result) -> AxisTables:
-    """The tables of the linear axes that a result determines.
+def axis_tables(result: Result | JointResult) -> AxisTables:
+    """The tables of the linear axes that a result of one session or of several determines.
 
     They come from the machine's tables in the model (`rigid_body` of a tracking interferometer, `direct`,
-    `probing`), or from the profiles of the step diagonal, whose straightness holds the squareness.
+    `probing`), of several sessions from those that they share, or from the profiles of a step diagonal, whose
+    straightness holds the squareness.
 
     Raises:
         ModelError: the result has no table that is determined; the message says what to do.
     """
-    model = result.fit.model
-    session = model.observations.session
-    tables: Sequence[MachineTable] = getattr(model, "tables", None) or ()
-    left_out = [entry for entry in result.not_determined if entry.name[:3] in SQUARENESS or entry.name[:1] == "E"]
+    models = [fit.model for fit in result.fits]
+    sessions = [model.observations.session for model in models]
+    common = getattr(result, "common", None) or models[0]
+    tables: Sequence[MachineTable] = getattr(common, "tables", None) or ()
+    left_out = [
+        entry
+        for entry in result.not_determined
+        if entry.name[:3] in SQUARENESS or entry.name.startswith(("E", "backlash_"))
+    ]
     squareness: dict[str, tuple[float, float]] = {}
     if "x_position" in result.error_map.content:
-        found, words = _profiles(result, left_out), _IN_PROFILES
+        found, words = _profiles(result.error_map.content, left_out), _IN_PROFILES
     else:
         found, squareness = _terms(result.parameters, tables, left_out)
         words = _OWN_SLOPE
     if not found and not squareness:
         hint = "the result has none of a linear axis"
-        if spec_of(session).no_tables and not tables:
-            hint = spec_of(session).no_tables
+        if spec_of(sessions[0]).no_tables and not tables:
+            hint = spec_of(sessions[0]).no_tables
         elif left_out:
             hint = f"{left_out[0].name}: {left_out[0].why}"
-        raise ModelError(f"{session.source}: no tables of error motions: {hint}")
+        raise ModelError(f"{' + '.join(session.source for session in sessions)}: no tables of error motions: {hint}")
+    chains = [session.description.machine.kinematics for session in sessions]
     return AxisTables(
-        session.description.machine.kinematics,
+        next((chain for chain in chains if chain.linear), chains[0]),
         tuple(found),
         squareness,
         _backlash(result.parameters),
         tuple(left_out),
-        model.datum,
-        words,
-        _named(result),
-    )
-
-
-def joint_axis_tables(joint: JointResult) -> AxisTables:
-    """The tables of the linear axes that several sessions determine together.
-
-    Raises:
-        ModelError: none is determined.
-    """
-    common = joint.common
-    own = {label for table in common.tables for label in table.labels}
-    left_out = [entry for entry in joint.not_determined if entry.name in own or entry.name.startswith("backlash_")]
-    found, squareness = _terms(joint.parameters, common.tables, left_out)
-    if not found and not squareness:
-        hint = f"{left_out[0].name}: {left_out[0].why}" if left_out else "the sessions have none of a linear axis"
-        raise ModelError(f"{' + '.join(joint.labels)}: no tables of error motions: {hint}")
-    chains = [model.observations.session.description.machine.kinematics for model in common.models]
-    return AxisTables(
-        next(chain for chain in chains if chain.linear),
-        tuple(found),
-        squareness,
-        _backlash(joint.parameters),
-        tuple(left_out),
         common.datum,
-        _OWN_SLOPE,
-        _named(joint),
+        words,
+        result.model_name + (f" with {', '.join(result.effects)}" if result.effects else ""),
     )
-
-
-def _named(result: Result | JointResult) -> str:
-    return result.model_name + (f" with {', '.join(result.effects)}" if result.effects else "")
 
 
 def _terms(
@@ -243,9 +220,8 @@ def _terms(
     return found, squareness
 
 
-def _profiles(result: Result, left_out: list[NotDetermined]) -> list[AxisTable]:
+def _profiles(content: Mapping[str, Any], left_out: list[NotDetermined]) -> list[AxisTable]:
     """Tables from the step diagonal's position errors of each axis."""
-    content = result.error_map.content
     found: list[AxisTable] = []
     for letter in "xyz":
         nodes, error, spread = content[f"{letter}_position"], content[letter], content[f"{letter}_u"]

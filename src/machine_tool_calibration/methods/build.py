@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol, cast
 
 import numpy as np
 
@@ -21,23 +20,12 @@ from machine_tool_calibration.words import together
 
 __all__ = [
     "build_model",
-    "doubtful",
     "error_map",
     "model_names",
     "rejected_readings",
     "sharing_variant",
     "suspicious_fits",
 ]
-
-
-class _Method(Protocol):
-    """What the module of a method offers."""
-
-    def build(self, session: Session, model: str) -> MethodModel:
-        """The model of a session."""
-
-    def error_map(self, model: MethodModel, fit: Fit) -> ErrorMap:
-        """The machine's errors from a fit of such a model."""
 
 
 def model_names(method: str | None = None) -> tuple[str, ...]:
@@ -70,13 +58,15 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
         raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
     if not np.isfinite(session.readings.displacement).any():
         raise ModelError(f"{session.source}: no reading is left")
-    return cast(_Method, load(spec_of(session).model)).build(session, name), name
+    built: MethodModel = load(spec_of(session).model).build(session, name)
+    return built, name
 
 
 def error_map(fit: Fit) -> ErrorMap:
     """The machine's errors from one session's share in a fit."""
     spec = spec_of(fit.model.observations.session)
-    return cast(_Method, load(spec.map or spec.model)).error_map(fit.model, fit)
+    found: ErrorMap = load(spec.map or spec.model).error_map(fit.model, fit)
+    return found
 
 
 def suspicious_fits(
@@ -90,17 +80,8 @@ def suspicious_fits(
         sessions: as they were measured, where the fits have means of repeats.
     """
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
-    each = [
-        (name, [*(one.words for one in _elsewhere(fit)), *doubtful(fit)]) for name, fit in zip(named, fits, strict=True)
-    ]
-    found = [together((name, words), "") for name, own in each for words in own]
+    found = [together((name, one.words), "") for name, fit in zip(named, fits, strict=True) for one in _elsewhere(fit)]
     return [*suspicions(sessions or [fit.model.observations.session for fit in fits], labels), *found]
-
-
-def doubtful(fit: Fit) -> list[str]:
-    """Places whose readings no others check and that stand out, in words."""
-    where = spec_of(fit.model.observations.session).doubtful
-    return [] if where is None or len(fit.joint.fits) > 1 else [one.words for one in load(where)(fit)]
 
 
 def _elsewhere(fit: Fit) -> Iterator[Misplaced]:

@@ -14,7 +14,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.build import doubtful, rejected_readings, suspicious_fits
+from machine_tool_calibration.methods.build import rejected_readings, suspicious_fits
 from machine_tool_calibration.methods.fitted import (
     FitRequest,
     FittedSessions,
@@ -244,5 +244,4 @@ def _identified(chosen: FitRequest) -> Result:
         model_name=fitted.model_name,
         rejected=rejected,
         observations=len(session.readings),
-        doubtful=tuple(doubtful(fitted.joint.fits[0])),
     )

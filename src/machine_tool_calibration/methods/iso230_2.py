@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, occurrence, rms
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
@@ -90,18 +89,7 @@ def positioning(position: Array, direction: Array, deviation: Array) -> Position
         position: (n,) target position of each reading, m; readings of one position hold the same number.
         direction: (n,) +1 approached in the positive direction, -1 in the negative one.
         deviation: (n,) actual minus target position, m.
-
-    Raises:
-        ModelError: the arrays differ in length, no reading, or a direction that is not +1 or -1.
     """
-    if not len(position) == len(direction) == len(deviation):
-        raise ModelError("ISO 230-2: position, direction and deviation must have the same length")
-    good = np.isfinite(deviation) & np.isfinite(position)
-    position, direction, deviation = position[good], np.asarray(direction)[good], deviation[good]
-    if not len(position):
-        raise ModelError("ISO 230-2: no reading")
-    if not np.isin(direction, (-1, 1)).all():
-        raise ModelError("ISO 230-2: the direction of approach must be +1 or -1 for every reading")
     target, index = np.unique(position, return_inverse=True)
     m = len(target)
     up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)

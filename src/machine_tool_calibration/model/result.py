@@ -261,13 +261,11 @@ class Result(Identified):
         fit: the fit.
         rejected: readings that were kept out.
         observations: number of readings recorded.
-        doubtful: places whose readings no others check and that stand out, in words.
     """
 
     fit: Fit
     rejected: tuple[Rejected, ...]
     observations: int
-    doubtful: tuple[str, ...] = ()
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -318,7 +316,6 @@ class Result(Identified):
             "suspicious": [
                 *suspicions([session]),
                 *(p.words for p in misplaced(session, self.error_map.content)),
-                *self.doubtful,
             ],
             "provenance": self.provenance.document(),
             **self.fit_document(),

@@ -21,7 +21,6 @@ __all__ = ["draw_comparison"]
 _STYLE = {
     "conventional": ("tab:red", "o"),
     "new": ("tab:blue", "s"),
-    "alternative": ("tab:cyan", "d"),
     "least_squares": ("tab:green", "^"),
     "small_angles": ("black", "v"),
 }
@@ -32,12 +31,9 @@ _ASIDE = 0.006
 def draw_comparison(comparison: FormulationComparison) -> Figure:
     """Panels: error in X, Y, Z (columns) with the motion of X, Y, Z (rows), um against mm; of the axes that moved.
 
-    Marks are the errors from all repeats, bars their expanded uncertainty (k = 2), short lines those of each repeat
-    alone. The scale is that of the formulations that the mirrors' tilts do not disturb; where the conventional one
-    leaves the panel, its largest value is written.
+    Marks are the errors, bars their expanded uncertainty (k = 2). The scale is that of the formulations that the
+    mirrors' tilts do not disturb; where the conventional one leaves the panel, its largest value is written.
     """
-    from matplotlib.lines import Line2D
-
     moved = next(iter(comparison.profiles.values())).moved
     count = len(moved)
     figure = new_figure(4.3 * count, 3.3 * count)
@@ -49,9 +45,6 @@ def draw_comparison(comparison: FormulationComparison) -> Figure:
     for panel in axes.flat:
         if len(panel.get_legend_handles_labels()[0]) > len(handles):
             handles, labels = panel.get_legend_handles_labels()
-    if comparison.by_repeat:
-        handles = [*handles, Line2D([], [], ls="", marker="_", ms=6, color="0.4")]
-        labels = [*labels, say("picture.each_repeat")]
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     return figure
 
@@ -71,10 +64,6 @@ def _panel(panel: Axes, comparison: FormulationComparison, motion: int, componen
         at = at + _ASIDE * (number - 2) * (at[-1] - at[0])
         bar = 2e6 * np.nan_to_num(profiles.uncertainty[motion][:, component])
         panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=say(f"picture.{name}"))
-        for single in comparison.by_repeat.get(name, ()):
-            each = 1e6 * single.error[motion][:, component]
-            if len(each) == len(at):
-                panel.plot(at, each, ls="", marker="_", ms=6, color=color, alpha=0.6)
         if name != "conventional":  # which may be a hundred times larger
             low, high = min(low, float(np.nanmin(value - bar))), max(high, float(np.nanmax(value + bar)))
     own = {"low": along, "small": letter.lower(), "axis": along.upper(), "motion": letter}

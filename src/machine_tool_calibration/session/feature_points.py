@@ -12,15 +12,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Literal
 
-from machine_tool_calibration.errors import SessionError
+from pydantic import Field
+
+from machine_tool_calibration.session.parse import parse_record
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.values import Identifier
 
 __all__ = ["read_feature_points"]
 
-_FORMAT = "mtcal-feature-points/1"
-_KEYS = {"format", "features"}
+FORMAT = "mtcal-feature-points/1"
+
+
+class _File(Record):
+    """By feature, the ids of its points."""
+
+    format: Literal["mtcal-feature-points/1"]
+    features: Annotated[dict[str, Annotated[tuple[Identifier, ...], Field(min_length=1)]], Field(min_length=1)]
 
 
 def read_feature_points(file: Path) -> dict[str, tuple[str, ...]]:
@@ -29,17 +39,4 @@ def read_feature_points(file: Path) -> dict[str, tuple[str, ...]]:
     Raises:
         SessionError: one line with file, line and key of the first defect.
     """
-    document = load_yaml(read_text(file), str(file), truth=False)
-    value = document.value
-    if not isinstance(value, dict) or value.get("format") != _FORMAT:
-        raise SessionError(f"{file}: no list of features: the key format must be {_FORMAT}")
-    if unknown := sorted(set(value) - _KEYS):
-        raise SessionError(f"{file} line {document.line((unknown[0],))}: unknown key {unknown[0]!r}")
-    listed = value.get("features")
-    if not isinstance(listed, dict) or not listed:
-        raise SessionError(f"{file}: features must be a mapping of names to lists of points")
-    for name, points in listed.items():
-        if not isinstance(points, list) or not points or not all(isinstance(p, str | int) for p in points):
-            where = f"{file} line {document.line(('features', name))}"
-            raise SessionError(f"{where}: features.{name} must be a list of ids of points")
-    return {name: tuple(str(point) for point in points) for name, points in listed.items()}
+    return parse_record(read_text(file), str(file), _File, FORMAT).features

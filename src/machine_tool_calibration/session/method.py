@@ -34,7 +34,6 @@ class MethodSpec:
         models: names of the model's variants, the default first; for each when it is the right one.
         tables: variant with tables of the machine's error motions, which other sessions can share; the default if
             absent.
-        doubtful: of a fit of one session, places whose readings no others check and that stand out; none if absent.
         by_axes: variants in which nothing but the axes' errors moves the tool point.
         no_tables: why a model has no tables of error motions, and what to do.
 
@@ -69,7 +68,6 @@ class MethodSpec:
     any_axis: bool = False
     map: str | None = None
     tables: str | None = None
-    doubtful: str | None = None
     by_axes: tuple[str, ...] = ()
     no_tables: str = ""
 

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -32,6 +30,7 @@ def written(
     displacement: Sequence[float] | np.ndarray,
     *,
     setup: Sequence[int] | None = None,
+    repeat: np.ndarray | None = None,
     setups: Sequence[str] = ("A",),
     datum: str = "none",
     terms: Sequence[str] = (),
@@ -58,7 +57,7 @@ def written(
     all_columns |= {name: np.asarray(values, float) for name, values in (columns or {}).items()}
     readings = Readings(
         setup=np.zeros(n, np.int64) if setup is None else np.asarray(setup, np.int64),
-        repeat=np.zeros(n, np.int64),
+        repeat=np.zeros(n, np.int64) if repeat is None else repeat,
         displacement=np.asarray(displacement, float),
         columns=all_columns,
         labels={},
@@ -90,8 +89,6 @@ def direct() -> SimpleNamespace:
 @pytest.fixture(scope="session")
 def plates() -> ModuleType:
     """The functions of plates.py."""
-    spec = importlib.util.spec_from_file_location("direct_plates", Path(__file__).parent / "plates.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    from . import plates as module
+
     return module

@@ -8,7 +8,6 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning
 from machine_tool_calibration.reports.identification import goodness_of_fit
@@ -54,19 +53,6 @@ def test_one_direction_gives_no_reversal() -> None:
     assert np.isnan([f.B, f.R, f.E, f.M, f.A]).all()
     assert pytest.approx(2e-6) == f.E_up
     assert pytest.approx(4 * np.sqrt(0.5) * 1e-6) == f.R_up
-
-
-@pytest.mark.parametrize(
-    ("position", "direction", "deviation", "message"),
-    [
-        ([0.0], [1.0, 1.0], [0.0], "same length"),
-        ([], [], [], "no reading"),
-        ([0.0], [0.0], [0.0], r"\+1 or -1"),
-    ],
-)
-def test_bad_input(position: list[float], direction: list[float], deviation: list[float], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        positioning(np.array(position), np.array(direction), np.array(deviation))
 
 
 def test_a_run_of_a_session_is_reported(direct: SimpleNamespace) -> None:

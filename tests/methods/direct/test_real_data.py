@@ -64,15 +64,6 @@ def test_backlash_gives_every_point_once_for_each_approach(direct: SimpleNamespa
     np.testing.assert_allclose(reversals, 4e-6, atol=2e-7)
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "millimetres"), (1e6, "micrometres")])
-def test_deviations_in_another_unit(direct: SimpleNamespace, factor: float, unit: str) -> None:
-    session = direct.measured("iso230_2", repeats=3, datum="offset").session
-    wrong = session.with_readings(replace(session.readings, displacement=factor * session.readings.displacement))
-    with pytest.raises(ModelError, match=unit) as caught:
-        identify(wrong)
-    assert "\n" not in str(caught.value)
-
-
 def test_positions_for_deviations(direct: SimpleNamespace) -> None:
     session = direct.measured("grid_plate").session
     readings = session.readings

@@ -98,13 +98,6 @@ def test_terms_that_the_machine_does_not_have(direct: SimpleNamespace, terms: li
         identify(direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), np.zeros(10), terms=terms))
 
 
-def test_direction_must_not_vanish(direct: SimpleNamespace) -> None:
-    g = np.tile(X, (10, 1))
-    g[4] = 0.0
-    with pytest.raises(ModelError, match=r"row 4: the direction \(gx, gy, gz\) is zero"):
-        identify(direct.written(_twice(ALONG_X), g, np.zeros(10), terms=["EXX"]))
-
-
 def test_nodes_are_the_positions_or_some_of_them() -> None:
     few = np.repeat(np.linspace(0.0, 0.4, 9), 4)
     np.testing.assert_allclose(nodes_from(few), np.unique(few), atol=1e-12)

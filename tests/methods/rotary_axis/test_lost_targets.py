@@ -41,21 +41,15 @@ def test_a_target_lost_at_two_angles(rotary: SimpleNamespace) -> None:
 
 def test_an_angle_at_which_every_reading_is_missing_stays_in_the_list(rotary: SimpleNamespace) -> None:
     session = rotary.measured(5).session
-    displacement = session.readings.displacement.copy()
-    angle = np.unique(session.readings.columns["c"])[4]
-    displacement[session.readings.columns["c"] == angle] = np.nan
-    readings = type(session.readings)(**{**session.readings.__dict__, "displacement": displacement})
-    content = identify(session.with_readings(readings)).error_map.content
+    c = session.readings.columns["c"]
+    content = identify(session.without(c == np.unique(c)[4], as_lost=True)).error_map.content
     assert len(content["c"]) == 18
     assert np.isnan(content["EZC"][4]) and np.isfinite(np.delete(content["EZC"], 4)).all()
 
 
 def test_datum_reading_missing(rotary: SimpleNamespace) -> None:
     session = rotary.measured(6, noise_factor=0.0).session
-    displacement = session.readings.displacement.copy()
-    displacement[0] = np.nan
-    readings = type(session.readings)(**{**session.readings.__dict__, "displacement": displacement})
-    result = identify(session.with_readings(readings))
+    result = identify(session.without(session.readings.row == 0, as_lost=True))
     assert [entry.row for entry in result.rejected] == [0]
     assert np.isfinite(result.error_map.content["EXC"]).all()
 

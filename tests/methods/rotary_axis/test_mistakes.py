@@ -67,13 +67,6 @@ def test_what_is_suspected_undoes_the_mistake(rotary: SimpleNamespace, factor: f
     np.testing.assert_allclose(undone[what].readings.displacement, session.readings.displacement, rtol=1e-15)
 
 
-def test_two_stations_exchanged(rotary: SimpleNamespace) -> None:
-    session = rotary.measured(2, angles=FEW).session
-    setup = _exchanged(session.readings.setup, "ABCD".index("B"), "ABCD".index("D"))
-    with pytest.raises(ModelError, match="setups 'B' and 'D' look exchanged"):
-        build(session.with_readings(replace(session.readings, setup=setup)))
-
-
 def test_two_targets_exchanged(rotary: SimpleNamespace) -> None:
     session = rotary.measured(2, angles=FEW).session
     target = _exchanged(session.readings.labels["target"].astype(str), "P", "K")
@@ -92,14 +85,6 @@ def test_repeats_that_number_the_readings(rotary: SimpleNamespace) -> None:
     numbered = session.with_readings(replace(session.readings, repeat=np.arange(len(session.readings))))
     with pytest.raises(ModelError, match="too few readings"):
         identify(numbered)
-
-
-def test_no_rotary_axis(rotary: SimpleNamespace) -> None:
-    session = rotary.measured(1).session
-    machine = session.description.machine.model_copy(update={"axis": "X"})
-    wrong = replace(session, description=session.description.model_copy(update={"machine": machine}))
-    with pytest.raises(ModelError, match=r"machine.axis is 'X'"):
-        build(wrong)
 
 
 def test_a_place_is_too_far_off_beyond_what_a_survey_can_be() -> None:

@@ -52,7 +52,7 @@ def test_json_for_programs_and_the_picture(capsys, tmp_path):
     document = json.loads(capsys.readouterr().out)
     assert document["format"] == "mtcal-formulations/1"
     by_name = document["formulations"]
-    assert set(by_name) == {"conventional", "new", "alternative", "least_squares", "small_angles"}
+    assert set(by_name) == {"conventional", "new", "least_squares", "small_angles"}
     new, old = by_name["new"], by_name["conventional"]
     assert len(new["x"]) == len(new["x_u"]) == 13
     assert max(abs(a[2] - b[2]) for a, b in zip(new["z"], old["z"], strict=True)) > 5e-6

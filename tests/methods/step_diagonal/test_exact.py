@@ -12,7 +12,7 @@ NANOMETRE = 1e-9
 
 
 def test_a_tilt_of_1_mrad_ruins_the_conventional_formulation_only(exact, worst):
-    left = {name: [] for name in ("conventional", "new", "alternative", "least_squares")}
+    left = {name: [] for name in ("conventional", "new", "least_squares")}
     for seed in range(5):
         simulated = exact(seed)
         for name, values in left.items():
@@ -20,7 +20,6 @@ def test_a_tilt_of_1_mrad_ruins_the_conventional_formulation_only(exact, worst):
     assert np.median(left["conventional"]) > 50e-6
     assert max(left["conventional"]) < 400e-6
     assert max(left["new"]) < 5 * NANOMETRE
-    assert max(left["alternative"]) < 15 * NANOMETRE
     assert max(left["least_squares"]) < 3 * NANOMETRE
 
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations, identify_by_formulation
+from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
 from machine_tool_calibration.methods.step_diagonal.formulations import (
-    alternative,
     conventional,
     increments,
     new,
@@ -62,20 +61,6 @@ def test_conventional_is_right_only_without_a_tilt(moves):
 def test_new_is_right_with_any_tilt(moves):
     errors, _, tilted, linear = moves
     assert new(tilted, linear, STEP) == pytest.approx(errors, abs=1e-15)
-
-
-def test_corrected_alternative_equals_new_after_turning(moves):
-    errors, _, tilted, linear = moves
-    blocks = [step * np.arange(N + 1) for step in STEP]
-
-    def summed(change):
-        return np.concatenate(
-            [np.vstack([np.zeros(3), np.cumsum(change[axis].T, axis=0)]).ravel() for axis in range(3)]
-        )
-
-    turned = eq17(blocks, summed(alternative(tilted, linear, STEP)))
-    assert turned == pytest.approx(eq17(blocks, summed(errors)), abs=1e-14)
-    assert turned == pytest.approx(eq17(blocks, summed(new(tilted, linear, STEP))), abs=1e-14)
 
 
 def test_formulas_pass_leading_dimensions_through(moves):
@@ -175,13 +160,6 @@ def test_two_dimensional_formulas():
     assert new(R, np.zeros((2, 4)), step)[0, 1].mean() == pytest.approx(0.0, abs=1e-12)
 
 
-def test_alternative_is_for_space_only(written):
-    session, _ = _plane(written)
-    with pytest.raises(ModelError, match=r"Eq. \(20\), is for three axes"):
-        identify_by_formulation(session, "alternative")
-    assert set(compare_formulations(session).profiles) == {"conventional", "new", "least_squares", "small_angles"}
-
-
 def test_a_missing_run_is_named(written, exact, without):
     session, _ = _plane(written, x_run=False)
     with pytest.raises(ModelError, match="formulation new needs every move of its runs: no run X"):
@@ -194,12 +172,7 @@ def test_a_missing_run_is_named(written, exact, without):
 
 def test_a_missing_reading_is_named(exact):
     session = exact(1).session
-    readings = session.readings
-    displacement = readings.displacement.copy()
-    displacement[4] = np.nan
-    holed = session.with_readings(type(readings)(
-        readings.setup, readings.repeat, displacement, readings.columns, readings.labels, readings.row
-    ))  # fmt: skip
+    holed = session.without(session.readings.row == 4, as_lost=True)
     with pytest.raises(ModelError, match="run ppp: no reading on both sides of move x of block 2"):
         identify_by_formulation(holed, "new")
     assert np.isfinite(identify_by_formulation(holed, "least_squares").error[0]).all()
@@ -207,12 +180,7 @@ def test_a_missing_reading_is_named(exact):
 
 def test_repeats_fill_each_others_gaps(exact):
     session = exact(1, repeats=2).session
-    readings = session.readings
-    displacement = readings.displacement.copy()
-    displacement[4] = np.nan
-    holed = session.with_readings(type(readings)(
-        readings.setup, readings.repeat, displacement, readings.columns, readings.labels, readings.row
-    ))  # fmt: skip
+    holed = session.without(session.readings.row == 4, as_lost=True)
     assert increments(holed).lacking == ()
 
 

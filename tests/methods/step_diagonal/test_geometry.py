@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, runs_of, step_diagonal_of
 from machine_tool_calibration.simulation import Simulated
@@ -79,7 +79,7 @@ def test_directions_across_a_beam():
 )
 def test_setups_that_cannot_be(written, setup, message):
     session = written([setup], [np.array([[0.0, 0, 0], [0.1, 0.1, 0.1]])], np.zeros_like, step=[0.01] * 3, blocks=2)
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(SessionError, match=message):
         runs_of(session.description)
 
 

@@ -82,16 +82,8 @@ def truth() -> Callable[..., Truth]:
 
 
 def _edit(session: Session, keep: np.ndarray | None = None, lost: np.ndarray | None = None) -> Session:
-    readings = session.readings
-    if lost is not None:
-        displacement = readings.displacement.copy()
-        displacement[lost] = np.nan
-        readings = type(readings)(
-            readings.setup, readings.repeat, displacement, readings.columns, readings.labels, readings.row
-        )
-    if keep is not None:
-        readings = readings.select(keep)
-    return session.with_readings(readings)
+    session = session if lost is None else session.without(lost, as_lost=True)
+    return session if keep is None else session.with_readings(session.readings.select(keep))
 
 
 @pytest.fixture(scope="session")

@@ -71,11 +71,3 @@ def test_rows_in_any_order_and_columns_beside(simulated, edit):
         two.error_map.content["position_error"][order], one.error_map.content["position_error"], atol=1e-13
     )
     assert two.fit.joint.p_value == pytest.approx(one.fit.joint.p_value, rel=1e-6)
-
-
-@pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
-def test_number_of_unknowns_in_a_session(pointing, simulated):
-    """2 N_i + 3 N_j - 3 and 3 N_i + 4 N_j - 6 (Ibaraki et al. 2014, Section 2)."""
-    for d, targets, unknowns in ((2, 36, 2 * 36 + 3 * 4 - 3), (3, 125, 3 * 125 + 4 * 4 - 6)):
-        result = identify(simulated(d, pointing).session)
-        assert result.fit.solution.degrees_of_freedom == 4 * 2 * targets - unknowns

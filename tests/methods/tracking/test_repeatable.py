@@ -8,8 +8,6 @@ import os
 import subprocess
 import sys
 
-import numpy as np
-
 SCRIPT = """
 import hashlib, sys
 from machine_tool_calibration.methods.identify import identify
@@ -32,13 +30,3 @@ def test_processes_and_threads(capsys):
     done = subprocess.run(twice, env=environment, capture_output=True, text=True, timeout=900, check=True)
     assert done.stdout.split() == 2 * here
     assert len(here) == 1 and len(here[0]) == hashlib.sha256().digest_size * 2
-
-
-def test_the_same_session_twice(simulated):
-    from machine_tool_calibration.methods.identify import identify
-
-    session = simulated(3, "tracking", seed=2).session
-    one, two = identify(session), identify(session)
-    assert np.array_equal(one.error_map.error, two.error_map.error)
-    assert np.array_equal(one.error_map.uncertainty, two.error_map.uncertainty)
-    assert one.fit.joint.p_value == two.fit.joint.p_value

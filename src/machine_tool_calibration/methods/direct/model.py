@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, rigid_motions, rms
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.chain import Chain
@@ -149,8 +149,8 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
         model: `rigid_body`, the only one: the machine errors named in `terms`.
 
     Raises:
-        ModelError: an unknown error, an axis that the machine does not have, a direction that is none, no reading, or
-            readings that contradict the model in a way that a common mistake explains.
+        ModelError: an unknown error, an axis that the machine does not have, no reading, or readings that contradict
+            the model in a way that a common mistake explains.
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
@@ -172,9 +172,6 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     position = readings.position()
     direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
     length = np.linalg.norm(direction, axis=1)
-    bad = first_true(np.asarray(length == 0))
-    if bad is not None:
-        raise ModelError(f"{session.source} row {readings.row[bad]}: the direction (gx, gy, gz) is zero")
     direction = direction / length[:, None]
     path = np.einsum("nj,nj->n", position, direction)
     observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)

@@ -25,7 +25,6 @@ from machine_tool_calibration.session.checks.units import MILLIMETRES
 from machine_tool_calibration.session.description import Description, Place, Probing
 from machine_tool_calibration.session.judgements import Checks, Held, Judgement
 from machine_tool_calibration.session.session import Session, places_among
-from machine_tool_calibration.words import say
 
 __all__ = ["ProbingChecks"]
 
@@ -114,12 +113,6 @@ class ProbingChecks(Checks):
                 hint=lambda setup: "are the normals of workpiece reversed?",
                 **owner,
             )
-
-    def suspicious(self, session: Session) -> Iterator[str]:
-        """An uncertainty that grows with a path, which there is not."""
-        said = session.description.standard_uncertainty
-        if any(entry.per_length for entry in (said, *said.setups.values())):
-            yield say("suspicion.no_path")
 
 
 def _off_workpiece(session: Session) -> Array:

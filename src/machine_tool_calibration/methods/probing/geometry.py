@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, first_true
-from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings, places_among
 
@@ -22,7 +23,6 @@ __all__ = [
     "rigid_motion",
     "table_nodes",
     "touches",
-    "turn",
 ]
 
 
@@ -47,20 +47,6 @@ class Touches:
     contact: Array
     normal: Array
     lever: Array
-
-
-def turn(vectors: Array, angle: Array) -> Array:
-    """Vectors turned counter-clockwise about +Z, seen from +Z.
-
-    Args:
-        vectors: (n, 2).
-        angle: (n,) or a number, rad.
-
-    Returns:
-        (n, 2).
-    """
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.stack([cos * vectors[:, 0] - sin * vectors[:, 1], sin * vectors[:, 0] + cos * vectors[:, 1]], axis=-1)
 
 
 def rigid_motion(position: Array, normal: Array) -> Array:
@@ -106,17 +92,11 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
         readings: which point was touched at which c.
         rotation_sign: -1 if C positive turns the workpiece clockwise seen from +Z, as in the paper.
 
-    Raises:
-        SessionError: a reading names a point that the workpiece does not have.
     """
-    names = readings.labels["point"]
-    point = places_among(names, [entry.id for entry in description.workpiece])
-    bad = first_true(point < 0)
-    if bad is not None:
-        raise SessionError(f"reading {readings.row[bad]}: the workpiece has no point {str(names[bad])!r}")
+    point = places_among(readings.labels["point"], [entry.id for entry in description.workpiece])
     position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
-    at, along = turn(position[point], angle), turn(normal[point], angle)
+    at, along = turned(position[point], angle), turned(normal[point], angle)
     zero = np.zeros(len(angle))
     return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), _lever(at, along))
 

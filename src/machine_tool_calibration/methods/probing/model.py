@@ -133,7 +133,6 @@ def build(session: Session, model: str = "rigid_body") -> ProbingModel:
     Raises:
         ModelError: the machine has no X or Y axis, a measured length is not one of X or Y, or the displacements are in
             another unit.
-        SessionError: a touched point is not in the workpiece's list.
     """
     if not session.description.trust_units:
         _refuse_mistakes(session)

@@ -70,7 +70,7 @@ def monte_carlo(
 
     Raises:
         CalibrationError: too few draws, or no such distribution.
-        ModelError: no probing session, or several sessions in one fit.
+        ModelError: several sessions in one fit.
     """
     if draws < FEWEST_DRAWS:
         raise CalibrationError(f"{draws} draws are too few for an interval; at least {FEWEST_DRAWS}")
@@ -104,8 +104,7 @@ class _Gains:
 
 def _gains(fit: Fit, rows: Array) -> _Gains:
     model = fit.model
-    if not isinstance(model, ProbingModel):
-        raise ModelError("draws are for features of a probed workpiece")
+    assert isinstance(model, ProbingModel)
     if len(fit.joint.assembly.models) > 1:
         raise ModelError("draws are for one session; this fit is of several")
     stated, problem = fit.joint.marginal, fit.joint.assembly.problem

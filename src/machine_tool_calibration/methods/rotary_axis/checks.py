@@ -10,6 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, groups
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.methods.rotary_axis.geometry import axis_rotation
 from machine_tool_calibration.session.checks.enough import enough_stations, on_a_line, refuse_one_line
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, in_degrees, scaled, turned_round
 from machine_tool_calibration.session.checks.nominal_geometry import (
@@ -17,7 +18,6 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     judged_by_worst,
     lines_of_sight,
     relative_misfit,
-    turned,
 )
 from machine_tool_calibration.session.description import Place, RotaryAxis, rotary_column
 from machine_tool_calibration.session.judgements import Checks, Judgement, Supposition
@@ -89,11 +89,8 @@ def on_table(session: Session, readings: Readings) -> Array:
     column = rotary_column(description)
     target = places_among(readings.labels["target"], [entry.id for entry in description.targets])
     points = np.array([entry.position for entry in description.targets])[target]
-    # the two coordinates that turn, in the order that makes a positive turn counter-clockwise seen from the axis's end
-    first, second = {"a": (1, 2), "b": (2, 0), "c": (0, 1)}[column]
-    angle = session.rotation_sign * readings.columns[column]
-    points[:, [first, second]] = turned(points[:, [first, second]], angle)
-    return points
+    rotation = axis_rotation(column.upper(), session.rotation_sign * readings.columns[column])
+    return np.asarray(np.einsum("nij,nj->ni", rotation, points))
 
 
 def turning_mistakes(session: Session) -> Iterator[Supposition]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.description import RotaryAxis, rotary_column
 from machine_tool_calibration.session.session import Readings, Session, places_among
 
@@ -94,30 +93,16 @@ def merged_nodes(angle: Array) -> tuple[Array, IntArray]:
 
 
 def table_readings(session: Session) -> TableReadings:
-    """Sort the readings of a rotary axis's session.
-
-    Raises:
-        ModelError: the axis under test is no rotary axis, or a target is unknown.
-    """
+    """Sort the readings of a rotary axis's session."""
     description = session.description.as_a(RotaryAxis)
-    axis = (description.machine.axis or "C").upper()
-    if axis not in ("A", "B", "C"):
-        raise ModelError(f"machine.axis is {axis!r}; the rotary axis under test is A, B or C")
+    column = rotary_column(description)
+    axis = column.upper()
     good = np.isfinite(session.readings.displacement)
-    every = session.readings.column(rotary_column(description))
+    every = session.readings.column(column)
     known = np.isfinite(every)
     readings = session.readings.select(good & known)
-    if not len(readings):
-        raise ModelError("no reading: every displacement is missing")
     nodes, index = merged_nodes(every[known])
-    ids = [target.id for target in description.targets]
-    names = readings.labels.get("target")
-    if names is None:
-        raise ModelError("observations.csv has no column 'target'")
-    unknown = sorted(set(names.tolist()) - set(ids))
-    if unknown:
-        raise ModelError(f"unknown target {unknown[0]!r}; the session has {', '.join(ids)}")
-    target = places_among(names, ids)
+    target = places_among(readings.labels["target"], [target.id for target in description.targets])
     key = np.column_stack([readings.setup, readings.repeat, target])
     _, first, run = np.unique(key, axis=0, return_index=True, return_inverse=True)
     sign = session.rotation_sign
@@ -126,7 +111,7 @@ def table_readings(session: Session) -> TableReadings:
         readings=readings,
         nodes=nodes,
         node=index[good[known]],
-        rotation=axis_rotation(axis, sign * readings.columns[rotary_column(description)]),
+        rotation=axis_rotation(axis, sign * readings.columns[column]),
         node_rotation=axis_rotation(axis, sign * nodes),
         target=target,
         run=run.reshape(-1).astype(np.int64),

@@ -218,8 +218,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
         model: `free`: every angle has its own six errors.
 
     Raises:
-        ModelError: the axis is no rotary axis, a target is unknown, nothing was read, or the readings contradict the
-            geometry in a way that a common mistake explains.
+        ModelError: the readings contradict the geometry in a way that a common mistake explains.
     """
     table = table_readings(session)
     description = session.description.as_a(RotaryAxis)

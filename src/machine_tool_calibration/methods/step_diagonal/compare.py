@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.formulations import (
     Increments,
-    alternative,
     conventional,
     increments,
     new,
@@ -27,7 +25,7 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["FORMULATIONS", "FormulationComparison", "compare_formulations", "identify_by_formulation"]
 
-FORMULATIONS = ("conventional", "new", "alternative", "least_squares", "small_angles")
+FORMULATIONS = ("conventional", "new", "least_squares", "small_angles")
 """`least_squares` and `small_angles` are the weighted least-squares estimator over all readings, without and with small
 angular errors (the model `translations`, and the default of `mtcal identify`); the others are the paper's."""
 
@@ -53,33 +51,24 @@ def identify_by_formulation(session: Session, name: str) -> Profiles:
     if name not in FORMULATIONS:
         raise ModelError(f"no formulation {name!r}; known are {', '.join(FORMULATIONS)}")
     moves = increments(session)
-    formula = _formula(name, moves)
     lacking = [
         what for what in moves.lacking if name != "conventional" or what[-1:] not in "XYZ" or "no run" not in what
     ]
     needed = moves.weights if name != "conventional" else moves.weights[: moves.diagonal.size]
     if not np.isfinite(needed).all():
         raise ModelError(f"the formulation {name} needs every move of its runs: {'; '.join(lacking)}")
-    return _propagated(name, moves, formula, session.sigma)
+    return _propagated(name, moves, session.sigma)
 
 
-def _formula(name: str, moves: Increments) -> Callable[[Array, Array], Array]:
-    """Increments of the errors from (..., D, d, N) displacements and (..., d, N) positioning errors."""
-    if name == "conventional":
-        return lambda R, linear: conventional(R, moves.step)
-    if name == "alternative" and len(moves.axes) == 2:
-        raise ModelError("the alternative formulation, Eq. (20), is for three axes")
-    return partial(new if name == "new" else alternative, step=moves.step)
-
-
-def _propagated(name: str, moves: Increments, formula: Callable[[Array, Array], Array], sigma: float) -> Profiles:
-    """Profiles by a formula that is linear in the displacements, with its covariance."""
+def _propagated(name: str, moves: Increments, sigma: float) -> Profiles:
+    """Profiles by one of the paper's formulas, which are linear in the displacements, with their covariance."""
     count = moves.diagonal.size
     blocks = _blocks(moves)
     linear = np.nan_to_num(moves.linear)
 
     def errors(R: Array, positioning: Array) -> Array:
-        return eq17(blocks, _profiles(formula(R, positioning), moves))
+        change = conventional(R, moves.step) if name == "conventional" else new(R, positioning, moves.step)
+        return eq17(blocks, _profiles(change, moves))
 
     size = count + moves.linear.size
     units = np.eye(size)
@@ -124,15 +113,13 @@ class FormulationComparison:
     """Formulations side by side.
 
     Attributes:
-        profiles: by name, from all repeats together.
-        by_repeat: by name, from each repeat alone.
+        profiles: by name.
         refused: by name, why a formulation cannot be used here.
         tilts: of the mirror in each diagonal against its beam as the readings show it, rad; the conventional
             formulation takes them to be zero.
     """
 
     profiles: Mapping[str, Profiles]
-    by_repeat: Mapping[str, tuple[Profiles, ...]]
     refused: Mapping[str, str]
     tilts: Mapping[str, float]
 
@@ -144,22 +131,15 @@ def compare_formulations(session: Session) -> FormulationComparison:
         ModelError: it allows none.
     """
     profiles: dict[str, Profiles] = {}
-    by_repeat: dict[str, tuple[Profiles, ...]] = {}
     refused: dict[str, str] = {}
-    repeats = np.unique(session.readings.repeat)
-    single = [session.with_readings(session.readings.select(session.readings.repeat == repeat)) for repeat in repeats]
     for name in FORMULATIONS:
         try:
             profiles[name] = identify_by_formulation(session, name)
-            by_repeat[name] = tuple(identify_by_formulation(part, name) for part in single) if len(single) > 1 else ()
         except ModelError as error:
-            if name in profiles:
-                by_repeat[name] = ()
-            else:
-                refused[name] = str(error)
+            refused[name] = str(error)
     if not profiles:
         raise ModelError(f"{session.source}: no formulation can be used: {next(iter(refused.values()))}")
-    return FormulationComparison(profiles, by_repeat, refused, _tilts(session) if "least_squares" in profiles else {})
+    return FormulationComparison(profiles, refused, _tilts(session) if "least_squares" in profiles else {})
 
 
 def _tilts(session: Session) -> dict[str, float]:

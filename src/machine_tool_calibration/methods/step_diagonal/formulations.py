@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Increments of the single moves and the formulations of Ibaraki and Hata 2010: conventional, new, alternative.
+"""Increments of the single moves and the formulations of Ibaraki and Hata 2010: conventional and new.
 
 All take R, (..., D, d, N): displacements of the single moves for the diagonals ppp, npp, pnp (in a plane pp, np), the
 axis of the move and the block counted along the increasing axis, m; and give increments of the position errors,
@@ -18,7 +18,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of, step_diagonal_of
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Increments", "alternative", "conventional", "increments", "new"]
+__all__ = ["Increments", "conventional", "increments", "new"]
 
 
 _NEAR = 1e-2
@@ -157,7 +157,6 @@ def _matched(path: Array, session: Session, mine: IntArray) -> IntArray:
 
 
 _X, _Y, _Z = 0, 1, 2
-_PPP, _NPP, _PNP = 0, 1, 2
 
 
 def conventional(R: Array, step: Array) -> Array:
@@ -215,51 +214,4 @@ def new(R: Array, linear: Array, step: Array) -> Array:
     out -= constant / twice[:, None]
     for axis in range(len(step)):
         out[..., axis, axis, :] = linear[..., axis, :]
-    return out
-
-
-def alternative(R: Array, linear: Array, step: Array) -> Array:
-    """Eq. (20) with the direction cosines that the print lacks on its right-hand side.
-
-    Rows 1-3 subtract l_x (a_x + de_x(x)) + l_y (a_y + de_y(y)) + l_z (a_z + de_z(z)), row 4 l_x,pnp (a_x + de_x(x)),
-    row 5 l_y,ppp (a_y + de_y(y)) and row 6 l_z,ppp (a_z + de_z(z)). The orientation that comes out is any; Eq. (17)
-    turns it.
-
-    Args:
-        R: (..., 3, 3, N), m.
-        linear: (..., 3, N) increments of the positioning errors from linear runs, m.
-        step: (3,) a_x, a_y, a_z, m.
-    """
-    lx, ly, lz = step / np.linalg.norm(step)
-    # Unknown: de_y(x), de_z(x), de_x(y), de_z(y), de_x(z), de_y(z). The signs of npp and pnp are in the coefficients.
-    matrix = np.array(
-        [
-            [ly, lz, lx, lz, lx, ly],
-            [-ly, -lz, -lx, lz, -lx, ly],
-            [-ly, lz, -lx, -lz, lx, -ly],
-            [-ly, lz, 0, 0, 0, 0],
-            [0, 0, lx, lz, 0, 0],
-            [0, 0, 0, 0, lx, ly],
-        ]
-    )
-    along = np.array([lx, ly, lz])[:, None] * (step[:, None] + linear)
-    total = along.sum(axis=-2)
-    right = np.stack(
-        [
-            R[..., _PPP, :, :].sum(axis=-2) - total,
-            R[..., _NPP, :, :].sum(axis=-2) - total,
-            R[..., _PNP, :, :].sum(axis=-2) - total,
-            R[..., _PNP, _X, :] - along[..., _X, :],
-            R[..., _PPP, _Y, :] - along[..., _Y, :],
-            R[..., _PPP, _Z, :] - along[..., _Z, :],
-        ],
-        axis=-2,
-    )
-    solved = np.linalg.solve(matrix, right)
-    out = np.empty(R.shape)
-    for axis in range(3):
-        out[..., axis, axis, :] = linear[..., axis, :]
-    out[..., _X, _Y, :], out[..., _X, _Z, :] = solved[..., 0, :], solved[..., 1, :]
-    out[..., _Y, _X, :], out[..., _Y, _Z, :] = solved[..., 2, :], solved[..., 3, :]
-    out[..., _Z, _X, :], out[..., _Z, _Y, :] = solved[..., 4, :], solved[..., 5, :]
     return out

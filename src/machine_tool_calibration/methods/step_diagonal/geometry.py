@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.session.description import DiagonalSetup, StepDiagonal
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -68,7 +68,7 @@ def runs_of(description: StepDiagonal) -> tuple[Run, ...]:
     """The setups' runs, in the order of the description.
 
     Raises:
-        ModelError: a direction that does not fit the setup's kind.
+        SessionError: a direction that does not fit the setup's kind.
     """
     return tuple(_run(setup, description) for setup in description.setups)
 
@@ -79,9 +79,9 @@ def _run(setup: DiagonalSetup, description: StepDiagonal) -> Run:
     moving = "".join("xyz"[k] for k in range(3) if sign[k])
     what = f"its direction {setup.direction} moves {len(moving)}"
     if setup.kind == "linear" and len(moving) != 1:
-        raise ModelError(f"setup {setup.id!r}: a linear run moves one axis, {what}")
+        raise SessionError(f"setup {setup.id!r}: a linear run moves one axis, {what}")
     if setup.kind == "diagonal" and len(moving) < 2:
-        raise ModelError(f"setup {setup.id!r}: a diagonal moves two or three axes, {what}")
+        raise SessionError(f"setup {setup.id!r}: a diagonal moves two or three axes, {what}")
     name, order = setup.id, moving
     found = _ORDER.match(setup.id)
     if found:

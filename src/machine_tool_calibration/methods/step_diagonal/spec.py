@@ -13,7 +13,6 @@ SPEC = MethodSpec(
     checks=DiagonalChecks(),
     model="machine_tool_calibration.methods.step_diagonal.build",
     map="machine_tool_calibration.methods.step_diagonal.model",
-    doubtful="machine_tool_calibration.methods.step_diagonal.doubtful:doubtful_places",
     models={
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
         "functions, of a size that the readings determine as far as they can",

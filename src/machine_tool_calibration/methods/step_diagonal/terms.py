@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, across
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter, Term
@@ -26,7 +26,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.words import say
 
-__all__ = ["Angle", "sensed_tables", "tilt_groups", "tilt_terms"]
+__all__ = ["Angle", "sensed_tables", "tilt_terms"]
 
 _SENSED = 1e-6
 
@@ -93,20 +93,6 @@ def _visited(nodes: Array, position: Array) -> BoolArray:
     return np.asarray(np.abs(interpolation(nodes, position)).max(axis=1) > 1e-3)
 
 
-def tilt_groups(runs: Sequence[Run], one_mirror: bool) -> tuple[tuple[str, IntArray], ...]:
-    """Names of the mirror's settings and the setups that share each.
-
-    Args:
-        runs: the setups.
-        one_mirror: whether the mirror stays as it is between the orders of the same diagonal.
-    """
-    names: dict[str, list[int]] = {}
-    for k, run in enumerate(runs):
-        if run.diagonal:
-            names.setdefault(run.name if one_mirror else run.id, []).append(k)
-    return tuple((name, np.array(members, dtype=np.int64)) for name, members in names.items())
-
-
 def tilt_terms(
     runs: Sequence[Run], observations: Observations, displacement: Array, one_mirror: bool
 ) -> tuple[Term, ...]:
@@ -116,15 +102,19 @@ def tilt_terms(
         runs: the setups.
         observations: the readings.
         displacement: (n, 3) of the mirror since the start of the run, m.
-        one_mirror: see `tilt_groups`.
+        one_mirror: whether the mirror stays as it is between the orders of the same diagonal.
 
     Returns:
         Terms `ppp.tilt` with `ppp.tilt_1` towards the horizontal direction across the beam and `ppp.tilt_2` towards
         the other (`geometry.across`), rad. A tilt that no reading shows (a diagonal in a plane) is left out.
     """
     setup = observations.readings.setup
+    settings: dict[str, list[int]] = {}
+    for k, run in enumerate(runs):
+        if run.diagonal:
+            settings.setdefault(run.name if one_mirror else run.id, []).append(k)
     out = []
-    for name, members in tilt_groups(runs, one_mirror):
+    for name, members in settings.items():
         mine = np.isin(setup, members)
         if not mine.any():
             continue

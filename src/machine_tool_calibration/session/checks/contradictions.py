@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -61,13 +60,11 @@ def _refuse(session: Session, place: Place, expected: Expected) -> None:
         return float(np.mean(np.any([held.bad for held in expected(other)], axis=0)))
 
     some = session.with_readings(session.readings.select(np.arange(min(len(session.readings), _ROWS))))
-    slips = itertools.chain(_slips(some), _slips_within(some, expected))
-    slip = explanation(some, [Judgement(misfit, slips, 0.0, _LEFT, _BETTER)])
-    # Few that contradict are gross errors, unless all of them come from one slip, or from another setup.
-    for k, held in enumerate(every):
-        likelier = slip or _elsewhere(session, k, held, expected)
-        if _contradicted(session, held) or (likelier and held.bad.any()):
-            raise SessionError(_words(session, place, held, likelier))
+    slip = explanation(some, [Judgement(misfit, _slips(some), 0.0, _LEFT, _BETTER)])
+    # Few that contradict are gross errors, unless all of them come from one slip.
+    for held in every:
+        if _contradicted(session, held) or (slip and held.bad.any()):
+            raise SessionError(_words(session, place, held, slip or ""))
 
 
 def _contradicted(session: Session, held: Held) -> bool:
@@ -122,36 +119,6 @@ def _slips(session: Session) -> Iterator[Supposition]:
     for one, other in itertools.combinations(values, 2):
         what = f"the columns {one} and {other} look exchanged"
         yield with_values(session, what, **{one: values[other], other: values[one]})
-
-
-def _slips_within(session: Session, expected: Expected) -> Iterator[Supposition]:
-    """The same in those setups alone of which readings contradict."""
-    readings = session.readings
-    bad = np.bincount(readings.setup, np.any([held.bad for held in expected(session)], axis=0))
-    rows = np.flatnonzero((bad > _LEFT * np.bincount(readings.setup))[readings.setup])
-    for slip in _slips(session.with_readings(readings.select(rows))):
-        new = slip.session.readings
-        whole = {**readings.columns, "displacement": readings.displacement}
-        values = {name: value.copy() for name, value in whole.items()}
-        for name, value in values.items():
-            value[rows] = new.columns.get(name, new.displacement)
-        yield with_values(session, slip.what, **values)
-
-
-def _elsewhere(session: Session, which: int, held: Held, expected: Expected) -> str:
-    """Whether a group's readings that contradict would not in another setup, and not only one or two of them."""
-    if not held.unit or not held.bad.any():
-        return ""
-    rows, count, own = _worst(session, held)
-    if len(rows) < _FEWEST or 2 * len(rows) >= count:
-        return ""
-    for other, name in enumerate(session.setup_ids):
-        setup = session.readings.setup.copy()
-        setup[rows] = other
-        moved = session.with_readings(replace(session.readings, setup=setup))
-        if other != own and not list(expected(moved))[which].bad[rows].any():
-            return f"they look like readings of setup {name!r}"
-    return ""
 
 
 def _size(value: float, unit: str) -> str:

@@ -9,7 +9,6 @@ import numpy as np
 
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.checks.units import HOT, TEMPERATURES
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
@@ -21,7 +20,6 @@ _BESIDE = 0.1  # share of the travel by which a probed part may reach beyond it
 _COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by itself
 _WHOLE = 1e-6  # of a step: rounding
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
-_ALIKE = 5.0  # K: parts of a machine in one workshop
 
 
 def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None) -> list[str]:
@@ -29,11 +27,11 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
     another unit. Places off the machine's travel. Fewer or more repeats than stated. Directions of approach against
-    the moves. One temperature in degrees Fahrenheit. And what the method finds (`Checks.suspicious`).
+    the moves. And what the method finds (`Checks.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _beside, _repeated, _approached, _fahrenheit, _of_method)
+    checks = (_still, _rounded, _beside, _repeated, _approached, _of_method)
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -92,16 +90,6 @@ def _approached(session: Session) -> Iterator[str]:
         # From one side alone many machines approach whichever way they come.
         if n >= _FEW and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
             yield say("suspicion.approach", column=name, n=opposite, count=n)
-
-
-def _fahrenheit(session: Session) -> Iterator[str]:
-    """A temperature that agrees with the others if it is in degrees Fahrenheit; all of them are refused."""
-    columns = {n: v for n, v in session.readings.columns.items() if n in TEMPERATURES and np.isfinite(v).any()}
-    middle = {name: float(np.nanmedian(values)) for name, values in columns.items()}
-    for name, value in middle.items():
-        others = [other for key, other in middle.items() if key != name]
-        if value > HOT and others and abs((value - 32.0) / 1.8 - np.median(others)) < _ALIKE:
-            yield say("suspicion.fahrenheit", column=name, value=f"{value:.3g}", others=f"{np.median(others):.3g}")
 
 
 def _of_method(session: Session) -> Iterator[str]:

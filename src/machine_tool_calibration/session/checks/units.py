@@ -15,7 +15,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
-__all__ = ["HOT", "LARGEST_MACHINE", "LARGEST_TRAVEL", "MILLIMETRES", "TEMPERATURES", "check_sizes", "check_units"]
+__all__ = ["LARGEST_MACHINE", "LARGEST_TRAVEL", "MILLIMETRES", "check_sizes", "check_units"]
 
 LARGEST_MACHINE = 50.0  # m
 LARGEST_TRAVEL = 100.0  # m
@@ -25,9 +25,9 @@ _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
 _LEAST = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
-TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
+_TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
 # Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
-HOT, _HOTTEST = 48.0, 120.0
+_HOT, _HOTTEST = 48.0, 120.0
 _FEW = 8  # readings along a path: more are not all the same
 _DEGREES = "these look like degrees; angles are in radians"
 _LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 1970, in any unit
@@ -140,12 +140,12 @@ def _displacement(session: Session, place: Place) -> None:
 
 def _environment(session: Session, place: Place) -> None:
     columns = session.readings.columns
-    known = [name for name in TEMPERATURES if name in columns and np.isfinite(columns[name]).any()]
+    known = [name for name in _TEMPERATURES if name in columns and np.isfinite(columns[name]).any()]
     # Parts may be warm; where the air is, or all of them, no workshop is.
     middle = {name: float(np.nanmedian(columns[name])) for name in known[:1] if name == "temperature_air"} or {
         name: float(np.nanmedian(columns[name])) for name in known
     }
-    if middle and min(middle.values()) > HOT and max(middle.values()) < _HOTTEST:
+    if middle and min(middle.values()) > _HOT and max(middle.values()) < _HOTTEST:
         name = min(middle, key=lambda name: middle[name])
         raise SessionError(
             f"{place.readings}: {name} is {middle[name]:.4g} degrees Celsius in the middle; these look like degrees "
