@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,28 @@ YAML = (DATA / "tracking_2d" / "session.yaml").read_bytes()
 CSV = (DATA / "tracking_2d" / "observations.csv").read_bytes()
 
 
-@pytest.mark.parametrize("text", ["a: &a [*a]", "a: &a [1, 2]\nb: *a\n", "? &k text\n: 1\n? *k\n: 2\n"])
-def test_an_alias_is_refused(text: str) -> None:
-    with pytest.raises(SessionError, match=r"^s.yaml line \d: alias \*[ak] is not accepted: write what it stands for"):
-        load_yaml(text, "s.yaml")
+def bomb(levels: int) -> str:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, levels)]
+    return "\n".join(lines)
+
+
+def test_aliases_that_multiply() -> None:
+    tracemalloc.start()
+    with pytest.raises(SessionError, match=r"^s.yaml line 5: aliases repeat more than 100000 values$"):
+        load_yaml(bomb(30), "s.yaml")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6
+
+
+def test_an_alias_of_itself() -> None:
+    with pytest.raises(SessionError, match="alias"):
+        load_yaml("a: &a [*a]", "s.yaml")
+
+
+def test_a_plain_alias_is_read() -> None:
+    assert load_yaml("a: &a [1, 2]\nb: *a\n", "s.yaml").value == {"a": [1, 2], "b": [1, 2]}
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "{a: " * 100_000, "- " * 100_000, "? " * 10_000])

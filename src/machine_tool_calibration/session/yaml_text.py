@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A strict reader of YAML: no tags, no duplicate keys, no aliases, bounded depth.
+"""A strict reader of YAML: no tags, no duplicate keys, bounded aliases and depth.
 
 PyYAML's parser gives the events; the values are made here, so that nothing but numbers, text, lists and
-mappings can come out, and every value knows its line.
+mappings can come out, an alias cannot multiply without end, and every value knows its line.
 Scalars follow YAML 1.2 (`1e-7` is a number, `on` and `Y` are text).
 """
 
@@ -21,6 +21,7 @@ __all__ = ["Document", "PlainDumper", "load_yaml"]
 
 _MAX_DEPTH = 32
 _MAX_VALUES = 4_000_000
+_MAX_ALIASED = 100_000
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = {
@@ -64,7 +65,8 @@ class _Reader:
     def __init__(self, text: str, source: str, truth: bool) -> None:
         self.source, self.truth = source, truth
         self.lines: dict[Path, int] = {}
-        self.values = 0
+        self.anchors: dict[str, tuple[Any, int]] = {}
+        self.values, self.aliased = 0, 0
         self.events = self._accepted(text)
 
     def _accepted(self, text: str) -> Iterator[Any]:
@@ -72,8 +74,6 @@ class _Reader:
         for event in yaml.parse(text, Loader=_LOADER):
             if tag := getattr(event, "tag", None):
                 raise self.fail(event, f"tag {tag!r} is not accepted")
-            if isinstance(event, yaml.AliasEvent):
-                raise self.fail(event, f"alias *{event.anchor} is not accepted: write what it stands for once more")
             documents += isinstance(event, yaml.DocumentStartEvent)
             if documents > 1:
                 raise self.fail(event, "a second document; one is expected")
@@ -89,24 +89,31 @@ class _Reader:
     def fail(self, event: Any, what: str) -> SessionError:
         return SessionError(f"{self.source} line {event.start_mark.line + 1}: {what}")
 
-    def _count(self, event: Any) -> None:
-        self.values += 1
+    def _count(self, event: Any, number: int = 1) -> None:
+        self.values += number
         if self.values > _MAX_VALUES:
             raise self.fail(event, f"more than {_MAX_VALUES} values")
 
     def _value(self, event: Any, path: Path, *, verbatim: bool) -> Any:
         """What begins with an event, at its place; `verbatim` where all is text as it stands."""
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event)
         self._count(event)
         self.lines.setdefault(path, event.start_mark.line + 1)
-        key = path[-1] if path else None
+        before, key = self.values, path[-1] if path else None
+        value: Any
         if isinstance(event, yaml.ScalarEvent):
             is_id = key in _TEXT_KEYS and event.value not in _SPECIAL
             is_text = verbatim or is_id or not event.implicit[0]
-            return event.value if is_text else _resolve(event.value, self.truth)
-        if len(path) >= _MAX_DEPTH:
+            value = event.value if is_text else _resolve(event.value, self.truth)
+        elif len(path) >= _MAX_DEPTH:
             raise self.fail(event, f"nested deeper than {_MAX_DEPTH} levels")
-        collect = self._list if isinstance(event, yaml.SequenceStartEvent) else self._mapping
-        return collect(path, verbatim or key in _VERBATIM_KEYS)
+        else:
+            collect = self._list if isinstance(event, yaml.SequenceStartEvent) else self._mapping
+            value = collect(path, verbatim or key in _VERBATIM_KEYS)
+        if event.anchor:
+            self.anchors[event.anchor] = (value, 1 + self.values - before)
+        return value
 
     def _list(self, path: Path, verbatim: bool) -> list[Any]:
         out: list[Any] = []
@@ -117,15 +124,34 @@ class _Reader:
     def _mapping(self, path: Path, verbatim: bool) -> dict[str, Any]:
         out: dict[str, Any] = {}
         while not isinstance(event := next(self.events), yaml.MappingEndEvent):
-            self._count(event)
-            key = getattr(event, "value", None)
-            if not isinstance(key, str):
-                raise self.fail(event, "a key must be text")
+            key = self._key(event)
             if key in out:
                 raise self.fail(event, f"key {key!r} stands twice")
             self.lines[(*path, key)] = event.start_mark.line + 1
             out[key] = self._value(next(self.events), (*path, key), verbatim=verbatim)
         return out
+
+    def _key(self, event: Any) -> str:
+        if isinstance(event, yaml.AliasEvent):
+            key = self._alias(event)
+        else:
+            self._count(event)
+            key = getattr(event, "value", None)
+            if event.anchor:
+                self.anchors[event.anchor] = (key, 1)
+        if not isinstance(key, str):
+            raise self.fail(event, "a key must be text")
+        return key
+
+    def _alias(self, event: Any) -> Any:
+        if event.anchor not in self.anchors:
+            raise self.fail(event, f"alias *{event.anchor} of nothing that stands before it")
+        value, size = self.anchors[event.anchor]
+        self.aliased += size
+        if self.aliased > _MAX_ALIASED:
+            raise self.fail(event, f"aliases repeat more than {_MAX_ALIASED} values")
+        self._count(event, size)
+        return value
 
 
 def _resolve(text: str, truth: bool) -> Any:
@@ -147,8 +173,8 @@ def load_yaml(text: str, source: str, *, truth: bool = True) -> Document:
         truth: whether `true` and `false` are truth values; else they are text.
 
     Raises:
-        SessionError: not YAML, more than one document, a tag or alias, a key that stands twice or is not text, nested
-            without measure. One line, with the line in the file.
+        SessionError: not YAML, more than one document, a tag, a key that stands twice or is not text, nested or
+            repeated (by aliases) without measure. One line, with the line in the file.
     """
     reader = _Reader(text, source, truth)
     try:
