@@ -60,6 +60,6 @@ def command(
     if any(entry.sessions for entry in history.models):
         last = next(entry for entry in reversed(history.models) if entry.sessions)
         screen.print(f"Sessions fitted together: {', '.join(part.label for part in last.sessions)}")
-    show_table(screen, compared_models(*chosen) if chosen else tried_models(history))
+    show_table(screen, compared_models(*chosen) if chosen else tried_models(history.models, history.current))
     if chosen and chosen[0].data != chosen[1].data:
         screen.print("The two models are of different readings: the session was changed in between.")

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -289,7 +288,7 @@ def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
 
 def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     if history := found.measured.history:
-        yield tried_models(History(current=history[-1].number, models=history))
+        yield tried_models(history, history[-1].number)
     done = found.improvement
     if done is not None and len(done.steps) > 1:
         yield steps_table(done)

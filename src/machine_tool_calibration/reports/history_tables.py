@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.reports.quantities import micrometres, of_map, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.words import say
@@ -26,11 +26,11 @@ _FIGURES: dict[str, Callable[[Entry], str]] = {
 """What is told of a model beside its coefficients, by the key of what it is."""
 
 
-def tried_models(history: History) -> TextTable:
-    """Every model of the history, one a row."""
+def tried_models(models: Sequence[Entry], current: int | None) -> TextTable:
+    """Models of a history, one a row, with a mark at the one in use; a model stands twice where one went back to it."""
     rows = tuple(
         (
-            f"{'→' if entry.number == history.current else ' '} {entry.number}",
+            f"{'→' if entry.number == current else ' '} {entry.number}",
             "" if entry.parent is None else str(entry.parent),
             entry.made.replace("T", " ")[:16],
             entry.model,
@@ -41,7 +41,7 @@ def tried_models(history: History) -> TextTable:
             rounded(entry.reduced_chi_square),
             micrometres(entry.map_change_rms),
         )
-        for entry in history.models
+        for entry in models
     )
     begin = ("model", "from", "made", "variant", "effects", "change", "readings", "residual")
     columns = (*heads(*begin), "chi²/ν", *heads("map_moves"))

@@ -113,7 +113,8 @@ class ImprovePage:
         there = self._readings.planes
         self._plane.param.update(options=there, value=self._plane.value if self._plane.value in there else there[0])
         self._before.param.update(options=names, value=max(len(state.models) - 2, 0))
-        self._history.object = tables([tried_models(state.history)]) if state.history.models else ""
+        tried = state.history
+        self._history.object = tables([tried_models(tried.models, tried.current)]) if tried.models else ""
         self._draw_fall()
         self._draw()
 

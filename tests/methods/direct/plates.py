@@ -3,23 +3,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from machine_tool_calibration.session.session import Session
-
-from .conftest import written
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = ["axis", "plate", "with_columns"]
+
+
+def session(
+    columns: Mapping[str, np.ndarray], declared: float, datum: str, terms: Sequence[str], repeat: np.ndarray, name: str
+) -> Session:
+    """One setup."""
+    description = describe(
+        {
+            "format": "mtcal-session/1",
+            "method": "direct",
+            "machine": {"chain": "w-Y-X-b-Z-t"},
+            "standard_uncertainty": {"displacement": declared},
+            "datum": datum,
+            "terms": list(terms),
+            "setups": [{"id": name}],
+        },
+        "session.yaml",
+    )
+    n = len(repeat)
+    readings = Readings(
+        setup=np.zeros(n, np.int64),
+        repeat=repeat.astype(np.int64),
+        displacement=columns["displacement"],
+        columns={key: np.asarray(v, float) for key, v in columns.items() if key != "displacement"},
+        labels={},
+        row=np.arange(n),
+    )
+    return Session(description, readings, "session")
 
 
 def with_columns(measured: Session, displacement: np.ndarray | None = None, **columns: np.ndarray) -> Session:
     """The same with other readings or columns."""
     old = measured.readings
-    new = replace(old, columns={**old.columns, **columns})
-    return measured.with_readings(new if displacement is None else replace(new, displacement=displacement))
+    new = Readings(
+        old.setup,
+        old.repeat,
+        old.displacement if displacement is None else displacement,
+        {**old.columns, **columns},
+        old.labels,
+        old.row,
+    )
+    return measured.with_readings(new)
 
 
 def _scatter(rng: np.random.Generator, shape: tuple[int, ...], size: float, tails: float | None) -> np.ndarray:
@@ -91,14 +124,18 @@ def plate(
     n = len(deviation)
     off = np.sort(rng.choice(n, far, replace=False))
     deviation[off] += rng.choice([-1.0, 1.0], far) * rng.uniform(25.0, 60.0, far) * drilled
-    at = np.column_stack([np.repeat(place, 2, axis=0), np.zeros(n)])
+    columns = {
+        "time": np.arange(n) * 5.0,
+        "x": np.repeat(place[:, 0], 2),
+        "y": np.repeat(place[:, 1], 2),
+        "z": np.zeros(n),
+        "gx": np.tile([1.0, 0.0], n // 2),
+        "gy": np.tile([0.0, 1.0], n // 2),
+        "gz": np.zeros(n),
+        "displacement": deviation,
+    }
     repeat = np.repeat(np.arange(repeats), n // repeats)
-    time = {"time": np.arange(n) * 5.0}
-    made = written(
-        at, np.tile(np.eye(3)[:2], (n // 2, 1)), deviation,
-        repeat=repeat, setups=("plate",), datum="rigid", sigma=declared, columns=time,
-    )  # fmt: skip
-    return made, off.tolist()
+    return session(columns, declared, "rigid", (), repeat, "plate"), off.tolist()
 
 
 def axis(
@@ -140,10 +177,13 @@ def axis(
     approach = np.tile(np.repeat([1.0, -1.0], positions), runs)
     passing = np.repeat(rng.normal(size=2 * runs) * between, positions)
     n = len(index)
-    at = np.outer(target[index], [1.0, 0.0, 0.0])
-    deviation = error[index] - backlash * approach + passing + rng.normal(size=n) * noise
-    return written(
-        at, np.tile([1.0, 0.0, 0.0], (n, 1)), deviation,
-        repeat=np.repeat(np.arange(runs), 2 * positions), setups=("X",), datum=datum, terms=terms, sigma=declared,
-        columns={"time": np.arange(n) * 10.0, "dir_x": approach},
-    )  # fmt: skip
+    columns = {
+        "time": np.arange(n) * 10.0,
+        "x": target[index],
+        "gx": np.ones(n),
+        "gy": np.zeros(n),
+        "gz": np.zeros(n),
+        "dir_x": approach,
+        "displacement": error[index] - backlash * approach + passing + rng.normal(size=n) * noise,
+    }
+    return session(columns, declared, datum, terms, np.repeat(np.arange(runs), 2 * positions), "X")
