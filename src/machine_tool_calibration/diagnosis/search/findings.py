@@ -34,10 +34,8 @@ class Size:
 
     @property
     def plausible(self) -> bool:
-        """Whether it is of a size that occurs, given its uncertainty."""
-        margin = priors.SIZE_MARGIN * self.standard_uncertainty
-        least, largest = priors.BEYOND * self.coefficient.least, priors.BEYOND * self.coefficient.high
-        return least <= self.value + margin and self.value - margin <= largest
+        """Whether it is of a size that occurs. That its uncertainty reaches down to such makes it none."""
+        return priors.BEYOND * self.coefficient.least <= self.value <= priors.BEYOND * self.coefficient.high
 
 
 @dataclass(frozen=True)
