@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Waves at unequal times: the largest peaks, against SciPy's periodogram."""
+"""Waves at unequal times: the largest peaks, against SciPy's periodogram. Steps: the largest changes."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.signal import lombscargle
 
+from machine_tool_calibration.diagnosis.search.structure import _largest_changes as largest_changes
 from machine_tool_calibration.diagnosis.search.structure import _strongest_periods as strongest_periods
 
 TIME = np.sort(np.random.default_rng(2).uniform(50.0, 1050.0, 200))
@@ -39,3 +40,22 @@ def test_peaks_are_those_of_an_independent_periodogram() -> None:
 def test_nothing_to_look_for() -> None:
     assert strongest_periods(TIME, np.zeros(200)) == []
     assert strongest_periods(np.arange(5.0), np.array([1.0, -1.0, 1.0, -1.0, 1.0])) == []
+
+
+def test_changes_are_those_of_fits_of_every_step_beside_the_means_of_runs() -> None:
+    rng = np.random.default_rng(7)
+    run = np.repeat([0, 1, 2], [80, 50, 70])
+    values = rng.normal(size=200) + np.where((run == 1) & (np.arange(200) >= 121), 4.0, 0.0)
+    means = np.eye(3)[:, run]
+
+    def left(moment: float) -> float:
+        columns = np.vstack([means, moment < TIME])
+        return float(np.linalg.lstsq(columns.T, residual, rcond=None)[1][0])
+
+    residual = values - (np.bincount(run, values) / np.bincount(run))[run]
+    found = largest_changes(TIME[::-1], run[::-1], residual[::-1])
+    assert found[0] == TIME[120]
+    squares = [left(moment) for moment in found]
+    assert squares == sorted(squares)
+    within = [moment for k, moment in enumerate(TIME[:-1]) if run[k] == run[k + 1]]
+    assert squares[0] <= min(map(left, within)) + 1e-9

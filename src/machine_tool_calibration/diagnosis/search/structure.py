@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, occurrence
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import Observations
@@ -26,8 +26,9 @@ _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _ANGLES = ("c", "azimuth", "elevation", "normal")
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
-# Moments at which a step is tried.
-_MOMENTS = 24
+# Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and at the largest
+# changes, of a run and of all that comes later.
+_MOMENTS, _CHANGES = 24, 6
 # Range of a direction's component below which it is the same for all readings.
 _SAME = 1e-6
 
@@ -121,8 +122,10 @@ def _events(observations: Observations, residual: Array) -> Iterator[Candidate]:
     """
     name, time = "time" if observations.timed else "order", observations.clock
     moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
-    yield _structure(named("column", name), say("shape.step_at", at=""), steps)
+    changes = [_largest_changes(time, run, residual) for run in (np.zeros_like(observations.run), observations.run)]
+    every = np.unique(np.concatenate([moments, *changes]))
+    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in every)
+    yield _structure(named("column", name), say("shape.step_at", at=""), steps, len(time))
     waves = []
     for period in _strongest_periods(time, residual):
         phase = 2.0 * np.pi * (time - time[0]) / period
@@ -156,6 +159,28 @@ def _within(values: Array, group: IntArray) -> Array:
         if scaled is not None:
             out[group == g] = scaled
     return out
+
+
+def _largest_changes(time: Array, run: IntArray, residual: Array) -> Array:
+    """Moments after which the residuals change most, each the time of the last reading before.
+
+    A counter that loses its count shows so: all that counts from the same zero is off from then on.
+
+    Args:
+        time: (n,) of the readings.
+        run: (n,) readings with a mean of their own, such as those that count from one zero.
+        residual: (n,) over the standard uncertainty.
+    """
+    order = np.argsort(time, kind="stable")
+    time, run, residual = time[order], run[order], residual[order]
+    size = np.bincount(run)[run]
+    # Of a column that is 1 after a moment, its product with the residuals, and its square beside the runs' means.
+    product = residual.sum() - np.cumsum(residual)
+    square = np.cumsum((size - 1.0 - 2.0 * occurrence(run)) / size)
+    moment = np.append(np.diff(time) > 0, False) & (square > _SAME)
+    power = np.pad(np.where(moment, product**2 / np.where(moment, square, 1.0), 0.0), 1)
+    peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:]))
+    return time[peaks[np.argsort(-power[1:-1][peaks])][:_CHANGES]]
 
 
 def _strongest_periods(time: Array, residual: Array) -> list[float]:
