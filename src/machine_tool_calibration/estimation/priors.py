@@ -14,7 +14,9 @@ DECLARED_DOF = 20.0
 """Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
 
 HARDLY_DECLARED_DOF = 2.0
-"""The same where the declared uncertainty need not hold at all; the published scatter weighs both."""
+"""The same where the declared uncertainty need not hold at all; what is published weighs both."""
+
+NOISE_DOF = (DECLARED_DOF, HARDLY_DECLARED_DOF)
 
 # --- what does not reproduce (size in units of the noise) ---
 

@@ -19,7 +19,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, marginal_at
+from machine_tool_calibration.estimation.marginal import Gram, log_noise, marginal_at
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
@@ -382,15 +382,11 @@ def _with_random(
 def _scatter(chi_square: float, dof: int) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
-    Either what was declared holds, as knowledge worth a number of readings, or it says next to nothing: the mean of the
-    variance over both, by the probability that each gives the readings' scatter (inverse-gamma priors). Less scatter
-    makes nothing better: an instrument may be off by the same amount everywhere.
+    The mean of the variance over what the declared one may be worth, by the probability that each gives the readings'
+    scatter. Less scatter makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    prior = np.array([priors.DECLARED_DOF, priors.HARDLY_DECLARED_DOF])
-    half = 0.5 * (dof + prior)
-    logs = special.gammaln(half) - special.gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
-    logs = logs - half * np.log(prior + chi_square)
-    variance = special.softmax(logs) @ ((prior + chi_square) / (prior + dof))
+    prior = np.array(priors.NOISE_DOF)
+    variance = special.softmax(log_noise(chi_square, dof)) @ ((prior + chi_square) / (prior + dof))
     return float(np.sqrt(max(variance, 1.0)))
 
 
