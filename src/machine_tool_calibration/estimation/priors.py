@@ -174,3 +174,6 @@ STRUCTURE_CHANCE, LACK_OF_FIT_CHANCE = 0.02, 0.001
 
 DETECTED = 0.8
 """Power with which the smallest size that is stated would be found."""
+
+SIZE_MARGIN = 2.0
+"""Standard uncertainties by which a size may lie outside of what is tried for before it is called implausible."""

@@ -34,8 +34,10 @@ class Size:
 
     @property
     def plausible(self) -> bool:
-        """Whether it is of a size that occurs. That its uncertainty reaches down to such makes it none."""
-        return priors.BEYOND * self.coefficient.least <= self.value <= priors.BEYOND * self.coefficient.high
+        """Whether it is of a size that occurs, given its uncertainty, of which no more counts than such sizes."""
+        least, largest = self.coefficient.least, self.coefficient.high
+        margin = min(priors.SIZE_MARGIN * self.standard_uncertainty, max(abs(least), abs(largest)))
+        return priors.BEYOND * least - margin <= self.value <= priors.BEYOND * largest + margin
 
 
 @dataclass(frozen=True)
