@@ -15,12 +15,12 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.special import gammaln
+from scipy.special import gammaln, softmax
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
 
-__all__ = ["NOTHING", "Gram", "Marginal", "log_noise", "marginal_at", "size_grid"]
+__all__ = ["NOTHING", "Gram", "Marginal", "log_noise", "marginal_at", "noise_variance", "size_grid"]
 
 
 NOTHING = 1e-12
@@ -170,6 +170,12 @@ def log_noise(squares: float, dof: int) -> Array:
     half = 0.5 * (dof + prior)
     logs = gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
     return np.asarray(logs - half * np.log(prior + squares))
+
+
+def noise_variance(squares: float, dof: int) -> float:
+    """Mean of the noise's variance, over that declared, over what the latter may be worth (`log_noise`)."""
+    prior = np.array(priors.NOISE_DOF)
+    return float(softmax(log_noise(squares, dof)) @ ((prior + squares) / (prior + dof)))
 
 
 LogEvidence = Callable[[tuple[float, ...], float], float]
