@@ -33,7 +33,7 @@ spread more than it explains, so that an effect of few coefficients was more pro
 
 SEVERAL_RUNS = 4
 """Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:
-the slopes and bows of fewer are the machine's own."""
+the slopes and bows of fewer are the machine's own, unless over several axes they read enough places again."""
 
 ENOUGH_REPEATS = 8
 """Degrees of freedom of repeats from which these alone tell what does not reproduce, so that a lack of fit cannot."""
