@@ -62,6 +62,19 @@ def test_rows_that_scatter_together_are_no_effect(plates: ModuleType, many: Any)
     assert sum(bool(diagnose(session).accepted) for session in every) <= some.at_most(0.05)
 
 
+def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(plates: ModuleType) -> None:
+    """Poses that were read three times deviate by 20 µm each, of which a scale explains a tenth of the squares."""
+    found = diagnose(plates.plate(1, holes=150, repeats=3, drilled=20e-6, scales=(4e-5, 4e-5), tails=None)[0])
+    first, scaled = found.search.fit.reduced_chi_square, found.search.of("scale")
+    assert scaled.probability > 0.9
+    assert found.noise.from_repeats == pytest.approx(1e-6, rel=0.2)
+    assert scaled.rms_after > 0.9 * np.sqrt(first) * found.noise.declared
+    assert (found.verdict, found.accepted, found.likely[:1]) == ("unexplained", (), ("scale",))
+    # Where it is half of what repeats show, it is.
+    half = diagnose(plates.plate(1, holes=150, repeats=3, scales=(4e-5, 4e-5), tails=None)[0])
+    assert (half.verdict, half.accepted) == ("missing_effect", ("scale",))
+
+
 def test_far_holes_are_named(plates: ModuleType) -> None:
     session, far = plates.plate(3, far=4, scales=(4e-5, 4e-5), tails=None)
     found = diagnose(session)

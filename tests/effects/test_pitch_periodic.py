@@ -45,6 +45,17 @@ def test_uneven_positions_resolve_leads_of_their_mean_step() -> None:
     assert 500.0 - 0.4 / np.ptp(close) < frequencies(points(close)).max() <= 500.0 * (1 + 1e-9)
 
 
+def test_places_that_an_axis_came_back_to_are_no_places_of_their_own() -> None:
+    """Three places, each read several times some micrometres apart: a wave has as many unknowns."""
+    nearly = 1e-6 * np.random.default_rng(2).uniform(0.0, 10.0, 12)
+    assert len(frequencies(points(np.tile([0.0, 0.1, 0.2], 4) + nearly))) == 0
+    # Nor do many of them hide what the places resolve.
+    again = np.repeat(np.linspace(0.0, 0.4, 41), 3) + 1e-6 * np.random.default_rng(2).uniform(0.0, 10.0, 123)
+    assert frequencies(points(again)).max() <= 1.0 / 0.0099
+    # Of an axis of a tenth of a millimetre, its own steps count.
+    assert frequencies(points(np.linspace(0.0, 1e-4, 41))).max() == pytest.approx(1.0 / 5e-6, rel=0.02)
+
+
 def test_of_a_long_axis_long_waves_without_a_gap_and_the_usual_leads() -> None:
     x = np.linspace(0.0, 1.0, 501)
     found = frequencies(points(x))

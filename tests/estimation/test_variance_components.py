@@ -54,9 +54,10 @@ def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarr
     rest = readings - model @ np.linalg.solve(normal, model.T @ inverse @ readings)
     squares = float(rest @ inverse @ rest)
     dof = len(readings) - model.shape[1]
-    log_variance = np.linspace(-6.0, 6.0, 4001)
-    # Scaled inverse chi-square about the declared variance, in the logarithm of the variance.
-    prior = -0.5 * priors.DECLARED_DOF * (log_variance + np.exp(-log_variance))
+    log_variance = np.linspace(-12.0, 30.0, 8001)
+    # Scaled inverse chi-squares about the declared variance, in the logarithm of the variance, equally probable.
+    about = [-0.5 * dof * (log_variance + np.exp(-log_variance)) for dof in priors.NOISE_DOF]
+    prior = np.logaddexp(*(own - logsumexp(own) for own in about))
     likelihood = -0.5 * dof * log_variance - 0.5 * squares * np.exp(-log_variance)
     determinants = -0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1])
     return float(determinants + logsumexp(prior + likelihood)), squares
@@ -72,7 +73,9 @@ def test_posterior_is_that_of_the_dense_restricted_likelihood(sizes: tuple[float
         log, left = log_restricted(model, covariance, readings)
         logs.append(log)
         squares.append(left)
-    expected = np.array(logs) + [prior for _, prior, _ in size_grid(projected(model, spread, place, readings))]
+    gram = projected(model, spread, place, readings)
+    prior = {ratio: log for ratio, log, _ in size_grid(gram, lambda ratio, log: 0.0)}
+    expected = np.array(logs) + [prior[ratio] for ratio in found.ratios]
     assert found.log_weights == pytest.approx(expected - logsumexp(expected), abs=1e-6)
     assert found.squares == pytest.approx(np.array(squares), rel=1e-9)
     assert found.weights.sum() == pytest.approx(1.0)
@@ -117,6 +120,17 @@ def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
             value = found.quantile(family, p)
             assert found.weights[column < value / step].sum() <= p
             assert found.weights[column <= value * step].sum() >= p
+
+
+def test_a_declared_uncertainty_that_is_too_small_is_no_spread() -> None:
+    """By ten times, where as few degrees of freedom tell as those of repeats: sizes are those of the readings."""
+    found = []
+    for seed in range(8):
+        model, spread, place, readings = problem(seed, (0.0,), groups=3)
+        found.append(components(projected(model, spread, place, 10.0 * readings)))
+    assert np.median([each.probability(0) for each in found]) < 0.6
+    assert np.median([each.quantile(0, 0.5) for each in found]) < 0.2
+    assert max(each.quantile(0, 0.5) for each in found) < 1.5
 
 
 @pytest.mark.parametrize("large", range(4))

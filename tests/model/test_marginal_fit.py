@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.estimation import priors, variance_components
-from machine_tool_calibration.estimation.marginal import Gram, marginal_at
+from machine_tool_calibration.estimation import variance_components
+from machine_tool_calibration.estimation.marginal import Gram, LogEvidence, log_noise
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import JointFit, fit_models
@@ -97,8 +98,8 @@ def generalised(model: Array, spread: Array, readings: Array, ratio: float) -> G
 def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> None:
     """Only these, equally probable."""
 
-    def grid(gram: Gram) -> list[tuple[tuple[float, ...], float, float]]:
-        return [((ratio,), 0.0, marginal_at(gram, (ratio,)).log_null) for ratio in ratios]
+    def grid(gram: Gram, log_evidence: LogEvidence) -> list[tuple[tuple[float, ...], float, float]]:
+        return [((ratio,), 0.0, log_evidence((ratio,), 0.0)) for ratio in ratios]
 
     monkeypatch.setattr(variance_components, "size_grid", grid)
 
@@ -127,7 +128,7 @@ def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.Mo
     tried = [generalised(model, spread, readings, ratio) for ratio in ratios]
     squares = np.array([one.squares for one in tried])
     logs = np.array([one.log_restricted for one in tried])
-    logs -= 0.5 * (len(readings) - 2 + priors.DECLARED_DOF) * np.log(priors.DECLARED_DOF + squares)
+    logs += [logsumexp(log_noise(left, len(readings) - 2)) for left in squares]
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     # Otherwise this would say nothing of a mean.

@@ -6,8 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.session.folder import read_session
 
@@ -34,3 +36,25 @@ def test_the_way_back_to_the_beginning_of_the_next_repeat_is_no_pass(tmp_path: P
     (family,) = reproducibility(build_model(read_session(tmp_path))[0].observations)
     assert family.name == "pass"
     assert family.group.tolist() == np.repeat(np.arange(4), 6).tolist()
+
+
+@pytest.mark.parametrize(("runs", "told"), [(1, False), (2, True), (3, True), (5, True)])
+def test_how_runs_over_a_plane_differ_is_told_by_several_that_read_the_same_places(
+    tmp_path: Path, runs: int, told: bool
+) -> None:
+    """One run alone shows no difference: its slope and its bow in time are the machine's, or noise."""
+    rng = np.random.default_rng(4)
+    places = np.array([(x, y) for x in np.linspace(0.0, 0.5, 6) for y in np.linspace(0.0, 0.4, 5)])
+    lines = ["time,setup,repeat,x,y,gx,gy,gz,displacement"]
+    for run in range(runs):
+        slow = 5e-6 * np.outer(rng.normal(size=2), np.linspace(-1.0, 1.0, 30)).sum(axis=0)
+        for k, (x, y) in enumerate(places):
+            value = slow[k] + 1e-6 * rng.normal()
+            lines.append(f"{1e4 * run + 10.0 * k},A,{run},{x:.2f},{y:.2f},0,0,1,{value:.9f}")
+    plane = HEAD.replace("w-X-b-t, travel: {x: [0.0, 0.5]}", "w-X-Y-b-t, travel: {x: [0.0, 0.5], y: [0.0, 0.4]}")
+    plane = plane.replace("repeats: 2", f"repeats: {runs}").replace("[EXX]", "[EZX]")
+    (tmp_path / "session.yaml").write_text(plane, encoding="utf-8")
+    (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    session = read_session(tmp_path)
+    assert ("run" in [f.name for f in reproducibility(build_model(session)[0].observations)]) == told
+    assert bool(identify(session).document()["spread"]) == told

@@ -83,9 +83,15 @@ def test_a_place_that_is_lost_is_said() -> None:
     displacement = readings.displacement.copy()
     displacement[4] += 3e-4
     wrong = session.with_readings(replace(readings, displacement=displacement))
-    rejected = identify(wrong).rejected
+    found = identify(wrong)
+    rejected = found.rejected
     assert {r.row for r in rejected} == set(np.flatnonzero(readings.columns["x"] == readings.columns["x"][4]).tolist())
     assert all("no other reading of its place is left" in r.reason for r in rejected)
+    where = f"({1e3 * readings.columns['x'][4]:g}, 0, 0) mm"
+    assert [(n.name, n.why) for n in found.not_determined if where in n.name] == [
+        (f"deviation along (0, 1, 0) at {where}", "no reading of it is left")
+    ]
+    assert identify(session).not_determined == identify(wrong, keep_all=True).not_determined
 
 
 def test_a_run_on_another_zero_loses_no_reading(tmp_path: Path) -> None:

@@ -111,19 +111,21 @@ class Diagnosis:
     def contradicted(self) -> bool:
         """Whether the model fails by far, and what was found hardly changes that.
 
-        Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead.
-        Deviations that are read directly scatter as the part or the axis does, which nobody declares. What does not
-        reproduce from run to run is no contradiction.
+        Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead. What
+        does not reproduce from run to run is no contradiction. Deviations that are read directly scatter as the part or
+        the axis does, which nobody declares: only repeats tell how far, and only of a cause that was named.
         """
-        first, last = self.fits[0], self.fits[-1]
-        if any(spec_of(session).reads_machine for session in self.chosen.sessions) or self.noisy:
+        first, last, expected, known = self.fits[0].solution, self.fits[-1].solution, 1.0, np.inf
+        if any(spec_of(session).reads_machine for session in self.chosen.sessions):
+            if self.noise.from_repeats is None or not self.search.accepted:
+                return False
+            expected, known = (self.noise.from_repeats / self.noise.declared) ** 2, self.noise.repeats
+        dof, variance = first.degrees_of_freedom, self.search.variance / expected
+        chance = special.chdtrc(dof, dof * variance) if np.isinf(known) else special.fdtrc(dof, known, variance)
+        if self.noisy or variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_CHANCE:
             return False
-        dof = first.solution.degrees_of_freedom
-        chance = special.chdtrc(dof, dof * self.search.variance)
-        if self.search.variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_CHANCE:
-            return False
-        excess = first.solution.chi_square - first.solution.degrees_of_freedom
-        return first.solution.chi_square - last.solution.chi_square < priors.MOST_OF_THE_EXCESS * excess
+        excess = first.chi_square - dof * expected
+        return first.chi_square - last.chi_square < priors.MOST_OF_THE_EXCESS * excess
 
 
 def diagnose(

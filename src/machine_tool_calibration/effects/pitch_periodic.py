@@ -15,6 +15,8 @@ __all__ = ["PitchPeriodic"]
 
 _SHORTEST = 2e-3
 _MOST = 80
+# Share of the shortest wave, and of the range, within which positions are one place: no wave differs there.
+_ONE_PLACE, _OF_RANGE = 0.05, 0.01
 # Leads of ball screws, mm, and half of them: tried one by one where so many short waves fit into the range that they
 # cannot all be.
 _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
@@ -42,7 +44,7 @@ class PitchPeriodic(AxisEffect):
 
         On evenly spaced positions every lead shorter than two steps looks like a longer one: only those are searched.
         """
-        position = np.unique(np.round(observations.readings.column(self.axis), 7))
+        position = _places(observations.readings.column(self.axis))
         if len(position) < 4:
             return []
         span = float(np.ptp(position))
@@ -67,3 +69,15 @@ class PitchPeriodic(AxisEffect):
         angle = 2.0 * np.pi * observations.readings.column(self.axis) / shape[0]
         along = self.along(observations)
         return np.asarray([np.sin(angle) * along, np.cos(angle) * along])
+
+
+def _places(position: Array) -> Array:
+    """The first position of each place, in increasing order, m."""
+    ordered = np.unique(np.round(position, 7))
+    apart = min(_ONE_PLACE * _SHORTEST, _OF_RANGE * float(np.ptp(ordered)))
+    first, out = 0, []
+    while first < len(ordered):
+        out.append(ordered[first])
+        # Positions are rounded; those that are evenly spaced stay so.
+        first = max(first + 1, int(np.searchsorted(ordered, out[-1] + 0.999 * apart)))
+    return np.array(out)

@@ -15,11 +15,12 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.special import gammaln, softmax
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
 
-__all__ = ["NOTHING", "Gram", "Marginal", "marginal_at", "size_grid"]
+__all__ = ["NOTHING", "Gram", "Marginal", "log_noise", "marginal_at", "noise_variance", "size_grid"]
 
 
 NOTHING = 1e-12
@@ -157,6 +158,24 @@ class Marginal:
             half=np.concatenate([self.half, half[:, :k]]),
             half_data=np.append(self.half_data, half[:, k]),
         )
+
+
+def log_noise(squares: float, dof: int) -> Array:
+    """(2,) logarithms of the likelihood of a sum of squares by what the declared uncertainty is worth.
+
+    Either it holds, as knowledge worth a number of readings, or it says next to nothing (inverse-gamma priors of the
+    variance): what differs by more than was declared is not for that alone what does not reproduce.
+    """
+    prior = np.array(priors.NOISE_DOF)
+    half = 0.5 * (dof + prior)
+    logs = gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
+    return np.asarray(logs - half * np.log(prior + squares))
+
+
+def noise_variance(squares: float, dof: int) -> float:
+    """Mean of the noise's variance, over that declared, over what the latter may be worth (`log_noise`)."""
+    prior = np.array(priors.NOISE_DOF)
+    return float(softmax(log_noise(squares, dof)) @ ((prior + squares) / (prior + dof)))
 
 
 LogEvidence = Callable[[tuple[float, ...], float], float]

@@ -14,7 +14,9 @@ DECLARED_DOF = 20.0
 """Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
 
 HARDLY_DECLARED_DOF = 2.0
-"""The same where the declared uncertainty need not hold at all; the published scatter weighs both."""
+"""The same where the declared uncertainty need not hold at all; what is published weighs both."""
+
+NOISE_DOF = (DECLARED_DOF, HARDLY_DECLARED_DOF)
 
 # --- what does not reproduce (size in units of the noise) ---
 
@@ -31,7 +33,7 @@ spread more than it explains, so that an effect of few coefficients was more pro
 
 SEVERAL_RUNS = 4
 """Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:
-the slopes and bows of fewer are the machine's own."""
+the slopes and bows of fewer are the machine's own, unless over several axes they read enough places again."""
 
 ENOUGH_REPEATS = 8
 """Degrees of freedom of repeats from which these alone tell what does not reproduce, so that a lack of fit cannot."""

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import Gram, marginal_at, size_grid
+from machine_tool_calibration.estimation.marginal import Gram, log_noise, marginal_at, noise_variance, size_grid
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 __all__ = ["Components", "Functions", "WidenedPart", "components"]
@@ -28,12 +28,14 @@ class Components:
         ratios: combinations of sizes, in units of the noise.
         log_weights: (t,) logarithm of the posterior probability of each, summing to 1.
         squares: (t,) weighted sum of squared residuals that is left with each.
+        noise: standard deviation of the noise that the sizes are units of, over that declared.
         dof: degrees of freedom of the readings beside the model's unknowns.
     """
 
     ratios: tuple[tuple[float, ...], ...]
     log_weights: Array
     squares: Array
+    noise: float
     dof: int
 
     @property
@@ -70,9 +72,17 @@ def components(gram: Gram, repeats: Gram | None = None) -> Components:
         gram: inner products of the spread's columns with the residual, the model's unknowns projected off.
         repeats: the same among readings of the same thing, which then tell the sizes.
     """
-    ratios, _, logs = zip(*size_grid(gram if repeats is None else repeats), strict=True)
+    telling = (gram if repeats is None else repeats).of_spread
+
+    def log_evidence(ratio: tuple[float, ...], prior: float) -> float:
+        marginal = marginal_at(telling, ratio, prior)
+        return marginal.log_prior + float(logsumexp(log_noise(marginal.squares, telling.dof)))
+
+    ratios, _, logs = zip(*size_grid(telling, log_evidence), strict=True)
     squares = np.array([marginal_at(gram, ratio).squares for ratio in ratios])
-    return Components(tuple(ratios), np.array(logs) - logsumexp(logs), squares, gram.dof)
+    log_weights = np.array(logs) - logsumexp(logs)
+    variances = [noise_variance(marginal_at(telling, ratio).squares, telling.dof) for ratio in ratios]
+    return Components(tuple(ratios), log_weights, squares, float(np.sqrt(np.exp(log_weights) @ variances)), gram.dof)
 
 
 Functions = tuple[IntArray, Array]

@@ -19,7 +19,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, marginal_at
+from machine_tool_calibration.estimation.marginal import Gram, marginal_at, noise_variance
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
@@ -221,7 +221,7 @@ def _averaged(solved: Solved, problem: Problem, wide: Problem, place: IntArray, 
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
         random = found_random[int(np.argmax(weights))]
-    sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, families, scatter)
+    sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, families)
     return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
 
 
@@ -382,24 +382,17 @@ def _with_random(
 def _scatter(chi_square: float, dof: int) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
-    Either what was declared holds, as knowledge worth a number of readings, or it says next to nothing: the mean of the
-    variance over both, by the probability that each gives the readings' scatter (inverse-gamma priors). Less scatter
-    makes nothing better: an instrument may be off by the same amount everywhere.
+    Less scatter makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    prior = np.array([priors.DECLARED_DOF, priors.HARDLY_DECLARED_DOF])
-    half = 0.5 * (dof + prior)
-    logs = special.gammaln(half) - special.gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
-    logs = logs - half * np.log(prior + chi_square)
-    variance = special.softmax(logs) @ ((prior + chi_square) / (prior + dof))
-    return float(np.sqrt(max(variance, 1.0)))
+    return float(np.sqrt(max(noise_variance(chi_square, dof), 1.0)))
 
 
 def _sizes(
-    solved: Solved, found: Components, seen: Array, place: IntArray, names: tuple[str, ...], scatter: float
+    solved: Solved, found: Components, seen: Array, place: IntArray, names: tuple[str, ...]
 ) -> tuple[FamilySize, ...]:
     """Sizes in metres, of that part of the functions which the model does not take up."""
     sigma = np.concatenate([model.sigma for model in solved.assembly.models])
-    unit = scatter * float(np.sqrt(np.mean(sigma**2)))
+    unit = found.noise * float(np.sqrt(np.mean(sigma**2)))
     out = []
     for k, name in enumerate(names):
         factor = unit * float(np.sqrt(seen[place == k].sum() / len(sigma)))

@@ -182,7 +182,8 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     if len(moved) >= 2:
         readings = observations.readings
         run = groups(readings.setup, readings.repeat)
-        yield Family("run", run, _smooth(observations, run))
+        if _tell(observations.place, run):
+            yield Family("run", run, _smooth(observations, run))
         yield from _rows(observations, moved)
         return
     for name, group in (("run", observations.run), *((("pass", _passes(observations, moved[0])),) if moved else ())):
@@ -190,6 +191,12 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
         if int(group.max(initial=-1)) + 1 >= priors.SEVERAL_RUNS:
             yield Family(name, group, _smooth(observations, group))
             return
+
+
+def _tell(place: IntArray, run: IntArray) -> bool:
+    """Whether runs tell how they differ: several of them, or two that read enough of the same places."""
+    read_again = len(np.unique(np.stack([place, run]), axis=1).T) - len(np.unique(place))
+    return int(run.max(initial=-1)) + 1 >= priors.SEVERAL_RUNS or read_again >= priors.ENOUGH_REPEATS
 
 
 def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:

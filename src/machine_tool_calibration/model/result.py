@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.arrays import Array, groups, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
+from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.checks.places import misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
 __all__ = [
@@ -299,7 +301,7 @@ class Result(Identified):
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):
                 out.append(NotDetermined(name, why))
-        return out
+        return out + _lost_places(fit.model.observations.session)
 
     def document(self) -> dict[str, Any]:
         """The result as the contract's JSON document; what is not determined is null."""
@@ -320,6 +322,21 @@ class Result(Identified):
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }
+
+
+def _lost_places(session: Session) -> list[NotDetermined]:
+    """Places at which all deviations in a direction are missing or were set aside, so that no map has them."""
+    readings = session.readings
+    if not spec_of(session).reads_machine or "gx" not in readings.columns:
+        return []
+    direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
+    place = groups(*np.round(1e9 * readings.position().T), *np.round(1e6 * direction.T))
+    left = np.bincount(place, np.isfinite(readings.displacement))
+    first = np.sort(np.unique(place, return_index=True)[1][left == 0])
+    where = (", ".join(f"{1e3 * v:.6g}" for v in at) for at in readings.position()[first])
+    along = (", ".join(f"{v:.3g}" for v in at) for at in direction[first])
+    why = say("undetermined.none_left")
+    return [NotDetermined(f"deviation along ({g}) at ({at}) mm", why) for g, at in zip(along, where, strict=True)]
 
 
 def correlated_with(undetermined: Array, names: Sequence[str], k: int, points: bool = False) -> str:

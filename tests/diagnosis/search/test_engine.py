@@ -150,6 +150,20 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     assert waves[0].share == max(s.share for s in found.search.structure)
 
 
+@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "iso230_2"])
+@pytest.mark.parametrize("size", [2e-5, 1e-4])
+def test_a_count_that_is_lost_towards_the_end_of_a_setup_is_a_step(plan: str, size: float) -> None:
+    """All its readings are off from then on: no warm-up, drift or lost motion, of which each describes some of it."""
+    session = simulated(plan, 12)
+    readings = session.readings
+    last = np.flatnonzero(readings.setup == 0)[-10:]
+    found = diagnose(with_columns(session, -size * np.isin(np.arange(len(readings)), last)))
+    assert (found.verdict, found.accepted, found.likely) == ("unexplained", (), ())
+    step = found.search.structure[0]
+    assert step.covariate == "time" and "step" in step.shape and step.share > 0.95
+    assert found.search.variance < 1.5
+
+
 def in_seconds(found: Diagnosis) -> set[str]:
     """Effects and structures that speak of time."""
     effects = {

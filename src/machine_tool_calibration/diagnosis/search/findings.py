@@ -34,10 +34,10 @@ class Size:
 
     @property
     def plausible(self) -> bool:
-        """Whether it is of a size that occurs, given its uncertainty."""
-        margin = priors.SIZE_MARGIN * self.standard_uncertainty
-        least, largest = priors.BEYOND * self.coefficient.least, priors.BEYOND * self.coefficient.high
-        return least <= self.value + margin and self.value - margin <= largest
+        """Whether it is of a size that occurs, given its uncertainty, of which no more counts than such sizes."""
+        least, largest = self.coefficient.least, self.coefficient.high
+        margin = min(priors.SIZE_MARGIN * self.standard_uncertainty, max(abs(least), abs(largest)))
+        return priors.BEYOND * least - margin <= self.value <= priors.BEYOND * largest + margin
 
 
 @dataclass(frozen=True)

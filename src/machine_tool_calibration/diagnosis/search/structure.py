@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, occurrence
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import Observations
@@ -26,8 +26,9 @@ _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _ANGLES = ("c", "azimuth", "elevation", "normal")
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
-# Moments at which a step is tried.
-_MOMENTS = 24
+# Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and at the largest
+# changes, of a run and of all that comes later.
+_MOMENTS, _CHANGES = 24, 6
 # Range of a direction's component below which it is the same for all readings.
 _SAME = 1e-6
 
@@ -121,10 +122,12 @@ def _events(observations: Observations, residual: Array) -> Iterator[Candidate]:
     """
     name, time = "time" if observations.timed else "order", observations.clock
     moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
-    yield _structure(named("column", name), say("shape.step_at", at=""), steps)
+    changes = [_largest_changes(time, run, residual) for run in (np.zeros_like(observations.run), observations.run)]
+    every = np.unique(np.concatenate([moments, *changes]))
+    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in every)
+    yield _structure(named("column", name), say("shape.step_at", at=""), steps, len(time))
     waves = []
-    for period in _strongest_periods(time, residual):
+    for period in _strongest_periods(time, observations.run, residual):
         phase = 2.0 * np.pi * (time - time[0]) / period
         waves.append(Shaped((period,), np.array([np.sin(phase), np.cos(phase)])))
     if waves:
@@ -158,11 +161,38 @@ def _within(values: Array, group: IntArray) -> Array:
     return out
 
 
-def _strongest_periods(time: Array, residual: Array) -> list[float]:
+def _largest_changes(time: Array, run: IntArray, residual: Array) -> Array:
+    """Moments after which the residuals change most, each the time of the last reading before.
+
+    A counter that loses its count shows so: all that counts from the same zero is off from then on.
+
+    Args:
+        time: (n,) of the readings.
+        run: (n,) readings with a mean of their own, such as those that count from one zero.
+        residual: (n,) over the standard uncertainty.
+    """
+    order = np.argsort(time, kind="stable")
+    time, run, residual = time[order], run[order], residual[order]
+    size = np.bincount(run)[run]
+    # Of a column that is 1 after a moment, its product with the residuals, and its square beside the runs' means.
+    product = residual.sum() - np.cumsum(residual)
+    square = np.cumsum((size - 1.0 - 2.0 * occurrence(run)) / size)
+    moment = np.append(np.diff(time) > 0, False) & (square > _SAME)
+    power = np.pad(np.where(moment, product**2 / np.where(moment, square, 1.0), 0.0), 1)
+    peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:]))
+    return time[peaks[np.argsort(-power[1:-1][peaks])][:_CHANGES]]
+
+
+def _strongest_periods(time: Array, run: IntArray, residual: Array) -> list[float]:
     """Periods of the largest peaks of the periodogram (Lomb 1976, Scargle 1982).
 
     From the session's length down to two readings'. Only these are looked at more closely: at all others less is to
     be explained.
+
+    Args:
+        time: (n,) of the readings.
+        run: (n,) readings with a mean of their own: of slow waves it takes up most.
+        residual: (n,) over the standard uncertainty.
     """
     length = float(np.ptp(time))
     highest = len(time) / (2.0 * length)
@@ -171,7 +201,7 @@ def _strongest_periods(time: Array, residual: Array) -> list[float]:
     if count < 3 or not residual.any():
         return []
     frequency = np.linspace(lowest, highest, count)
-    power = _periodogram(time - time[0], residual - residual.mean(), frequency)
+    power = _periodogram(time - time[0], run, residual, frequency)
     # The ends may be peaks as well.
     padded = np.pad(power, 1)
     peaks = np.flatnonzero((power > padded[:-2]) & (power >= padded[2:]))
@@ -180,18 +210,27 @@ def _strongest_periods(time: Array, residual: Array) -> list[float]:
     return [float(1.0 / (frequency[k] + shift)) for k in best for shift in (-0.5 * step, 0.0, 0.5 * step)]
 
 
-def _periodogram(time: Array, values: Array, frequency: Array) -> Array:
-    """(f,) sum of squares that a sine and a cosine of each frequency take up.
-
-    `scipy.signal.lombscargle` gives half of it; to load it takes longer than all else here.
-    """
+def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) -> Array:
+    """(f,) sum of squares that a sine and a cosine of each frequency take up beside the means of runs."""
+    order = np.argsort(run, kind="stable")
+    time, values, run = time[order], values[order], run[order]
+    first, size = np.unique(run, return_index=True, return_counts=True)[1:]
+    values = values - np.repeat(np.add.reduceat(values, first) / size, size)
     out = np.empty(len(frequency))
     step = max(int(_AT_ONCE / len(time)), 1)
     for part in (slice(k, k + step) for k in range(0, len(frequency), step)):
         phase = 2.0 * np.pi * frequency[part, None] * time
-        sine, cosine = np.sin(phase), np.cos(phase)
-        # Turned by the phase at which the two are orthogonal (Lomb 1976).
-        turn = 0.5 * np.arctan2(2.0 * np.sum(sine * cosine, axis=1), np.sum(cosine**2 - sine**2, axis=1))[:, None]
-        sine, cosine = sine * np.cos(turn) - cosine * np.sin(turn), cosine * np.cos(turn) + sine * np.sin(turn)
-        out[part] = sum((wave @ values) ** 2 / np.maximum(np.sum(wave**2, axis=1), _NOTHING) for wave in (sine, cosine))
+        wave = np.empty(phase.shape, dtype=complex)
+        # Faster than the exponential function of a complex number.
+        np.cos(phase, out=wave.real)
+        np.sin(phase, out=wave.imag)
+        means = np.add.reduceat(wave, first, axis=1) / size
+        # With z the wave, the sums of z conj(z) and of z z have the products of sine and cosine.
+        both = len(time) - np.abs(means) ** 2 @ size
+        twice = np.einsum("fn,fn->f", wave, wave) - means**2 @ size
+        along = wave @ values
+        determinant = both**2 - np.abs(twice) ** 2
+        explained = 2.0 * (both * np.abs(along) ** 2 - np.real(np.conj(twice) * along**2))
+        seen = determinant > _NOTHING * len(time) ** 2
+        out[part] = np.where(seen, explained / np.where(seen, determinant, 1.0), 0.0)
     return out
