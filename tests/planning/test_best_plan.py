@@ -16,7 +16,7 @@ from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import BestPlan, best_plan
+from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, best_plan
 from machine_tool_calibration.planning.design import Candidates, map_errors
 from machine_tool_calibration.planning.dominant import expected_model
 from machine_tool_calibration.planning.forecast import planned_session
@@ -64,7 +64,7 @@ def _candidates(offered: Offer) -> Candidates:
 
 @pytest.fixture(scope="module")
 def found() -> BestPlan:
-    return best_plan(PLANE, "plane.yaml")
+    return best_plan(PLANE, "plane.yaml", Assumed())
 
 
 def test_templates_stand_for_every_combination() -> None:
@@ -144,7 +144,7 @@ def test_a_plan_has_readings_that_check_each_other() -> None:
 
 
 def test_same_seed_same_plan(found: BestPlan) -> None:
-    assert best_plan(PLANE, "plane.yaml").document() == found.document()
+    assert best_plan(PLANE, "plane.yaml", Assumed()).document() == found.document()
 
 
 def test_a_stopped_search_has_the_best_so_far() -> None:
@@ -152,14 +152,14 @@ def test_a_stopped_search_has_the_best_so_far() -> None:
         if what.startswith("plans tried") and share > 0.001:
             raise KeyboardInterrupt
 
-    stopped = best_plan(PLANE, "plane.yaml", progress=stop)
+    stopped = best_plan(PLANE, "plane.yaml", Assumed(), progress=stop)
     assert stopped.stopped
     assert stopped.bound == 0.0
     assert stopped.best.largest <= stopped.present.largest
 
 
 def test_an_effect_is_told_better_than_now() -> None:
-    found = best_plan(PLANE, "plane.yaml", told=["linear_drift"])
+    found = best_plan(PLANE, "plane.yaml", Assumed(), told=["linear_drift"])
     assert found.effects == ("linear_drift",)
     assert found.best.largest < 0.9 * found.present.largest
     assert found.document()["unit"] == "1"
@@ -169,7 +169,7 @@ def test_what_a_budget_says_is_in_it() -> None:
     line = {"name": "wavelength", "type": "B", "standard_uncertainty": 2e-6, "enters": "length", "varies": "setup"}
     zero = {"name": "zero", "type": "B", "standard_uncertainty": 1e-7, "enters": "reading", "varies": "place"}
     text = _changed(session={"budget": [line, zero]})
-    found = best_plan(text, "plane.yaml", errors=shared_errors)
+    found = best_plan(text, "plane.yaml", Assumed(errors=shared_errors))
     assert found.complete
     result = identify(planned_session(parse_procedure(text, "plane")).session)
     budget = propagate(
@@ -177,7 +177,7 @@ def test_what_a_budget_says_is_in_it() -> None:
     )
     own = budget.u[budget.numbers.by_name["position_error"].members]
     known = np.sqrt(np.square(own[np.isfinite(own) & (own > 0)]))
-    plain = best_plan(PLANE, "plane.yaml").present
+    plain = best_plan(PLANE, "plane.yaml", Assumed()).present
     assert found.present.largest > plain.largest
     assert found.present.largest == pytest.approx(max(known.max(), plain.largest), rel=0.02)
 
@@ -197,14 +197,14 @@ def test_what_a_budget_says_is_in_it() -> None:
 )
 def test_what_cannot_be_is_said_in_one_line(changes: dict[str, Any], why: str) -> None:
     with pytest.raises((ModelError, SessionError), match=why):
-        best_plan(_changed(**changes), "plane.yaml")
+        best_plan(_changed(**changes), "plane.yaml", Assumed())
 
 
 def test_an_effect_that_no_plan_tells_is_said() -> None:
     with pytest.raises(ModelError, match="no plan of these candidates tells"):
-        best_plan(PLANE, "plane.yaml", told=["thermal_expansion_x"])
+        best_plan(PLANE, "plane.yaml", Assumed(), told=["thermal_expansion_x"])
     with pytest.raises(ModelError, match="backlash_x"):
-        best_plan(PLANE, "plane.yaml", told=["backlsh_x"])
+        best_plan(PLANE, "plane.yaml", Assumed(), told=["backlsh_x"])
 
 
 def test_files_of_the_package_offer_something() -> None:

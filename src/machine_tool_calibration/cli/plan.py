@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
@@ -24,7 +25,7 @@ from machine_tool_calibration.cli.output import (
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.planning.best_plan import Assumed
 
 __all__ = ["command"]
 
@@ -81,8 +82,9 @@ def command(
         raise click.UsageError("--told, --output and --plot belong to --optimise.")
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.nodes.shared import procedure_file
+    from machine_tool_calibration.planning.best_plan import Assumed
 
-    assumed = _Assumed(model, own_effects(files), warming, angular)
+    assumed = Assumed(model, own_effects(files), warming, angular)
     file = procedure_file(procedure)
     if optimise:
         _optimised(file, assumed, told, output, plot, seed, as_json)
@@ -90,20 +92,16 @@ def command(
         _forecast(file, assumed, as_json)
 
 
-class _Assumed(NamedTuple):
-    model: str | None
-    own: list[Effect]
-    warming: float
-    angular: float
-
-
-def _forecast(file: Path, assumed: _Assumed, as_json: bool) -> None:
+def _forecast(file: Path, assumed: Assumed, as_json: bool) -> None:
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
     from machine_tool_calibration.reports.forecast import show_forecast
 
     with progress_bar() as progress:
-        found = forecast(read_procedure(file), **assumed._asdict(), progress=progress)
+        found = forecast(
+            read_procedure(file), model=assumed.model, own=assumed.own, warming=assumed.warming,
+            angular=assumed.angular, progress=progress,
+        )  # fmt: skip
     if as_json:
         write_json(found.document())
         return
@@ -112,7 +110,7 @@ def _forecast(file: Path, assumed: _Assumed, as_json: bool) -> None:
 
 def _optimised(
     file: Path,
-    assumed: _Assumed,
+    assumed: Assumed,
     told: tuple[str, ...],
     output: Path | None,
     plot: Path | None,
@@ -128,10 +126,8 @@ def _optimised(
     if output is not None and output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")
     with progress_bar() as progress:
-        found = best_plan(
-            read_text(file), str(file), **assumed._asdict(), told=told, errors=shared_errors, seed=seed,
-            progress=progress,
-        )  # fmt: skip
+        complete = replace(assumed, errors=shared_errors)
+        found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
     if as_json:
         write_json(found.document())
     else:

@@ -22,15 +22,19 @@ from machine_tool_calibration.planning.design import Candidates, SharedErrors, e
 from machine_tool_calibration.planning.dominant import ANGULAR, expected_model
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
-from machine_tool_calibration.planning.optimise import bound, search
+from machine_tool_calibration.planning.optimise import bound, quickest, search
 from machine_tool_calibration.procedure.description import Procedure
 
-__all__ = ["BestPlan", "PlanQuality", "best_plan"]
+__all__ = ["Assumed", "BestPlan", "PlanQuality", "best_plan", "quickest_plan"]
 
 Progress = Callable[[str, float], object]
 
 # Share of the work that the search takes.
 _SEARCH = 0.7
+# Share of the uncertainty wanted that a plan is to come to, as readings may scatter more than is declared.
+_MARGIN = 0.95
+# Share of its largest plausible size to which an effect's size is to be known (k = 1).
+_SIZE = 0.02
 
 
 @dataclass(frozen=True)
@@ -122,16 +126,31 @@ class BestPlan:
         }
 
 
+@dataclass(frozen=True)
+class Assumed:
+    """What is assumed of a measurement that was not made.
+
+    Attributes:
+        model: variant of the method's model; None for its default.
+        own: the user's own effects, beside the catalogue.
+        warming: change of the air's temperature, K per hour.
+        angular: root mean square of the machine's angular errors, rad.
+        errors: of the readings of a session, what its budget says beside their scatter.
+    """
+
+    model: str | None = None
+    own: Sequence[Effect] = ()
+    warming: float = 1.0
+    angular: float = ANGULAR
+    errors: Callable[[Observations], SharedErrors | None] = lambda observed: None
+
+
 def best_plan(
     text: str,
     source: str,
+    assumed: Assumed,
     *,
-    model: str | None = None,
     told: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-    warming: float = 1.0,
-    angular: float = ANGULAR,
-    errors: Callable[[Observations], SharedErrors | None] = lambda observed: None,
     seed: int = 0,
     progress: Progress = lambda what, share: None,
 ) -> BestPlan:
@@ -140,12 +159,8 @@ def best_plan(
     Args:
         text: of the procedure's file.
         source: its name, for messages.
-        model: variant of the method's model.
+        assumed: of the measurement.
         told: effects whose sizes the plan is to determine; the map's position errors if there are none.
-        own: the user's own effects, beside the catalogue.
-        warming: change of the air's temperature that is assumed, K per hour.
-        angular: root mean square of the machine's angular errors that is assumed, rad.
-        errors: of the readings of a session, what its budget says beside their scatter.
         seed: of the random starts.
         progress: told what is being done and the share that is finished; a KeyboardInterrupt ends the search.
 
@@ -153,24 +168,9 @@ def best_plan(
         SessionError: the procedure cannot be run, or a candidate is none.
         ModelError: an effect is not known or cannot be told; nothing is determined by any plan.
     """
-    offered, effects = offer(text, source), _effects(told, own)
-
-    def fitted(procedure: Procedure) -> JointFit:
-        session = planned_session(procedure, warming).session
-        return fit_models([_with_effects(expected_model(session, model, angular), effects)])
-
+    offered = offer(text, source)
     progress("what every candidate tells", 0.0)
-    everything = fitted(offered.procedure)
-    every_setup = everything
-    if offered.choices.targets:  # the map is wanted where it is now
-        every_setup = fitted(offered.procedure_of(offered.every_setup))
-    known = effect_sizes(everything, told) if told else map_errors(every_setup)
-    observed = everything.assembly.models[0].observations
-    shared = errors(observed)
-    candidates = Candidates(everything, offered.unit_of(observed), known, shared)
-    if told and not candidates.told.all():
-        lost = [name for name, good in zip(_coefficients(everything, told), candidates.told, strict=True) if not good]
-        raise ModelError(f"no plan of these candidates tells {', '.join(lost)}: the model takes it up")
+    candidates, points, complete = _candidates(offered, assumed, told)
     found = search(offered, candidates, seed=seed, progress=lambda what, share: progress(what, _SEARCH * share))
     lowest = 0.0
     if not found.stopped:
@@ -183,13 +183,63 @@ def best_plan(
         variances = candidates.variances(offered.weights(choice))[candidates.told]
         return _quality(offered, choice, np.sqrt(variances))
 
-    present, best = quality(offered.present), quality(found.choice)
-    points = known.points if told else known.points[candidates.told]
     count = (len(offered.setups), 0 if offered.targets == ("",) else len(offered.targets))
     return BestPlan(
-        offered.text(found.choice), present, best, lowest, points, tuple(told), count, found.tried, found.stopped,
-        shared is not None,
+        offered.text(found.choice), quality(offered.present), quality(found.choice), lowest, points, tuple(told), count,
+        found.tried, found.stopped, complete,
     )  # fmt: skip
+
+
+def quickest_plan(
+    text: str,
+    source: str,
+    assumed: Assumed,
+    *,
+    u: float | None = None,
+    told: Sequence[str] = (),
+    seed: int = 0,
+    progress: Progress = lambda what, share: None,
+) -> str:
+    """The file of a procedure whose setups are those that come soonest to what is wanted, the most useful ones first.
+
+    Args:
+        text: of the procedure's file.
+        source: its name, for messages.
+        assumed: of the measurement.
+        u: largest standard uncertainty of a coordinate of the map, m; or
+        told: effects whose sizes are to be determined to a share of what is plausible.
+        seed: of the random starts.
+        progress: told what is being done and the share that is finished.
+
+    Raises:
+        SessionError, ModelError: as for `best_plan`.
+    """
+    offered = offer(text, source)
+    progress("what every candidate tells", 0.0)
+    candidates, _, _ = _candidates(offered, assumed, told)
+    goal = _MARGIN * u if u is not None else _SIZE
+    return offered.text(quickest(offered, candidates, goal, seed=seed, progress=progress))
+
+
+def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
+    """What every candidate tells, (q, 3) places of the numbers, and whether a budget is in them."""
+    effects = _effects(told, assumed.own)
+
+    def fitted(procedure: Procedure) -> JointFit:
+        session = planned_session(procedure, assumed.warming).session
+        return fit_models([_with_effects(expected_model(session, assumed.model, assumed.angular), effects)])
+
+    everything = every_setup = fitted(offered.procedure)
+    if offered.choices.targets:  # the map is wanted where it is now
+        every_setup = fitted(offered.procedure_of(offered.every_setup))
+    known = effect_sizes(everything, told) if told else map_errors(every_setup)
+    observed = everything.assembly.models[0].observations
+    shared = assumed.errors(observed)
+    candidates = Candidates(everything, offered.unit_of(observed), known, shared)
+    if told and not candidates.told.all():
+        lost = [name for name, good in zip(_coefficients(everything, told), candidates.told, strict=True) if not good]
+        raise ModelError(f"no plan of these candidates tells {', '.join(lost)}: the model takes it up")
+    return candidates, known.points if told else known.points[candidates.told], shared is not None
 
 
 def _effects(told: Sequence[str], own: Sequence[Effect]) -> list[Effect]:

@@ -207,7 +207,7 @@ class Candidates:
         Args:
             weights: (count,) how often each candidate is measured, 0 for not at all.
         """
-        variance, x_shared, x_local, redundancy = self._solved(weights)
+        variance, x_shared, x_local, redundancy = self._solved(weights, responses=bool(self._errors))
         if not self._errors:
             return variance, redundancy
         # the fit knows nothing of what readings share: each such error moves every number by x^T A^T W e
@@ -228,7 +228,7 @@ class Candidates:
 
         c_k = j_k^T N^-1 j_k, hence dc_k / dw_u = -x_k^T N_u x_k with x_k = N^-1 j_k.
         """
-        variance, x_shared, x_local, _ = self._solved(weights)
+        variance, x_shared, x_local, _ = self._solved(weights, responses=True)
         slope = np.zeros((len(variance), self.count))
         for u, own in enumerate(self.units):
             shared, local = x_shared[own.seen], x_local  # (k, q), (P, d, q)
@@ -243,8 +243,11 @@ class Candidates:
         """(m,) which shared unknowns some candidates bring with them."""
         return np.asarray(self._never | self._families[some].any(axis=0))[self._family]
 
-    def _solved(self, weights: Array) -> tuple[Array, Array, Array, float]:
-        """(q,) variances; N^-1 j of each number, (m, q) shared and (P, d, q) of the points' own; redundancy."""
+    def _solved(self, weights: Array, *, responses: bool) -> tuple[Array, Array, Array, float]:
+        """(q,) variances; redundancy; and where `responses` are wanted N^-1 j of each number.
+
+        These are (m, q) of the shared unknowns and (P, d, q) of the points' own.
+        """
         some = np.flatnonzero(weights > 0)
         there = self._there(some)
         place = np.flatnonzero(there)
@@ -292,11 +295,12 @@ class Candidates:
         if hasattr(self, "_least"):
             lost |= variance > _LOST * self._least
         variance = np.where(lost, np.inf, variance)
-        x_shared = np.zeros((self.size, len(functions)))
-        x_shared[place] = normal.half @ half.T
-        x_local = np.zeros((points, d, len(functions)))
-        if d:
-            x_local = seen - np.einsum("pdk,kq->pdq", folded, x_shared[place], optimize=True)
+        x_shared = np.zeros((self.size, len(functions) if responses else 0))
+        x_local = np.zeros((points, d, x_shared.shape[1]))
+        if responses:
+            x_shared[place] = normal.half @ half.T
+            if d:
+                x_local = seen - np.einsum("pdk,kq->pdq", folded, x_shared[place], optimize=True)
         told = of_points + normal.rank
         readings = int(self._readings[some].sum())
         return variance, x_shared, x_local, (readings + len(rows) - told) / max(readings, 1)

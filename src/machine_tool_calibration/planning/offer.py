@@ -31,7 +31,7 @@ class Choice:
     """A plan: which setups and which targets, and how often.
 
     Attributes:
-        setups: numbers of the offer's setups.
+        setups: numbers of the offer's setups, in the order in which they are measured.
         targets: numbers of its targets (or features); of a method without any the only one.
         repeats: of each setup.
     """
@@ -131,7 +131,7 @@ class Offer:
     def text(self, choice: Choice) -> str:
         """The file of a plan's procedure; comments are lost."""
         content, session = dict(self.content), dict(self.content["session"])
-        session["setups"] = [session["setups"][k] for k in sorted(choice.setups)]
+        session["setups"] = [session["setups"][k] for k in choice.setups]
         session["repeats"] = choice.repeats
         kept = {self.targets[k] for k in choice.targets}
         if "targets" in session:

@@ -23,7 +23,7 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.planning.design import Candidates
 from machine_tool_calibration.planning.offer import Choice, Offer
 
-__all__ = ["Searched", "bound", "search"]
+__all__ = ["Searched", "bound", "quickest", "search"]
 
 Progress = Callable[[str, float], object]
 
@@ -34,6 +34,8 @@ _MOST_STARTS = 40
 # Share of the readings that must check others: a plan without redundancy hides every mistake.
 _CHECKED = 0.1
 _UNCHECKED = 1e3
+# More than any plan takes, s.
+_LONG = 1e9
 # Of the search's first leg: a mean that lies close to the largest value and changes smoothly with all of them.
 _POWER = 8.0
 # What makes a plan better, relative: less is rounding.
@@ -153,6 +155,59 @@ def search(
         if over <= 1.0 + _ROUNDED or stopped:
             return Searched(best, judge.judged(best)[0], len(judge.known), stopped)
         seconds /= over
+
+
+@single_blas()
+def quickest(
+    offered: Offer,
+    candidates: Candidates,
+    goal: float,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda what, share: None,
+) -> Choice:
+    """The plan that comes to an uncertainty in the shortest time, followed by what would help most after it.
+
+    Args:
+        offered: what could be measured.
+        candidates: what each adds to the knowledge.
+        goal: largest standard uncertainty of the numbers asked for.
+        seed: of the random starts.
+        progress: told what is being done and the share that is finished.
+
+    Returns:
+        The setups in an order in which each is the best after those before it; as many as are allowed.
+    """
+    judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
+    exchange = _Exchange(offered, offered.choices.seconds or np.inf)
+
+    def cost(choice: Choice) -> float:
+        """Time; of plans that do not come to the goal how far they are from it, which counts more."""
+        short = judge.largest(choice) / goal
+        return offered.rough_duration(choice) if short <= 1.0 else _LONG * short
+
+    best = found = exchange.thinned(offered.present)
+    for number in range(_MOST_STARTS):
+        for better in exchange.improving(found, cost):
+            found = better
+            progress(f"plans tried: {len(judge.known)}", min(len(judge.known) / _PLANS, 0.99))
+        best = min(best, found, key=cost)
+        if number + 1 >= _STARTS and len(judge.known) >= _PLANS:
+            break
+        found = exchange.drawn(rng)
+    return _ordered(exchange, best, judge.largest)
+
+
+def _ordered(exchange: _Exchange, best: Choice, cost: Callable[[Choice], float]) -> Choice:
+    """The setups of a plan one after the other, each the best after those before it; then others in the same way."""
+    done: tuple[int, ...] = ()
+    others = [s for s in range(len(exchange.offered.setups)) if s not in best.setups]
+    for group in (list(best.setups), others):
+        while group and exchange.allowed(replace(best, setups=(*done, group[0]))):
+            following = min(group, key=lambda s: cost(replace(best, setups=tuple(sorted((*done, s))))))
+            done = (*done, following)
+            group.remove(following)
+    return replace(best, setups=done)
 
 
 class _Exchange:
