@@ -36,6 +36,10 @@ _CHECKED = 0.1
 _UNCHECKED = 1e3
 # More than any plan takes, s.
 _LONG = 1e9
+# Starts for each number of setups.
+_TRIES = 3
+# What U counts among plans that take as long.
+_TIE = 1e-3
 # Of the search's first leg: a mean that lies close to the largest value and changes smoothly with all of them.
 _POWER = 8.0
 # What makes a plan better, relative: less is rounding.
@@ -107,7 +111,7 @@ def _mean(variances: Array, power: float) -> float:
     if not good.any():
         return 1e6 * lost
     u = np.sqrt(variances[good])
-    top = float(u.max())
+    top = max(float(u.max()), np.finfo(float).tiny)
     mean = top if np.isinf(power) else top * float(np.mean((u / top) ** power) ** (1.0 / power))
     return mean + 1e6 * lost
 
@@ -147,7 +151,7 @@ def search(
                     best = found
                 if number + 1 >= _STARTS and len(judge.known) >= _PLANS:
                     break
-                found = exchange.drawn(rng)
+                found = exchange.drawn(rng, 1 + number % exchange.most_setups if number % 2 else None)
         except KeyboardInterrupt:
             stopped = True
             best = min(filter(exchange.allowed, judge.known), key=judge.largest, default=best)
@@ -180,22 +184,21 @@ def quickest(
     """
     judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
     exchange = _Exchange(offered, offered.choices.seconds or np.inf)
+    plans = []
+    for number in range(1, exchange.most_setups + 1):
+        for start in range(_TRIES):
+            progress(f"plans tried: {len(judge.known)}", (number - 1 + start / _TRIES) / exchange.most_setups)
+            found = exchange.drawn(rng, number)
+            for value in (judge.smooth, judge.largest):
+                *_, found = exchange.improving(found, value, exchanges=True)
+            plans += [replace(found, repeats=repeats) for repeats in exchange.repeats]
 
     def cost(choice: Choice) -> float:
-        """Time; of plans that do not come to the goal how far they are from it, which counts more."""
+        """Time, and among plans of one time U; of plans that do not come to the goal how far they are from it."""
         short = judge.largest(choice) / goal
-        return offered.rough_duration(choice) if short <= 1.0 else _LONG * short
+        return offered.rough_duration(choice) * (1.0 + _TIE * short) if short <= 1.0 else _LONG * short
 
-    best = found = exchange.thinned(offered.present)
-    for number in range(_MOST_STARTS):
-        for better in exchange.improving(found, cost):
-            found = better
-            progress(f"plans tried: {len(judge.known)}", min(len(judge.known) / _PLANS, 0.99))
-        best = min(best, found, key=cost)
-        if number + 1 >= _STARTS and len(judge.known) >= _PLANS:
-            break
-        found = exchange.drawn(rng)
-    return _ordered(exchange, best, judge.largest)
+    return _ordered(exchange, min(filter(exchange.allowed, plans), key=cost), judge.largest)
 
 
 def _ordered(exchange: _Exchange, best: Choice, cost: Callable[[Choice], float]) -> Choice:
@@ -232,13 +235,21 @@ class _Exchange:
             and self.offered.rough_duration(choice) <= self.seconds
         )
 
-    def improving(self, choice: Choice, cost: Callable[[Choice], float]) -> Iterator[Choice]:
-        """Better and better plans, until no single exchange makes one better; the first is the one given."""
+    def improving(
+        self, choice: Choice, cost: Callable[[Choice], float], *, exchanges: bool = False
+    ) -> Iterator[Choice]:
+        """Better and better plans, until no single change makes one better; the first is the one given.
+
+        Args:
+            choice: where to begin.
+            cost: what is to become smaller.
+            exchanges: whether the numbers of setups, targets and repeats stay as they are.
+        """
         yield choice
         value = cost(choice)
         while True:
             before = value
-            for moves in self.neighbourhoods(choice):
+            for moves in self.neighbourhoods(choice, exchanges=exchanges):
                 allowed = [move for move in moves(choice) if self.allowed(move)]
                 costs = [cost(move) for move in allowed]
                 k = int(np.argmin(costs)) if costs else -1
@@ -248,15 +259,14 @@ class _Exchange:
             if value >= before * (1.0 - _BETTER):
                 return
 
-    def neighbourhoods(self, choice: Choice) -> Iterator[Callable[[Choice], list[Choice]]]:
+    def neighbourhoods(self, choice: Choice, *, exchanges: bool) -> Iterator[Callable[[Choice], list[Choice]]]:
         """What can be changed, one thing after the other."""
-        yield self.repeated
         for place in range(len(choice.setups)):
             yield partial(self.other_setup, place=place)
-        yield self.more_setups
         for place in range(len(choice.targets)):
             yield partial(self.other_target, place=place)
-        yield self.more_targets
+        if not exchanges:
+            yield from (self.repeated, self.other_numbers, self.other_targets)
 
     def repeated(self, now: Choice) -> list[Choice]:
         """Other numbers of repeats, also with a setup less where time would not do."""
@@ -271,20 +281,23 @@ class _Exchange:
         """One setup exchanged for each other one."""
         return [replace(now, setups=_with(_without(now.setups, place), s)) for s in self._idle_setups(now)]
 
-    def more_setups(self, now: Choice) -> list[Choice]:
-        """One setup more."""
-        return [replace(now, setups=_with(now.setups, s)) for s in self._idle_setups(now)]
+    def other_numbers(self, now: Choice) -> list[Choice]:
+        """One setup more or less."""
+        more = [replace(now, setups=_with(now.setups, s)) for s in self._idle_setups(now)]
+        return [*more, *(replace(now, setups=_without(now.setups, k)) for k in range(len(now.setups)))]
 
     def other_target(self, now: Choice, place: int) -> list[Choice]:
-        """One target exchanged for each other one, or left out."""
-        if place >= len(now.targets) or now.targets[place] in self.offered.always:
+        """One target exchanged for each other one."""
+        if now.targets[place] in self.offered.always:
             return []
         rest = _without(now.targets, place)
-        return [replace(now, targets=rest), *(replace(now, targets=_with(rest, t)) for t in self._idle_targets(now))]
+        return [replace(now, targets=_with(rest, t)) for t in self._idle_targets(now)]
 
-    def more_targets(self, now: Choice) -> list[Choice]:
-        """One target more."""
-        return [replace(now, targets=_with(now.targets, t)) for t in self._idle_targets(now)]
+    def other_targets(self, now: Choice) -> list[Choice]:
+        """One target more or less."""
+        more = [replace(now, targets=_with(now.targets, t)) for t in self._idle_targets(now)]
+        free = [k for k, t in enumerate(now.targets) if t not in self.offered.always]
+        return [*more, *(replace(now, targets=_without(now.targets, k)) for k in free)]
 
     def _idle_setups(self, now: Choice) -> list[int]:
         return [s for s in range(len(self.offered.setups)) if s not in now.setups]
@@ -308,14 +321,14 @@ class _Exchange:
                 raise ModelError(f"one setup takes {needed:.0f} s; {self.offered.seconds:.0f} s are allowed")
         return choice
 
-    def drawn(self, rng: np.random.Generator) -> Choice:
-        """A plan at random, as large as is allowed."""
+    def drawn(self, rng: np.random.Generator, number: int | None = None) -> Choice:
+        """A plan at random, with a number of setups and most repeats, or as large as is allowed."""
         always, count = self.offered.always, len(self.offered.setups)
         free = [t for t in range(len(self.offered.targets)) if t not in always]
         targets = rng.permutation(free)[: self.most_targets - len(always)].tolist()
-        setups = rng.permutation(count)[: self.most_setups].tolist()
-        choice = Choice(tuple(setups), tuple(sorted((*always, *targets))), int(rng.choice(self.repeats)))
-        choice = self.thinned(choice)
+        setups = rng.permutation(count)[: number or self.most_setups].tolist()
+        repeats = int(rng.choice(self.repeats)) if number is None else self.repeats[-1]
+        choice = self.thinned(Choice(tuple(setups), tuple(sorted((*always, *targets))), repeats))
         return replace(choice, setups=tuple(sorted(choice.setups)))
 
 
