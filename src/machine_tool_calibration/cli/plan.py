@@ -3,12 +3,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.output import (
+    FILE,
+    PictureFile,
+    console,
+    json_option,
+    note_written,
+    progress_bar,
+    save_picture,
+    seed_option,
+    write_json,
+)
+from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.planning.best_plan import Assumed
 
 __all__ = ["command"]
 
@@ -27,30 +44,98 @@ __all__ = ["command"]
     show_default=True,
     help="Angular errors of the machine assumed where the instrument hardly senses them, rad (root mean square).",
 )
+@click.option("--optimise", is_flag=True, help="Choose the best of all that the file's `choices` allow.")
+@click.option(
+    "--told", multiple=True, metavar="EFFECT", help="With --optimise: for the size of this effect, not for the map."
+)
+@click.option("-o", "--output", type=FILE, help="With --optimise: write the plan, a procedure that `mtcal run` takes.")
+@click.option("--plot", type=PictureFile(), help="With --optimise: draw U over the working space, before and after.")
+@seed_option
 @json_option
 def command(
-    procedure: str, model: str | None, files: tuple[Path, ...], warming: float, angular: float, as_json: bool
+    procedure: str,
+    model: str | None,
+    files: tuple[Path, ...],
+    warming: float,
+    angular: float,
+    optimise: bool,
+    told: tuple[str, ...],
+    output: Path | None,
+    plot: Path | None,
+    seed: int,
+    as_json: bool,
 ) -> None:
     """Forecast what a procedure determines: uncertainties, gaps, time, and the smallest detectable effects.
 
     PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. Nothing is moved. The
     forecast holds if the readings scatter as declared and mounting an instrument anew adds nothing.
 
+    With --optimise the setups, targets and repeats are chosen for the smallest largest U of the map in the time that
+    there is, and a bound says how much better any plan could be. Ctrl-C ends the search with the best so far.
+
     \b
     mtcal plan tracking_2d
     mtcal plan my_procedure.yaml --warming 3 --json
+    mtcal plan probing_cross --optimise -o better.yaml --plot better.png
     """
+    if not optimise and (told or output or plot):
+        raise click.UsageError("--told, --output and --plot belong to --optimise.")
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.nodes.shared import procedure_file
+    from machine_tool_calibration.planning.best_plan import Assumed
+
+    assumed = Assumed(model, own_effects(files), warming, angular)
+    file = procedure_file(procedure)
+    if optimise:
+        _optimised(file, assumed, told, output, plot, seed, as_json)
+    else:
+        _forecast(file, assumed, as_json)
+
+
+def _forecast(file: Path, assumed: Assumed, as_json: bool) -> None:
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
     from machine_tool_calibration.reports.forecast import show_forecast
 
-    own = own_effects(files)
     with progress_bar() as progress:
-        plan = read_procedure(procedure_file(procedure))
-        found = forecast(plan, model=model, own=own, warming=warming, angular=angular, progress=progress)
+        found = forecast(
+            read_procedure(file), model=assumed.model, own=assumed.own, warming=assumed.warming,
+            angular=assumed.angular, progress=progress,
+        )  # fmt: skip
     if as_json:
         write_json(found.document())
         return
     show_forecast(console(), found)
+
+
+def _optimised(
+    file: Path,
+    assumed: Assumed,
+    told: tuple[str, ...],
+    output: Path | None,
+    plot: Path | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    from machine_tool_calibration.budget.shared_errors import shared_errors
+    from machine_tool_calibration.planning.best_plan import best_plan
+    from machine_tool_calibration.plots.best_plan import draw_best_plan
+    from machine_tool_calibration.reports.best_plan import show_best_plan
+    from machine_tool_calibration.session.text import read_text
+
+    if output is not None and output.exists():
+        raise CalibrationError(f"{output}: is there already; choose another file")
+    with progress_bar() as progress:
+        complete = replace(assumed, errors=shared_errors)
+        found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
+    if as_json:
+        write_json(found.document())
+    else:
+        show_best_plan(console(), found)
+    save_picture(partial(draw_best_plan, found), plot)
+    if output is not None:
+        try:
+            output.write_text(found.text, encoding="utf-8")
+        except OSError as error:
+            raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
+        note_written([output])

@@ -4,18 +4,38 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
 
+from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
-from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, console, json_option, progress_bar, write_json
 from machine_tool_calibration.nodes.measurement import NODES, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import SiteSpec, read_site
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.reports.enough import show_reached
 
 __all__ = ["command"]
+
+
+def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
+    """The procedure with the setups that come soonest to what is wanted, written into a folder."""
+    from machine_tool_calibration.budget.shared_errors import shared_errors
+    from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
+    from machine_tool_calibration.session.text import read_text
+
+    assumed = Assumed(model, errors=shared_errors)
+    with progress_bar() as progress:
+        text = quickest_plan(
+            read_text(file), str(file), assumed, u=None if until.u is None else until.u / 2.0, told=until.told,
+            progress=progress,
+        )  # fmt: skip
+    chosen = Path(folder, file.name)
+    chosen.write_text(text, encoding="utf-8")
+    return chosen
 
 
 @click.command("run")
@@ -50,6 +70,12 @@ __all__ = ["command"]
     "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
 )
 @click.option(
+    "--until",
+    metavar="U=… | told=…",
+    help="End as soon as it is enough: U=2um (k = 2, every coordinate of the map), or told=backlash_y,… (effects). "
+    "What the file's `choices` allow is measured in the order that comes to it soonest.",
+)
+@click.option(
     "--no-identify", "identify", is_flag=True, flag_value=False, default=True, help="Measure and record only."
 )
 @click.option("--no-record", "record", is_flag=True, flag_value=False, default=True, help="No recording (MCAP bag).")
@@ -60,6 +86,7 @@ def command(
     site: Path | None,
     seed: int | None,
     parameters: Path | None,
+    until: str | None,
     as_json: bool,
     **asked: Any,
 ) -> None:
@@ -72,6 +99,7 @@ def command(
     session (session/), the result (result.json), and what the nodes said (log/).
     """
     file = procedure_file(procedure)
+    wanted = None if until is None else Until.parse(until)
     world = read_site(str(site)) if site is not None else SiteSpec()
     if seed is not None:
         world = world.model_copy(update={"seed": seed})
@@ -79,10 +107,14 @@ def command(
         output=free_folder(read_procedure(file).name, output),
         site=world,
         parameters=None if parameters is None else parameters.resolve(),
+        until=wanted,
         **asked,
     )
-    with readings_bar() as progress:
-        measured = measure(file, setting, progress)
+    with TemporaryDirectory() as folder:
+        if wanted is not None:
+            file = _soonest(file, wanted, setting.model or None, folder)
+        with readings_bar() as progress:
+            measured = measure(file, setting, progress)
     if as_json:
         write_json(
             {
@@ -94,6 +126,7 @@ def command(
                 "seconds": measured.seconds[1],
                 "counters": measured.counters,
                 "remarks": measured.remarks,
+                **({"reached": [one.document() for one in measured.reached]} if wanted is not None else {}),
                 "result": measured.result,
             }
         )
@@ -101,6 +134,8 @@ def command(
     screen = console()
     for remark in measured.remarks:
         screen.print(f"[yellow]{remark}[/]")
+    if wanted is not None:
+        show_reached(screen, measured.reached)
     show_result(screen, measured)
     show_files(screen, measured)
     if measured.result is not None and measured.session_folder is not None:

@@ -13,11 +13,13 @@ from typing import Any
 
 import yaml
 
+from machine_tool_calibration.budget.enough import Reached, Until
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, Program, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
+from machine_tool_calibration.nodes.stages import Stages
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
@@ -55,6 +57,8 @@ class Setting:
         effects: effects added to the model.
         external: nodes that run elsewhere and are not started.
         parameters: a ROS parameter file for the nodes.
+        until: what is to be reached; the measurement ends with the setup after which it is. All of the procedure if
+            absent.
     """
 
     output: Path
@@ -69,6 +73,7 @@ class Setting:
     effects: tuple[str, ...] = ()
     external: tuple[str, ...] = ()
     parameters: Path | None = None
+    until: Until | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,7 @@ class Measured:
         seconds: from the start of the graph, and of the procedure alone.
         counters: what did not go straight, by name.
         remarks: a sentence for each time that a node that only listens ended and was started again.
+        reached: after each setup what was known, where something was to be reached.
     """
 
     output: Path
@@ -98,6 +104,7 @@ class Measured:
     seconds: tuple[float, float]
     counters: dict[str, int]
     remarks: tuple[str, ...]
+    reached: tuple[Reached, ...] = ()
 
 
 class _Listeners:
@@ -188,8 +195,10 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 _await_ready(client, [program.name for program in programs])
                 listeners.client = client
                 started = time.monotonic()
-                _run(client, total, progress)
+                stages = Stages(client, procedure, setting) if setting.until is not None else None
+                _run(client, total, progress, stages)
                 measured = time.monotonic() - started
+                total = client.procedure.number("captured")
                 document = _identify(client, listeners, total, progress) if setting.identify else None
             except (KeyboardInterrupt, CalibrationError) as error:
                 _catch_up(client)
@@ -224,6 +233,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         seconds=(time.monotonic() - begin, measured),
         counters=counters,
         remarks=tuple(listeners.remarks),
+        reached=() if stages is None else tuple(stages.reached),
     )
 
 
@@ -251,6 +261,7 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         bag=(setting.output / "bag").resolve(),
     )
     parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
+    parameters["procedure"] |= {"wait_between_setups": True} if setting.until is not None else {}
     nodes = tuple(name for name in NODES if name in parameters)
     for name in setting.external:
         if name not in nodes:
@@ -286,7 +297,7 @@ def _await_ready(client: Client, names: Sequence[str]) -> None:
         raise CalibrationError(f"the graph is not complete after {_START:g} s: no sign of {waiting}")
 
 
-def _run(client: Client, total: int, progress: Progress) -> None:
+def _run(client: Client, total: int, progress: Progress, stages: Stages | None) -> None:
     client.call("procedure/start", _COLLECT)
     seen, begun = time.monotonic(), False
 
@@ -303,18 +314,24 @@ def _run(client: Client, total: int, progress: Progress) -> None:
             raise CalibrationError(f"the procedure was started anew in the middle of the measurement; {again}")
         begun = begun or state == "running"
         progress(status.message, status.number("captured"), total)
-        return state in ("finished", "error", "aborted")
+        return state in ("finished", "error", "aborted") or (stages is not None and state == "paused")
 
     try:
         client.wait(over, float("inf"))
+        while stages is not None and client.procedure.entries["state"] == "paused":
+            stages.next(progress)
+            client.wait(over, float("inf"))
     except KeyboardInterrupt:
         client.call("procedure/abort", 2.0)
         raise
     status = client.procedure
     if status.entries["state"] != "finished":
         raise CalibrationError(f"the procedure ended: {status.message}")
+    total = status.number("captured")
     if not client.wait(lambda: client.heard.count[1] >= total, _COLLECT):
         raise CalibrationError(f"only {client.heard.count[1]} of {total} readings were received")
+    if stages is not None:
+        stages.last(progress)
 
 
 def _identify(client: Client, listeners: _Listeners, total: int, progress: Progress) -> dict[str, Any]:

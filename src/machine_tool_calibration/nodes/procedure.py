@@ -166,6 +166,7 @@ class ProcedureNode(ManagedNode):
             ("pause", self._pause),
             ("resume", self._resume),
             ("abort", self._abort),
+            ("finish", self._finish),
         ):
             offer(self, f"~/{name}", partial(answer_by, handler))
         self.every(_TICK, self._tick)
@@ -245,6 +246,12 @@ class ProcedureNode(ManagedNode):
             raise CalibrationError(f"the procedure is {self.sequencer.state}, neither paused nor in error")
         self._carry_out(self.sequencer.resume(now(self), time.monotonic()))
         return f"resumed at reading {self.sequencer.done}"
+
+    def _finish(self) -> str:
+        if self.sequencer.state is not State.PAUSED:
+            raise CalibrationError(f"the procedure is {self.sequencer.state}; pause it first")
+        self.sequencer.finish()
+        return self.sequencer.message
 
     def _abort(self) -> str:
         if self._starts_with_clock:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.procedure.choices import Choices
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Description
@@ -114,6 +115,7 @@ class _File(Record):
     session: dict[str, Any]
     path: Path | None = None
     motion: Motion = Motion()
+    choices: Choices = Choices()
 
 
 class Procedure(Record):
@@ -124,12 +126,14 @@ class Procedure(Record):
         session: what `session.yaml` will say.
         path: the targets of one run; without targets for a step diagonal, where they follow from the session.
         motion: speeds, accelerations and waiting times.
+        choices: what else could be measured, to choose the best of (`mtcal plan --optimise`).
     """
 
     name: str
     session: Description
     path: Path
     motion: Motion
+    choices: Choices = Choices()
 
 
 def read_procedure(file: FilePath) -> Procedure:
@@ -168,4 +172,5 @@ def parse_procedure(text: str, source: str) -> Procedure:
         session=session,
         path=content.path if content.path is not None else _FROM_SESSION,
         motion=content.motion,
+        choices=content.choices,
     )

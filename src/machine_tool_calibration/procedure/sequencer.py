@@ -103,6 +103,13 @@ class Sequencer:
             return self._next(now, wall, resumed=True)
         return self._begin(now, wall, again=True)
 
+    def finish(self) -> None:
+        """End with the readings so far, which are the whole measurement; only while paused."""
+        self.state = State.FINISHED
+        self.message = f"finished after {self.done} of {len(self.plan.steps)} readings"
+        self._forget()
+        self._visits.clear()
+
     def abort(self, now: int) -> list[events.Action]:
         """Stop the axes and end."""
         self.state, self.message = State.ABORTED, f"aborted after {self.done} of {len(self.plan.steps)} readings"

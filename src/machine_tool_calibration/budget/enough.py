@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a measurement tells enough: the map's largest U, or whether named effects are there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.budget import complete
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError, did_you_mean
+from machine_tool_calibration.importing.units import quantity
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Reached", "Until", "after_each_setup", "reached"]
+
+# Probabilities from which an effect counts as there, and up to which as not there.
+_THERE, _ABSENT = 0.95, 0.05
+# Share of the largest plausible size that must have been detectable for an effect that is not there.
+_SMALL = 0.1
+
+
+@dataclass(frozen=True)
+class Until:
+    """What is to be reached.
+
+    Attributes:
+        u: expanded uncertainty (k = 2) of every coordinate of the map, m; None if it is not asked for.
+        told: effects that are to be found, or not to be there.
+    """
+
+    u: float | None = None
+    told: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, text: str, own: Sequence[Effect] = ()) -> Until:
+        """From `U=2um` or `told=backlash_y,thermal_expansion_x`.
+
+        Raises:
+            SessionError: not of that form.
+            ModelError: an effect is not known.
+        """
+        name, _, value = (part.strip() for part in text.partition("="))
+        if name == "U" and value:
+            u = quantity(value, "length", "until U")
+            if not u > 0.0:
+                raise SessionError(f"until U: {value!r} must be positive")
+            return cls(u=u)
+        if name == "told" and value:
+            known, told = catalogue(own), tuple(part.strip() for part in value.split(","))
+            for effect in told:
+                if effect not in known:
+                    raise ModelError(f"no effect {effect!r}{did_you_mean(effect, known)}")
+            return cls(told=told)
+        raise SessionError(f"until: {text!r} is neither U=2um nor told=backlash_y,thermal_expansion_x")
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What the readings up to some setup tell.
+
+    Attributes:
+        setup: id of the last one.
+        readings: so far.
+        seconds: from the first reading to the last; None without a time column.
+        u: largest expanded uncertainty (k = 2) of a coordinate of the map, m; infinite as long as the readings do not
+            determine what is wanted.
+        probabilities: of the effects asked for; none as long as the readings do not allow a search.
+        enough: whether that is what was to be reached.
+    """
+
+    setup: str
+    readings: int
+    seconds: float | None
+    u: float = float("inf")
+    probabilities: dict[str, float] = field(default_factory=dict)
+    enough: bool = False
+
+    def document(self) -> dict[str, Any]:
+        """For programs; what is not determined is null."""
+        return {
+            "setup": self.setup,
+            "readings": self.readings,
+            "seconds": self.seconds,
+            "U": self.u if np.isfinite(self.u) else None,
+            "probabilities": self.probabilities,
+            "enough": self.enough,
+        }
+
+
+def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
+    """What the readings of one session tell.
+
+    Args:
+        chosen: the session, and the model.
+        until: what is to be reached.
+        wanted: how many coordinates of the map are to be determined.
+    """
+    session = chosen.sessions[0]
+    readings, time = session.readings, session.readings.columns.get("time")
+    seconds = None if time is None else float(np.ptp(time))
+    found = Reached(session.setup_ids[int(readings.setup[-1])], len(readings), seconds)
+    try:
+        if until.u is not None:
+            u = largest_u(chosen, wanted)
+            return replace(found, u=u, enough=u <= until.u)
+        probabilities, enough = _told(chosen, until.told)
+        return replace(found, probabilities=probabilities, enough=enough)
+    except (CalibrationError, np.linalg.LinAlgError):  # not yet enough for the model
+        return found
+
+
+def largest_u(chosen: FitRequest, wanted: int) -> float:
+    """Largest U of a coordinate of the map, m; infinite where fewer are determined than are wanted."""
+    u = complete.identify(chosen).error_map.uncertainty
+    known = u[np.isfinite(u)]
+    return 2.0 * float(known.max()) if len(known) >= max(wanted, 1) else float("inf")
+
+
+def determined(chosen: FitRequest) -> int:
+    """How many coordinates of the map a session determines."""
+    return int(np.isfinite(complete.identify(chosen).error_map.uncertainty).sum())
+
+
+def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], bool]:
+    found, _ = complete.diagnose(chosen, progress=lambda what, share: None)
+    by_name = {one.name: one for one in found.search.findings}
+    probabilities, every = {}, True
+    for name in names:
+        one = by_name.get(name)
+        p = 0.0 if one is None else float(one.probability)
+        probabilities[name] = p
+        if one is None:
+            every = False
+            continue
+        effect = one.candidate.effect
+        limits = {} if effect is None else {c.name: max(abs(c.low), abs(c.high)) for c in effect.coefficients}
+        seen = bool(one.detectable) and all(
+            size <= _SMALL * limits.get(name, np.inf) for name, size in one.detectable.items()
+        )
+        every &= p >= _THERE or (p <= _ABSENT and seen)
+    return probabilities, every
+
+
+def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
+    """What a session told after each of its setups, in the order of its readings.
+
+    All that the whole session determines has to be determined before its U counts.
+    """
+    session = chosen.sessions[0]
+    wanted = determined(chosen) if until.u is not None else 1
+    for part in parts(session):
+        yield reached(chosen.instead(0, part), until, wanted)
+
+
+def parts(session: Session) -> Iterator[Session]:
+    """The session up to the end of each setup, in the order of its readings."""
+    setup = session.readings.setup
+    ends = np.flatnonzero(np.append(setup[1:] != setup[:-1], True)) + 1
+    for end in ends:
+        yield session.with_readings(session.readings.select(np.arange(end)))

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal enough`: after which setup a measurement would have been enough."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
+from machine_tool_calibration.cli.info import topic_option
+from machine_tool_calibration.cli.output import PATH, console, json_option, progress_bar, write_json
+
+__all__ = ["command"]
+
+
+@click.command("enough")
+@click.argument("measurement", type=PATH)
+@click.option("--until", required=True, metavar="U=… | told=…", help="What was to be reached, as with `mtcal run`.")
+@model_option
+@effects_file_option
+@topic_option
+@json_option
+def command(
+    measurement: Path, until: str, model: str | None, files: tuple[Path, ...], topics: dict[str, str], as_json: bool
+) -> None:
+    """Say after which setup a measurement would have been enough.
+
+    MEASUREMENT is a session folder or a recording. Its setups are taken in the order in which they were read.
+
+    \b
+    mtcal enough bag --until U=2um
+    mtcal enough measurements/2024-05-03 --until told=backlash_y,thermal_expansion_x
+    """
+    from machine_tool_calibration.budget.enough import Until, after_each_setup
+    from machine_tool_calibration.effects.catalogue import own_effects
+    from machine_tool_calibration.methods.fitted import FitRequest
+    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.enough import show_reached
+
+    own = tuple(own_effects(files))
+    wanted = Until.parse(until, own)
+    chosen = FitRequest((open_measurement(measurement, topics),), None, model, (), own)
+    stages = []
+    with progress_bar() as progress:
+        for found in after_each_setup(chosen, wanted):
+            stages.append(found)
+            progress(f"after setup {found.setup}", found.readings / len(chosen.sessions[0].readings))
+    if as_json:
+        write_json({"format": "mtcal-enough/1", "until": until, "reached": [one.document() for one in stages]})
+        return
+    show_reached(console(), stages)

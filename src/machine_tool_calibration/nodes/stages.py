@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A measurement that ends when it tells enough: after every setup what is known is held against what is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+
+from machine_tool_calibration.budget.enough import Reached, determined, reached
+from machine_tool_calibration.effects.catalogue import own_effects
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level
+from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.session.catalogue import method_spec
+from machine_tool_calibration.session.collect import live_session
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.nodes.client import Client
+    from machine_tool_calibration.nodes.measurement import Setting
+    from machine_tool_calibration.procedure import Procedure
+
+__all__ = ["Stages"]
+
+_ANSWER = 60.0  # s
+
+
+class Stages:
+    """Decides between setups whether the measurement goes on, and says so on `until/status`.
+
+    Args:
+        client: beside the graph.
+        procedure: that it runs, paused before every new setup.
+        setting: with what is to be reached.
+
+    Attributes:
+        reached: after each setup so far.
+    """
+
+    def __init__(self, client: Client, procedure: Procedure, setting: Setting) -> None:
+        assert setting.until is not None
+        self._client, self._until = client, setting.until
+        self._model, self._effects = setting.model or None, setting.effects
+        mounted = method_spec(procedure.session.method).mounted(procedure.session)
+        self._by_hand = bool(mounted) and not setting.simulated_time
+        self._own = tuple(own_effects(()))
+        self._wanted = 1
+        if self._until.u is not None:  # all that the whole procedure determines
+            self._wanted = determined(FitRequest((planned_session(procedure).session,), None, self._model))
+        self.reached: list[Reached] = []
+        publisher = client.node.create_publisher(DiagnosticArray, "until/status", LATCHED)
+        self._status = StatusTopic(client.node, "until", publisher=publisher)
+
+    def next(self, progress: Callable[[str, int, int], None]) -> None:
+        """Ask for the next setup, or for the end, of a procedure that waits for it.
+
+        Where a person has to bring the instrument there, it is the person who resumes.
+        """
+        found, client = self.last(progress), self._client
+        if found.enough:
+            client.call("procedure/finish", _ANSWER)
+        elif not self._by_hand:
+            client.call("procedure/resume", _ANSWER)
+        else:
+            progress(client.procedure.message, found.readings, client.procedure.number("total"))
+        going = lambda: client.procedure.entries["state"] != "paused"  # noqa: E731
+        if not client.wait(going, float("inf") if self._by_hand else _ANSWER):
+            raise CalibrationError("the procedure does not go on")
+
+    def last(self, progress: Callable[[str, int, int], None]) -> Reached:
+        """What is known after the readings so far."""
+        captured, total = (self._client.procedure.number(name) for name in ("captured", "total"))
+        if not self._client.wait(lambda: self._client.heard.count[1] >= captured, _ANSWER):
+            raise CalibrationError(f"only {self._client.heard.count[1]} of {captured} readings were received")
+        if self.reached and self.reached[-1].readings == captured:
+            return self.reached[-1]
+        progress("is it enough?", captured, total)
+        text, readings = self._client.heard.session()
+        chosen = FitRequest((live_session(text, readings, check=False),), None, self._model, self._effects, self._own)
+        found = reached(chosen, self._until, self._wanted)
+        self.reached.append(found)
+        self._say(found)
+        return found
+
+    def _say(self, found: Reached) -> None:
+        u = f"{found.u:.4g}" if np.isfinite(found.u) else ""
+        entries: dict[str, object] = {
+            "setup": found.setup,
+            "readings": found.readings,
+            "U": u,
+            "wanted_U": "" if self._until.u is None else f"{self._until.u:.4g}",
+            "enough": found.enough,
+            **{f"probability.{name}": f"{p:.3f}" for name, p in found.probabilities.items()},
+        }
+        words = "enough" if found.enough else "not yet enough"
+        self._status.show(Level.OK, f"{words} after setup {found.setup}", entries)

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The best plan of what a procedure offers, beside the procedure as it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.planning.design import Candidates, SharedErrors, effect_sizes, map_errors
+from machine_tool_calibration.planning.dominant import ANGULAR, expected_model
+from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.planning.offer import Choice, Offer, offer
+from machine_tool_calibration.planning.optimise import bound, quickest, search
+from machine_tool_calibration.procedure.description import Procedure
+
+__all__ = ["Assumed", "BestPlan", "PlanQuality", "best_plan", "quickest_plan"]
+
+Progress = Callable[[str, float], object]
+
+# Share of the work that the search takes.
+_SEARCH = 0.7
+# Share of the uncertainty wanted that a plan is to come to, as readings may scatter more than is declared.
+_MARGIN = 0.95
+# Share of its largest plausible size to which an effect's size is to be known (k = 1).
+_SIZE = 0.02
+
+
+@dataclass(frozen=True)
+class PlanQuality:
+    """What a plan costs and determines.
+
+    Attributes:
+        setups: ids.
+        targets: ids of targets or features; empty where there are none to choose from.
+        repeats: of each setup.
+        seconds: of moving and waiting, with mounting, s.
+        u: (q,) standard uncertainty of each number, m, or of each effect's coefficient over its largest plausible size;
+            infinite where it is not determined.
+        stations: (k, 3) where the instrument stands, m; none of methods that do not say.
+    """
+
+    setups: tuple[str, ...]
+    targets: tuple[str, ...]
+    repeats: int
+    seconds: float
+    u: Array
+    stations: Array
+
+    @property
+    def largest(self) -> float:
+        """Largest of them."""
+        return float(self.u.max())
+
+    @property
+    def typical(self) -> float:
+        """Root mean square of those that are determined."""
+        good = np.isfinite(self.u)
+        return float(np.sqrt(np.mean(self.u[good] ** 2))) if good.any() else float("inf")
+
+    def document(self) -> dict[str, Any]:
+        """For programs; what is not determined is null."""
+        return {
+            "setups": list(self.setups),
+            "targets": list(self.targets),
+            "repeats": self.repeats,
+            "seconds": self.seconds,
+            "largest": self.largest if np.isfinite(self.largest) else None,
+            "typical": self.typical if np.isfinite(self.typical) else None,
+            "not_determined": int((~np.isfinite(self.u)).sum()),
+        }
+
+
+@dataclass(frozen=True)
+class BestPlan:
+    """The best plan that was found.
+
+    Attributes:
+        text: its procedure's file.
+        present: of the procedure as it stands.
+        best: of the plan.
+        bound: largest standard uncertainty that no plan of the offer falls below; 0 where the search was stopped.
+        points: (q, 3) places of the map's numbers, m; none for effects.
+        effects: that are to be told; empty where the map is.
+        candidates: how many setups and targets could be chosen.
+        tried: how many plans were looked at.
+        stopped: whether the search was stopped before its end.
+        complete: whether a budget is in the uncertainties.
+    """
+
+    text: str
+    present: PlanQuality
+    best: PlanQuality
+    bound: float
+    points: Array
+    effects: tuple[str, ...]
+    candidates: tuple[int, int]
+    tried: int
+    stopped: bool
+    complete: bool
+
+    def document(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "format": "mtcal-best-plan/1",
+            "for": list(self.effects) or "position_error",
+            "unit": "1" if self.effects else "m",
+            "present": self.present.document(),
+            "best": self.best.document(),
+            "bound": self.bound or None,
+            "candidates": {"setups": self.candidates[0], "targets": self.candidates[1]},
+            "tried": self.tried,
+            "stopped": self.stopped,
+            "complete": self.complete,
+        }
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """What is assumed of a measurement that was not made.
+
+    Attributes:
+        model: variant of the method's model; None for its default.
+        own: the user's own effects, beside the catalogue.
+        warming: change of the air's temperature, K per hour.
+        angular: root mean square of the machine's angular errors, rad.
+        errors: of the readings of a session, what its budget says beside their scatter.
+    """
+
+    model: str | None = None
+    own: Sequence[Effect] = ()
+    warming: float = 1.0
+    angular: float = ANGULAR
+    errors: Callable[[Observations], SharedErrors | None] = lambda observed: None
+
+
+def best_plan(
+    text: str,
+    source: str,
+    assumed: Assumed,
+    *,
+    told: Sequence[str] = (),
+    seed: int = 0,
+    progress: Progress = lambda what, share: None,
+) -> BestPlan:
+    """The best plan of what a procedure offers.
+
+    Args:
+        text: of the procedure's file.
+        source: its name, for messages.
+        assumed: of the measurement.
+        told: effects whose sizes the plan is to determine; the map's position errors if there are none.
+        seed: of the random starts.
+        progress: told what is being done and the share that is finished; a KeyboardInterrupt ends the search.
+
+    Raises:
+        SessionError: the procedure cannot be run, or a candidate is none.
+        ModelError: an effect is not known or cannot be told; nothing is determined by any plan.
+    """
+    offered = offer(text, source)
+    progress("what every candidate tells", 0.0)
+    candidates, points, complete = _candidates(offered, assumed, told)
+    found = search(offered, candidates, seed=seed, progress=lambda what, share: progress(what, _SEARCH * share))
+    lowest = 0.0
+    if not found.stopped:
+        with suppress(KeyboardInterrupt):
+            lowest = bound(
+                offered, candidates, found, progress=lambda what, share: progress(what, _SEARCH + (1 - _SEARCH) * share)
+            )
+
+    def quality(choice: Choice) -> PlanQuality:
+        variances = candidates.variances(offered.weights(choice))[candidates.told]
+        return _quality(offered, choice, np.sqrt(variances))
+
+    count = (len(offered.setups), 0 if offered.targets == ("",) else len(offered.targets))
+    return BestPlan(
+        offered.text(found.choice), quality(offered.present), quality(found.choice), lowest, points, tuple(told), count,
+        found.tried, found.stopped, complete,
+    )  # fmt: skip
+
+
+def quickest_plan(
+    text: str,
+    source: str,
+    assumed: Assumed,
+    *,
+    u: float | None = None,
+    told: Sequence[str] = (),
+    seed: int = 0,
+    progress: Progress = lambda what, share: None,
+) -> str:
+    """The file of a procedure whose setups are those that come soonest to what is wanted, the most useful ones first.
+
+    Args:
+        text: of the procedure's file.
+        source: its name, for messages.
+        assumed: of the measurement.
+        u: largest standard uncertainty of a coordinate of the map, m; or
+        told: effects whose sizes are to be determined to a share of what is plausible.
+        seed: of the random starts.
+        progress: told what is being done and the share that is finished.
+
+    Raises:
+        SessionError, ModelError: as for `best_plan`.
+    """
+    offered = offer(text, source)
+    progress("what every candidate tells", 0.0)
+    candidates, _, _ = _candidates(offered, assumed, told)
+    goal = _MARGIN * u if u is not None else _SIZE
+    return offered.text(quickest(offered, candidates, goal, seed=seed, progress=progress))
+
+
+def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
+    """What every candidate tells, (q, 3) places of the numbers, and whether a budget is in them."""
+    effects = _effects(told, assumed.own)
+
+    def fitted(procedure: Procedure) -> JointFit:
+        session = planned_session(procedure, assumed.warming).session
+        return fit_models([_with_effects(expected_model(session, assumed.model, assumed.angular), effects)])
+
+    everything = every_setup = fitted(offered.procedure)
+    if offered.choices.targets:  # the map is wanted where it is now
+        every_setup = fitted(offered.procedure_of(offered.every_setup))
+    known = effect_sizes(everything, told) if told else map_errors(every_setup)
+    observed = everything.assembly.models[0].observations
+    shared = assumed.errors(observed)
+    candidates = Candidates(everything, offered.unit_of(observed), known, shared)
+    if told and not candidates.told.all():
+        lost = [name for name, good in zip(_coefficients(everything, told), candidates.told, strict=True) if not good]
+        raise ModelError(f"no plan of these candidates tells {', '.join(lost)}: the model takes it up")
+    return candidates, known.points if told else known.points[candidates.told], shared is not None
+
+
+def _effects(told: Sequence[str], own: Sequence[Effect]) -> list[Effect]:
+    known = catalogue(own)
+    for name in told:
+        if name not in known:
+            raise ModelError(f"no effect {name!r}{did_you_mean(name, known)}")
+    return [known[name] for name in told]
+
+
+def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
+    """The model with effects, nonlinear coefficients in the middle of where they are looked for."""
+    terms = []
+    for effect in effects:
+        why = effect.why_not(model.observations)
+        if why is not None:
+            raise ModelError(f"effect {effect.id}: {why}")
+        grid = effect.shape_grid(model.observations)
+        terms.append(effect_term(effect, model.observations, grid[len(grid) // 2] if grid else ()))
+    return model.with_terms(terms)
+
+
+def _coefficients(joint: JointFit, told: Sequence[str]) -> list[str]:
+    return [p.name for p in joint.assembly.parameters if p.owner in told]
+
+
+def _quality(offered: Offer, choice: Choice, u: Array) -> PlanQuality:
+    entries: Sequence[Any] = offered.procedure.session.setups
+    places = [getattr(entries[k], "position", None) for k in choice.setups]
+    stations = np.array([place for place in places if place is not None]).reshape(-1, 3)
+    targets = tuple(offered.targets[k] for k in choice.targets if offered.targets[k])
+    setups = tuple(offered.setups[k] for k in choice.setups)
+    return PlanQuality(setups, targets, choice.repeats, offered.duration(choice), u, stations)

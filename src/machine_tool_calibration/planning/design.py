@@ -1,0 +1,350 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each candidate adds to the knowledge of a machine, so that a plan is judged by small sums and not by a fit.
+
+A plan is a choice of candidates: setups, and targets or features that are read from each. Each brings its readings'
+weighted columns, of which only the products are kept (the information matrix, Atkinson, Donev and Tobias, Optimum
+Experimental Designs, chapter 9). The information of a plan is the sum over its candidates; the unknowns of points that
+nobody else sees are eliminated from it (Schur complement), and the covariance of whatever is published follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.methods.build import error_map
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import Kind
+from machine_tool_calibration.model.refits import declared
+
+__all__ = ["Candidates", "Known", "SharedErrors", "effect_sizes", "map_errors"]
+
+# Change of an unknown by which what is published is differentiated; it is linear in the unknowns but for rounding.
+_STEP = 1e-6
+# Share of a point's largest eigenvalue of its information below which the readings do not fix it.
+_FIXED = 1e-9
+# Variance beside that with every candidate above which a number counts as not determined.
+_LOST = 1e10
+
+
+@dataclass(frozen=True)
+class Known:
+    """Numbers that a plan is judged by, as linear functions of the unknowns.
+
+    Attributes:
+        shared: (q, m) derivatives by the shared unknowns.
+        local: (q, d, P) derivatives by the points' own unknowns.
+        unknowns: (m,) names of the shared unknowns.
+        points: (q, 3) place of each in the map, m; none of what is no part of the map.
+    """
+
+    shared: Array
+    local: Array
+    unknowns: tuple[str, ...]
+    points: Array
+
+    def among(self, unknowns: Sequence[str]) -> Array:
+        """(q, k) the derivatives by the unknowns of another model, which has these among its own."""
+        place = {name: k for k, name in enumerate(unknowns)}
+        out = np.zeros((len(self.shared), len(unknowns)))
+        used = np.flatnonzero(self.shared.any(axis=0))
+        out[:, [place[self.unknowns[k]] for k in used]] = self.shared[:, used]
+        return out
+
+
+def map_errors(joint: JointFit) -> Known:
+    """The map's position errors that a fit determines."""
+    solution, part = joint.solution, joint.assembly.problem.parts[0]
+    m, shape = len(solution.theta), solution.local[0].shape
+
+    def errors(step: Array) -> Array:
+        """Of the shared unknowns followed by the points' own, moved by a step."""
+        theta, local = solution.theta + step[:m], solution.local[0] + step[m:].reshape(shape)
+        found = declared(replace(joint, solution=replace(solution, theta=theta, local=(local,)), given=None))
+        return error_map(found.fits[0]).error.reshape(-1)
+
+    columns = _derivatives(errors, m + part.dimension * part.n_points)
+    published = error_map(declared(joint).fits[0])
+    u = published.uncertainty.reshape(-1)
+    chosen = np.flatnonzero(np.isfinite(published.error.reshape(-1)) & np.isfinite(u) & (u > 0))
+    local = columns[chosen, m:].reshape(len(chosen), *shape)
+    return Known(
+        columns[chosen, :m], local, tuple(p.name for p in joint.assembly.parameters), published.points[chosen // 3]
+    )
+
+
+def _derivatives(function: Callable[[Array], Array], size: int) -> Array:
+    """(q, size) of a linear function; unknowns on which nothing depends are found many at a time.
+
+    Several are moved together by random steps: where nothing changes, nothing depends on any of them.
+    """
+    rng = np.random.default_rng(0)
+    here = function(np.zeros(size))
+    out = np.zeros((len(here), size))
+    left = [np.arange(size)]
+    while left:
+        some = left.pop()
+        step = np.zeros(size)
+        step[some] = _STEP * (1.0 if len(some) == 1 else rng.uniform(0.5, 1.5, len(some)))
+        change = function(step) - here
+        if not np.nan_to_num(change).any():
+            continue
+        if len(some) == 1:
+            out[:, some[0]] = change / _STEP
+        else:
+            left += np.array_split(some, min(len(some), 4))
+    return out
+
+
+def effect_sizes(joint: JointFit, effects: Collection[str]) -> Known:
+    """Coefficients of effects that a model holds, each over its largest plausible size."""
+    part, parameters = joint.assembly.problem.parts[0], joint.assembly.parameters
+    chosen = [k for k, p in enumerate(parameters) if p.kind is Kind.EFFECT and p.owner in effects]
+    shared = np.zeros((len(chosen), len(parameters)))
+    for row, k in enumerate(chosen):
+        shared[row, k] = 1.0 / max(abs(parameters[k].low or 0.0), abs(parameters[k].high or 0.0))
+    local = np.zeros((len(chosen), part.dimension, part.n_points))
+    return Known(shared, local, tuple(p.name for p in parameters), np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class _Information:
+    """What the readings of one candidate say.
+
+    Attributes:
+        seen: (k,) places of the shared unknowns that they see.
+        local: (P, d, d) products of the columns of the points' own unknowns.
+        mixed: (P, d, k) of these with the shared ones.
+        shared: (k, k) of the shared ones.
+        errors: (e,) numbers of the errors that the readings share and that act here.
+        local_right: (P, d, e) products of the points' columns with these.
+        right: (k, e) of the shared columns.
+    """
+
+    seen: IntArray
+    local: Array
+    mixed: Array
+    shared: Array
+    errors: IntArray
+    local_right: Array
+    right: Array
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """What a budget says of the readings, beside the scatter that is declared.
+
+    Attributes:
+        scatter: how many times as large as declared is what every reading has of its own.
+        change: (e, n) what one standard uncertainty of each value that readings share does to them, m.
+    """
+
+    scatter: float
+    change: Array
+
+
+class Candidates:
+    """All that could be measured, and how well a choice of it determines what is to be known."""
+
+    def __init__(self, joint: JointFit, unit: IntArray, known: Known, errors: SharedErrors | None = None) -> None:
+        """Form the products of each candidate's columns.
+
+        Args:
+            joint: a fit of one session with the readings of every candidate once.
+            unit: (n,) candidate of each of the model's readings, from 0.
+            known: what the plan is to determine.
+            errors: of the readings, beside their declared scatter; none if absent.
+        """
+        problem, part = joint.assembly.problem, joint.assembly.problem.parts[0]
+        self.size, self.constraints = problem.size, problem.constraints
+        self._functions = known.among([p.name for p in joint.assembly.parameters])
+        self._own_functions = np.moveaxis(known.local, 1, 2)  # (q, P, d)
+        self.count = int(unit.max()) + 1
+        self._readings = np.bincount(unit)
+        columns, own, point = _rows(part, joint.solution.theta, joint.solution.local[0], problem.size)
+        shared = errors or SharedErrors(1.0, np.zeros((0, part.n_readings)))
+        weighted = shared.change / joint.assembly.models[0].sigma
+        self._scatter, self._errors = shared.scatter, len(weighted)
+        self.units = [
+            _information(part, columns[mine], own[mine], point[mine], weighted[:, mine])
+            for mine in (unit == u for u in range(self.count))
+        ]
+        touched = np.zeros((self.count, self.size), dtype=bool)
+        for u, information in enumerate(self.units):
+            touched[u, information.seen] = np.diag(information.shared) > 0
+        priors = problem.priors
+        self._priors = np.zeros((0, self.size)) if priors is None else priors.columns / priors.sigma[:, None]
+        # What priors or the datum tie together is there as a whole.
+        tied = np.vstack([self._priors, self.constraints]) != 0
+        count, family = connected_components(tied.T.astype(int) @ tied.astype(int))
+        self._family = np.asarray(family, dtype=np.int64)
+        families = np.zeros((self.count, int(count)), dtype=bool)
+        for u, seen in enumerate(touched):
+            families[u, self._family[seen]] = True
+        self._families, self._never = families, ~families.any(axis=0)
+        # what everything at once determines: the yardstick for what a plan leaves open
+        everything = self.variances(np.ones(self.count))
+        self.told: BoolArray = np.isfinite(everything)
+        self._least = everything
+
+    def variances(self, weights: Array) -> Array:
+        """(q,) variance of each number; infinite where it is not determined.
+
+        Args:
+            weights: (count,) how often each candidate is measured, 0 for not at all.
+        """
+        return self.judged(weights)[0]
+
+    def judged(self, weights: Array) -> tuple[Array, float]:
+        """(q,) variances, and the share of the readings, each counted once, that check others.
+
+        Args:
+            weights: (count,) how often each candidate is measured, 0 for not at all.
+        """
+        variance, x_shared, x_local, redundancy = self._solved(weights, responses=bool(self._errors))
+        if not self._errors:
+            return variance, redundancy
+        # the fit knows nothing of what readings share: each such error moves every number by x^T A^T W e
+        moved = np.zeros((len(variance), self._errors))
+        for u in np.flatnonzero(weights > 0):
+            own = self.units[u]
+            moved[:, own.errors] += weights[u] * (x_shared[own.seen].T @ own.right)
+            if x_local.size:
+                right = own.local_right
+                moved[:, own.errors] += weights[u] * np.einsum("pdq,pde->qe", x_local, right, optimize=True)
+        known = np.isfinite(variance)
+        complete = self._scatter**2 * variance[known] + np.einsum("qe,qe->q", moved[known], moved[known])
+        variance[known] = np.maximum(variance[known], complete)
+        return variance, redundancy
+
+    def slopes(self, weights: Array) -> tuple[Array, Array]:
+        """(q,) variances by the declared scatter, and (q, count) their derivatives: every candidate makes them smaller.
+
+        c_k = j_k^T N^-1 j_k, hence dc_k / dw_u = -x_k^T N_u x_k with x_k = N^-1 j_k.
+        """
+        variance, x_shared, x_local, _ = self._solved(weights, responses=True)
+        slope = np.zeros((len(variance), self.count))
+        for u, own in enumerate(self.units):
+            shared, local = x_shared[own.seen], x_local  # (k, q), (P, d, q)
+            change = np.einsum("kq,kl,lq->q", shared, own.shared, shared, optimize=True)
+            if local.size:
+                change += np.einsum("pdq,pde,peq->q", local, own.local, local, optimize=True)
+                change += 2.0 * np.einsum("pdq,pdk,kq->q", local, own.mixed, shared, optimize=True)
+            slope[:, u] = -change
+        return variance, slope
+
+    def _there(self, some: IntArray) -> BoolArray:
+        """(m,) which shared unknowns some candidates bring with them."""
+        return np.asarray(self._never | self._families[some].any(axis=0))[self._family]
+
+    def _solved(self, weights: Array, *, responses: bool) -> tuple[Array, Array, Array, float]:
+        """(q,) variances; redundancy; and where `responses` are wanted N^-1 j of each number.
+
+        These are (m, q) of the shared unknowns and (P, d, q) of the points' own.
+        """
+        some = np.flatnonzero(weights > 0)
+        there = self._there(some)
+        place = np.flatnonzero(there)
+        at = np.full(self.size, -1)
+        at[place] = np.arange(len(place))
+        shared = np.zeros((len(place), len(place)))
+        points, d = self.units[0].local.shape[:2]
+        local, mixed = np.zeros((points, d, d)), np.zeros((points, d, len(place)))
+        for u in some:
+            own, where = self.units[u], at[self.units[u].seen]
+            good = where >= 0
+            where = where[good]
+            shared[np.ix_(where, where)] += weights[u] * own.shared[np.ix_(good, good)]
+            if d:
+                local += weights[u] * own.local
+                mixed[:, :, where] += weights[u] * own.mixed[:, :, good]
+        rows = self._priors[:, place]
+        rows = rows[(rows != 0).any(axis=1)]
+        shared += rows.T @ rows
+        squares = np.diag(shared).copy()
+        functions, own_functions = self._functions[:, place], self._own_functions
+        lost = np.zeros(len(functions), dtype=bool)
+        inner = np.zeros(len(functions))
+        inverse, of_points = np.zeros_like(local), 0
+        if d:
+            inverse, fixed = _inverses(local)
+            of_points = d * int(fixed.sum())
+            lost |= (np.abs(own_functions[:, ~fixed]) > 0).any(axis=(1, 2))
+            folded = inverse @ mixed  # (P, d, k)
+            shared -= np.einsum("pdk,pdl->kl", mixed, folded, optimize=True)
+            seen = np.einsum("pde,qpe->pdq", inverse, own_functions, optimize=True)
+            inner = np.einsum("qpd,pdq->q", own_functions, seen, optimize=True)
+            functions = functions - np.einsum("qpd,pdk->qk", own_functions, folded, optimize=True)
+        constraints = self.constraints[:, place]
+        normal = solve_normal(
+            shared, np.zeros(len(place)), constraints, np.zeros(len(constraints)), np.maximum(squares, 1e-300)
+        )
+        half = functions @ normal.half
+        variance = inner + np.einsum("qr,qr->q", half, half)
+        if normal.undetermined.shape[1]:
+            # judged beside the length of the function in the unknowns' own units
+            open_part = np.abs(functions @ normal.undetermined)
+            scale = np.linalg.norm(functions, axis=1)
+            lost |= (open_part > 1e-6 * scale[:, None]).any(axis=1)
+        if hasattr(self, "_least"):
+            lost |= variance > _LOST * self._least
+        variance = np.where(lost, np.inf, variance)
+        x_shared = np.zeros((self.size, len(functions) if responses else 0))
+        x_local = np.zeros((points, d, x_shared.shape[1]))
+        if responses:
+            x_shared[place] = normal.half @ half.T
+            if d:
+                x_local = seen - np.einsum("pdk,kq->pdq", folded, x_shared[place], optimize=True)
+        told = of_points + normal.rank
+        readings = int(self._readings[some].sum())
+        return variance, x_shared, x_local, (readings + len(rows) - told) / max(readings, 1)
+
+
+def _inverses(local: Array) -> tuple[Array, BoolArray]:
+    """(P, d, d) inverses, zero where the readings do not fix a point; and (P,) whether they do."""
+    values, vectors = np.linalg.eigh(local)
+    fixed = values[:, 0] > _FIXED * np.maximum(values[:, -1], 1e-300)
+    inverse = np.einsum("pij,pj,pkj->pik", vectors, 1.0 / np.where(fixed[:, None], values, 1.0), vectors)
+    return np.where(fixed[:, None, None], inverse, 0.0), fixed
+
+
+def _rows(part: Part, theta: Array, local: Array, size: int) -> tuple[Array, Array, IntArray]:
+    """(n, m) weighted columns of the shared unknowns, (n, d) of the point's own, and (n,) the point."""
+    shared = np.zeros((part.n_readings, size))
+    own = np.zeros((part.n_readings, part.dimension))
+    point = part.point_of_reading() if part.dimension else np.zeros(part.n_readings, dtype=np.int64)
+    for group, layout in enumerate(part.groups):
+        slots, n = layout.rows.shape
+        rows = part.rows(group, slice(0, n), theta, local)
+        for slot in range(slots):
+            there = layout.rows[slot] >= 0
+            reading = layout.rows[slot][there]
+            for column, place in zip(rows.dense, part.dense_index, strict=True):
+                shared[reading, place] += column[slot][there]
+            for column, place in zip(rows.block, part.block_index[layout.block[slot]], strict=True):
+                shared[reading, place] += column[slot][there]
+            own[reading] = rows.local[:, slot][:, there].T
+    return shared, own, point
+
+
+def _information(part: Part, shared: Array, own: Array, point: IntArray, errors: Array) -> _Information:
+    seen = np.flatnonzero((shared != 0).any(axis=0))
+    acting = np.flatnonzero((errors != 0).any(axis=1))
+    columns, right = shared[:, seen], errors[acting].T
+    d, points = part.dimension, part.n_points
+
+    def of_points(other: Array) -> Array:
+        out = np.zeros((points, d, other.shape[1]))
+        if d:
+            np.add.at(out, point, own[:, :, None] * other[:, None, :])
+        return out
+
+    return _Information(
+        seen, of_points(own), of_points(columns), columns.T @ columns, acting, of_points(right), columns.T @ right
+    )

@@ -1,0 +1,450 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan that determines a machine best in a given time, and how much better any plan could be.
+
+The largest standard uncertainty among the numbers asked for is made smallest (minimax, or G-optimal over the map's
+places) by coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995): each setup, target and number of repeats
+in turn is replaced by what lowers it most, from several starts, until nothing does. The bound is that of the relaxed
+problem, in which a candidate may be measured a fraction of a time: the variances are convex in these weights, so that
+their tangents are below them everywhere, and a linear program over tangents gives a value that no plan falls below
+(Kelley's cutting planes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.planning.design import Candidates
+from machine_tool_calibration.planning.offer import Choice, Offer
+
+__all__ = ["Searched", "bound", "quickest", "search"]
+
+Progress = Callable[[str, float], object]
+
+# Starts, and plans to be tried at least, where there are so many.
+_STARTS = 4
+_PLANS = 6000
+_MOST_STARTS = 40
+# Share of the readings that must check others: a plan without redundancy hides every mistake.
+_CHECKED = 0.1
+_UNCHECKED = 1e3
+# More than any plan takes, s.
+_LONG = 1e9
+# Starts for each number of setups.
+_TRIES = 3
+# What U counts among plans that take as long.
+_TIE = 1e-3
+# Of the search's first leg: a mean that lies close to the largest value and changes smoothly with all of them.
+_POWER = 8.0
+# What makes a plan better, relative: less is rounding.
+_BETTER = 1e-6
+# The same of a time: moves between setups are known only once these are chosen.
+_ROUNDED = 0.01
+_ROUNDS = 60
+_NODES = 500
+# Share of the way to where the linear program's solution lies.
+_STRIDE = 0.3
+# The bound is good enough within this share of the best plan's variance.
+_CLOSE = 0.01
+# Functions whose variance is at least this share of the largest have tangents; those of the others hardly matter.
+_NEAR = 0.6
+_MOST_TANGENTS = 60
+
+
+@dataclass(frozen=True)
+class Searched:
+    """The best plan that was found.
+
+    Attributes:
+        choice: of the offer.
+        variances: (q,) of the numbers asked for.
+        tried: how many plans were looked at.
+        stopped: whether the search was stopped before it came to its end.
+    """
+
+    choice: Choice
+    variances: Array
+    tried: int
+    stopped: bool
+
+    @property
+    def largest(self) -> float:
+        """Largest standard uncertainty."""
+        return float(np.sqrt(self.variances.max()))
+
+
+class _Judge:
+    """Plans judged by their numbers; each plan once."""
+
+    def __init__(self, offered: Offer, candidates: Candidates) -> None:
+        self.offered, self.candidates = offered, candidates
+        self.known: dict[Choice, tuple[Array, float]] = {}
+
+    def judged(self, choice: Choice) -> tuple[Array, float]:
+        """Variances of the numbers that some plan tells, and the redundancy."""
+        if choice not in self.known:
+            variances, redundancy = self.candidates.judged(self.offered.weights(choice))
+            self.known[choice] = variances[self.candidates.told], redundancy
+        return self.known[choice]
+
+    def smooth(self, choice: Choice) -> float:
+        return self._cost(choice, _POWER)
+
+    def largest(self, choice: Choice) -> float:
+        return self._cost(choice, np.inf)
+
+    def _cost(self, choice: Choice, power: float) -> float:
+        variances, redundancy = self.judged(choice)
+        return _mean(variances, power) + (_UNCHECKED if redundancy < _CHECKED else 0.0)
+
+
+def _mean(variances: Array, power: float) -> float:
+    """Power mean of the standard uncertainties; what is not determined counts more than anything that is."""
+    good = np.isfinite(variances)
+    lost = float((~good).sum())
+    if not good.any():
+        return 1e6 * lost
+    u = np.sqrt(variances[good])
+    top = max(float(u.max()), np.finfo(float).tiny)
+    mean = top if np.isinf(power) else top * float(np.mean((u / top) ** power) ** (1.0 / power))
+    return mean + 1e6 * lost
+
+
+@single_blas()
+def search(
+    offered: Offer, candidates: Candidates, *, seed: int = 0, progress: Progress = lambda what, share: None
+) -> Searched:
+    """The best plan that coordinate exchange finds.
+
+    Args:
+        offered: what could be measured.
+        candidates: what each adds to the knowledge.
+        seed: of the random starts: the same gives the same plan.
+        progress: told what is being done and the share that is finished; a KeyboardInterrupt ends the search with what
+            was found up to then.
+
+    Raises:
+        ModelError: the candidates determine nothing, or not even one setup fits in the time.
+    """
+    if not candidates.told.any():
+        raise ModelError("nothing that is asked for is determined, even if all that could be measured were")
+    judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
+    exact = offered.duration(offered.present)
+    seconds = offered.seconds * offered.rough_duration(offered.present) / exact
+    stopped = False
+    while True:
+        exchange = _Exchange(offered, seconds)
+        best = found = exchange.thinned(offered.present)
+        try:
+            for number in range(_MOST_STARTS):
+                for cost in (judge.smooth, judge.largest):
+                    for better in exchange.improving(found, cost):
+                        found = better
+                        progress(f"plans tried: {len(judge.known)}", min(len(judge.known) / _PLANS, 0.99))
+                if judge.largest(found) < judge.largest(best) * (1.0 - _BETTER):
+                    best = found
+                if number + 1 >= _STARTS and len(judge.known) >= _PLANS:
+                    break
+                found = exchange.drawn(rng, 1 + number % exchange.most_setups if number % 2 else None)
+        except KeyboardInterrupt:
+            stopped = True
+            best = min(filter(exchange.allowed, judge.known), key=judge.largest, default=best)
+        over = offered.duration(best) / offered.seconds
+        if over <= 1.0 + _ROUNDED or stopped:
+            return Searched(best, judge.judged(best)[0], len(judge.known), stopped)
+        seconds /= over
+
+
+@single_blas()
+def quickest(
+    offered: Offer,
+    candidates: Candidates,
+    goal: float,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda what, share: None,
+) -> Choice:
+    """The plan that comes to an uncertainty in the shortest time, followed by what would help most after it.
+
+    Args:
+        offered: what could be measured.
+        candidates: what each adds to the knowledge.
+        goal: largest standard uncertainty of the numbers asked for.
+        seed: of the random starts.
+        progress: told what is being done and the share that is finished.
+
+    Returns:
+        The setups in an order in which each is the best after those before it; as many as are allowed.
+    """
+    judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
+    exchange = _Exchange(offered, offered.choices.seconds or np.inf)
+    plans = []
+    for number in range(1, exchange.most_setups + 1):
+        for start in range(_TRIES):
+            progress(f"plans tried: {len(judge.known)}", (number - 1 + start / _TRIES) / exchange.most_setups)
+            found = exchange.drawn(rng, number)
+            for value in (judge.smooth, judge.largest):
+                *_, found = exchange.improving(found, value, exchanges=True)
+            plans += [replace(found, repeats=repeats) for repeats in exchange.repeats]
+
+    def cost(choice: Choice) -> float:
+        """Time, and among plans of one time U; of plans that do not come to the goal how far they are from it."""
+        short = judge.largest(choice) / goal
+        return offered.rough_duration(choice) * (1.0 + _TIE * short) if short <= 1.0 else _LONG * short
+
+    return _ordered(exchange, min(filter(exchange.allowed, plans), key=cost), judge.largest)
+
+
+def _ordered(exchange: _Exchange, best: Choice, cost: Callable[[Choice], float]) -> Choice:
+    """The setups of a plan one after the other, each the best after those before it; then others in the same way."""
+    done: tuple[int, ...] = ()
+    others = [s for s in range(len(exchange.offered.setups)) if s not in best.setups]
+    for group in (list(best.setups), others):
+        while group and exchange.allowed(replace(best, setups=(*done, group[0]))):
+            following = min(group, key=lambda s: cost(replace(best, setups=tuple(sorted((*done, s))))))
+            done = (*done, following)
+            group.remove(following)
+    return replace(best, setups=done)
+
+
+class _Exchange:
+    """What can be changed of a plan within what is allowed."""
+
+    def __init__(self, offered: Offer, seconds: float) -> None:
+        """Keep the rules.
+
+        Args:
+            offered: what could be measured.
+            seconds: the most that the parts of a plan may take together.
+        """
+        self.offered, self.seconds = offered, seconds * (1.0 + _BETTER)
+        self.most_setups, self.most_targets = _most(offered)
+        self.repeats = sorted({*offered.choices.repeats, offered.present.repeats})
+
+    def allowed(self, choice: Choice) -> bool:
+        """Whether a plan keeps to numbers and time."""
+        return (
+            0 < len(choice.setups) <= self.most_setups
+            and 0 < len(choice.targets) <= self.most_targets
+            and self.offered.rough_duration(choice) <= self.seconds
+        )
+
+    def improving(
+        self, choice: Choice, cost: Callable[[Choice], float], *, exchanges: bool = False
+    ) -> Iterator[Choice]:
+        """Better and better plans, until no single change makes one better; the first is the one given.
+
+        Args:
+            choice: where to begin.
+            cost: what is to become smaller.
+            exchanges: whether the numbers of setups, targets and repeats stay as they are.
+        """
+        yield choice
+        value = cost(choice)
+        while True:
+            before = value
+            for moves in self.neighbourhoods(choice, exchanges=exchanges):
+                allowed = [move for move in moves(choice) if self.allowed(move)]
+                costs = [cost(move) for move in allowed]
+                k = int(np.argmin(costs)) if costs else -1
+                if costs and costs[k] < value * (1.0 - _BETTER):
+                    choice, value = allowed[k], costs[k]
+                    yield choice
+            if value >= before * (1.0 - _BETTER):
+                return
+
+    def neighbourhoods(self, choice: Choice, *, exchanges: bool) -> Iterator[Callable[[Choice], list[Choice]]]:
+        """What can be changed, one thing after the other."""
+        for place in range(len(choice.setups)):
+            yield partial(self.other_setup, place=place)
+        for place in range(len(choice.targets)):
+            yield partial(self.other_target, place=place)
+        if not exchanges:
+            yield from (self.repeated, self.other_numbers, self.other_targets)
+
+    def repeated(self, now: Choice) -> list[Choice]:
+        """Other numbers of repeats, also with a setup less where time would not do."""
+        out = []
+        for repeats in self.repeats:
+            again = replace(now, repeats=repeats)
+            fewer = [replace(again, setups=_without(now.setups, k)) for k in range(len(now.setups))]
+            out += [again, *fewer] if repeats != now.repeats else []
+        return out
+
+    def other_setup(self, now: Choice, place: int) -> list[Choice]:
+        """One setup exchanged for each other one."""
+        return [replace(now, setups=_with(_without(now.setups, place), s)) for s in self._idle_setups(now)]
+
+    def other_numbers(self, now: Choice) -> list[Choice]:
+        """One setup more or less."""
+        more = [replace(now, setups=_with(now.setups, s)) for s in self._idle_setups(now)]
+        return [*more, *(replace(now, setups=_without(now.setups, k)) for k in range(len(now.setups)))]
+
+    def other_target(self, now: Choice, place: int) -> list[Choice]:
+        """One target exchanged for each other one."""
+        if now.targets[place] in self.offered.always:
+            return []
+        rest = _without(now.targets, place)
+        return [replace(now, targets=_with(rest, t)) for t in self._idle_targets(now)]
+
+    def other_targets(self, now: Choice) -> list[Choice]:
+        """One target more or less."""
+        more = [replace(now, targets=_with(now.targets, t)) for t in self._idle_targets(now)]
+        free = [k for k, t in enumerate(now.targets) if t not in self.offered.always]
+        return [*more, *(replace(now, targets=_without(now.targets, k)) for k in free)]
+
+    def _idle_setups(self, now: Choice) -> list[int]:
+        return [s for s in range(len(self.offered.setups)) if s not in now.setups]
+
+    def _idle_targets(self, now: Choice) -> list[int]:
+        return [t for t in range(len(self.offered.targets)) if t not in now.targets]
+
+    def thinned(self, choice: Choice) -> Choice:
+        """The plan without its last setups and repeats, as far as time is short.
+
+        Raises:
+            ModelError: not even one setup fits in the time.
+        """
+        while not self.allowed(choice):
+            if choice.repeats > self.repeats[0]:
+                choice = replace(choice, repeats=max(r for r in self.repeats if r < choice.repeats))
+            elif len(choice.setups) > 1:
+                choice = replace(choice, setups=choice.setups[:-1])
+            else:
+                needed = self.offered.rough_duration(choice)
+                raise ModelError(f"one setup takes {needed:.0f} s; {self.offered.seconds:.0f} s are allowed")
+        return choice
+
+    def drawn(self, rng: np.random.Generator, number: int | None = None) -> Choice:
+        """A plan at random, with a number of setups and most repeats, or as large as is allowed."""
+        always, count = self.offered.always, len(self.offered.setups)
+        free = [t for t in range(len(self.offered.targets)) if t not in always]
+        targets = rng.permutation(free)[: self.most_targets - len(always)].tolist()
+        setups = rng.permutation(count)[: number or self.most_setups].tolist()
+        repeats = int(rng.choice(self.repeats)) if number is None else self.repeats[-1]
+        choice = self.thinned(Choice(tuple(setups), tuple(sorted((*always, *targets))), repeats))
+        return replace(choice, setups=tuple(sorted(choice.setups)))
+
+
+def _with(chosen: tuple[int, ...], more: int) -> tuple[int, ...]:
+    return tuple(sorted((*chosen, more)))
+
+
+def _without(chosen: tuple[int, ...], place: int) -> tuple[int, ...]:
+    return chosen[:place] + chosen[place + 1 :]
+
+
+def _most(offered: Offer) -> tuple[int, int]:
+    """Most setups, and most targets with those that are always there."""
+    most = offered.choices.most_targets
+    targets = len(offered.present.targets) if most is None else most + len(offered.always)
+    return offered.choices.most_setups or len(offered.present.setups), targets
+
+
+@single_blas()
+def bound(
+    offered: Offer, candidates: Candidates, best: Searched, *, progress: Progress = lambda what, share: None
+) -> float:
+    """A largest standard uncertainty that no plan of an offer falls below.
+
+    Args:
+        offered: what could be measured.
+        candidates: what each adds to the knowledge.
+        best: a plan that was found.
+        progress: told what is being done and the share that is finished.
+    """
+    every = sorted({*offered.choices.repeats, offered.present.repeats})
+    scale = float(best.variances.max())
+    lowest = 1.0
+    for number, repeats in enumerate(every):
+
+        def told(share: float, number: int = number) -> None:
+            progress("how good any plan could be", (number + share) / len(every))
+
+        lowest = min(lowest, _relaxed(_Relaxed(offered, repeats), candidates, scale, told))
+    return float(np.sqrt(max(lowest, 0.0) * scale))
+
+
+def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: Callable[[float], object]) -> float:
+    """Lower bound of the largest variance over `scale`, with one number of repeats."""
+    told, weights = candidates.told, program.inside
+    tangents, values = np.zeros((0, candidates.count)), np.zeros(0)
+    lowest = 0.0
+    for number in range(_ROUNDS):
+        progress(number / _ROUNDS)
+        variance, slope = (part[told] / scale for part in candidates.slopes(weights))
+        near = np.argsort(-variance)[:_MOST_TANGENTS]
+        near = near[variance[near] >= _NEAR * variance[near[0]]]
+        tangents = np.vstack([tangents, slope[near]])
+        values = np.append(values, variance[near] - slope[near] @ weights)
+        value, corner = program.solved(tangents, values)
+        lowest = max(lowest, value)
+        if lowest > 1.0 or lowest > variance.max() * (1.0 - _CLOSE):
+            break
+        weights = (1.0 - _STRIDE) * weights + _STRIDE * corner
+    return max(lowest, program.solved(tangents, values, whole=True)[0])
+
+
+class _Relaxed:
+    """What is allowed of the weights where candidates may be measured in part.
+
+    A setup of which a target is measured in part is there at least in that part, and takes so much of its mounting: no
+    more than any plan does.
+    """
+
+    def __init__(self, offered: Offer, repeats: int) -> None:
+        """State the rules for a number of repeats."""
+        setups, targets = len(offered.setups), len(offered.targets)
+        self.count, self.setups, self.repeats = setups * targets, setups, repeats
+        spent = offered.unit_seconds.reshape(-1)
+        size = self.count + setups + 1  # the candidates, how far each setup is there, and the bound itself
+        time, number = np.zeros(size), np.zeros(size)
+        time[: self.count], time[self.count : -1] = repeats * spent, offered.choices.mounting
+        number[self.count : -1] = 1.0
+        there, k = np.zeros((self.count, size)), np.arange(self.count)
+        there[k, k], there[k, self.count + k // targets] = 1.0, -1.0
+        self.rows = np.vstack([time, number, there])
+        # with one target for each setup a setup that is there is measured
+        self.left = np.concatenate([[-np.inf, -np.inf], np.full(self.count, 0.0 if targets == 1 else -np.inf)])
+        seconds = offered.seconds * offered.rough_duration(offered.present) / offered.duration(offered.present)
+        most = float(_most(offered)[0])
+        self.right = np.concatenate([[seconds, most], np.zeros(self.count)])
+        share = min(most / setups, seconds / float(time.sum()), 1.0)
+        self.inside = np.full(self.count, share * repeats)
+
+    def solved(self, tangents: Array, values: Array, *, whole: bool = False) -> tuple[float, Array]:
+        """What no plan falls below, and weights at which the tangents come to it.
+
+        Args:
+            tangents: (q, count) derivatives by the weights.
+            values: (q,) the tangents at zero.
+            whole: whether setups are there as a whole or not at all, as far as branch and bound comes with a fixed
+                number of nodes.
+        """
+        from scipy import optimize  # slow to load
+
+        above = np.zeros((len(tangents), self.rows.shape[1]))
+        above[:, : self.count], above[:, -1] = self.repeats * tangents, -1.0
+        goal, ends = np.zeros(self.rows.shape[1]), np.ones(self.rows.shape[1])
+        goal[-1], ends[-1] = 1.0, np.inf
+        rules = optimize.LinearConstraint(
+            np.vstack([self.rows, above]),
+            np.concatenate([self.left, np.full(len(values), -np.inf)]),
+            np.concatenate([self.right, -values]),
+        )
+        found = optimize.milp(
+            goal,
+            constraints=rules,
+            bounds=optimize.Bounds(0.0, ends),
+            integrality=np.concatenate([np.zeros(self.count), np.full(self.setups, float(whole)), [0.0]]),
+            options={"node_limit": _NODES} if whole else {},
+        )
+        if found.x is None:
+            return max(float(found.mip_dual_bound or 0.0), 0.0), np.zeros(self.count)
+        return float(found.mip_dual_bound if whole else found.fun), self.repeats * found.x[: self.count]

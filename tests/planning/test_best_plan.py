@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The best plan: judged as a fit judges it, never worse than what is there, and never below its bound."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.shared_errors import shared_errors
+from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.methods.build import error_map
+from machine_tool_calibration.methods.identify import fitted_sessions, identify
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.refits import declared
+from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, best_plan
+from machine_tool_calibration.planning.design import Candidates, map_errors
+from machine_tool_calibration.planning.dominant import expected_model
+from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.planning.offer import Choice, Offer, offer
+from machine_tool_calibration.planning.optimise import bound, search
+from machine_tool_calibration.procedure import parse_procedure, plan
+from machine_tool_calibration.procedure.choices import expanded
+
+PLANE = """
+format: mtcal-procedure/1
+name: plane
+session:
+  method: tracking_interferometer
+  dimension: 2
+  pointing: open_loop
+  machine: {chain: w-C-b-Y-X-Z-t, travel: {x: [0.0, 0.4], y: [0.0, 0.4], z: [0.0, 0.05]}}
+  repeats: 1
+  setups:
+  - {id: A, position: [-0.35, 0.05, 0.0], position_uncertainty: 2.0e-5}
+  - {id: B, position: [-0.40, 0.15, 0.0], position_uncertainty: 2.0e-5}
+  - {id: C, position: [-0.30, 0.25, 0.0], position_uncertainty: 2.0e-5}
+  standard_uncertainty: {displacement: 3.0e-7}
+path:
+  grid: {x: {first: 0.0, last: 0.4, count: 3}, y: {first: 0.0, last: 0.4, count: 3}, z: [0.0]}
+choices:
+  mounting: 100.0
+  repeats: [1, 2]
+  most_setups: 4
+  setups:
+  - {position: [{any: [-0.4, 0.8]}, {first: -0.2, last: 0.6, count: 3}, 0.0], position_uncertainty: 2.0e-5}
+"""
+
+
+def _changed(**changes: Any) -> str:
+    content = yaml.safe_load(PLANE)
+    content["session"] |= changes.pop("session", {})
+    content["choices"] |= changes
+    return yaml.safe_dump(content)
+
+
+def _candidates(offered: Offer) -> Candidates:
+    joint = fit_models([expected_model(planned_session(offered.procedure).session, None)])
+    return Candidates(joint, offered.unit_of(joint.assembly.models[0].observations), map_errors(joint))
+
+
+@pytest.fixture(scope="module")
+def found() -> BestPlan:
+    return best_plan(PLANE, "plane.yaml", Assumed())
+
+
+def test_templates_stand_for_every_combination() -> None:
+    entries = list(expanded({"id": "S", "position": [{"any": [1, 2]}, {"first": 0.0, "last": 1.0, "count": 3}, 0.5]}))
+    assert len(entries) == 6
+    assert {tuple(entry["position"]) for entry in entries} == {(a, b, 0.5) for a in (1, 2) for b in (0.0, 0.5, 1.0)}
+    assert {entry["id"] for entry in entries} == {"S"}
+
+
+_METHODS = ["tracking_2d", "tracking_3d", "rotary_axis_one_way", "probing_cross", "step_diagonal"]
+
+
+@pytest.mark.parametrize("name", _METHODS)
+def test_a_part_of_the_candidates_is_judged_as_its_own_fit(name: str) -> None:
+    content = yaml.safe_load(procedure_file(name).read_text())
+    content.pop("choices", None)
+    content["session"]["repeats"] = 1
+    offered = offer(yaml.safe_dump(content), name)
+    repeats = 2 if name == "tracking_3d" else 1  # three stations for three unknowns of each point
+    chosen = Choice(tuple(range(len(offered.setups) - 1)), offered.present.targets, repeats)
+    candidates = _candidates(offered)
+    u = np.sqrt(candidates.variances(offered.weights(chosen)))
+
+    alone = fit_models([expected_model(planned_session(offered.procedure_of(chosen)).session, None)])
+    published = error_map(declared(alone).fits[0])
+    own = published.uncertainty.reshape(-1)
+    whole = error_map(declared(fit_models([expected_model(planned_session(offered.procedure).session, None)])).fits[0])
+    told = np.isfinite(whole.uncertainty.reshape(-1)) & (whole.uncertainty.reshape(-1) > 0)
+    wanted = np.where(np.isfinite(own), own, np.inf)[told]
+    # the two are linearised where their own readings, which scatter, put stations and points
+    np.testing.assert_allclose(u, wanted, rtol=5e-3)
+
+
+def test_slopes_are_those_of_the_variances() -> None:
+    offered = offer(PLANE, "plane")
+    candidates = _candidates(offered)
+    weights = np.linspace(0.5, 1.5, candidates.count)
+    variances, slopes = candidates.slopes(weights)
+    np.testing.assert_allclose(variances, candidates.variances(weights))
+    for unit in (0, candidates.count - 1):
+        step = 1e-4 * np.eye(candidates.count)[unit]
+        change = candidates.variances(weights + step) - candidates.variances(weights - step)
+        np.testing.assert_allclose(change / 2e-4, slopes[:, unit], rtol=1e-4)
+
+
+def test_stations_on_one_side_are_spread_and_the_plan_is_a_procedure(found: BestPlan) -> None:
+    assert found.best.largest < 0.5 * found.present.largest
+    assert found.best.seconds <= 1.01 * found.present.seconds
+    made = parse_procedure(found.text, "best")
+    assert plan(made).duration + 100.0 * len(found.best.setups) == pytest.approx(found.best.seconds)
+    result = identify(planned_session(made).session)
+    own = error_map(declared(result.joint).fits[0]).uncertainty
+    assert float(own[np.isfinite(own)].max()) == pytest.approx(found.best.largest, rel=1e-6)
+
+
+def test_the_bound_holds_for_every_plan_of_a_small_offer() -> None:
+    offered = offer(PLANE, "plane")
+    candidates = _candidates(offered)
+    best = search(offered, candidates)
+    lowest = bound(offered, candidates, best)
+    exact = min(
+        float(np.sqrt(candidates.variances(offered.weights(choice)).max()))
+        for repeats in (1, 2)
+        for mask in range(1, 2 ** len(offered.setups))
+        for choice in [Choice(tuple(k for k in range(len(offered.setups)) if mask >> k & 1), (0,), repeats)]
+        if len(choice.setups) <= 4 and offered.rough_duration(choice) <= offered.seconds
+    )
+    assert 0.3 * exact < lowest <= exact * (1 + 1e-9)
+    assert best.largest == pytest.approx(exact, rel=1e-9)
+
+
+def test_a_plan_has_readings_that_check_each_other() -> None:
+    offered = offer(procedure_file("tracking_3d").read_text(), "tracking_3d")
+    candidates = _candidates(offered)
+    three, four = (candidates.judged(offered.weights(Choice(tuple(range(n)), (0,), 3)))[1] for n in (3, 4))
+    assert three < 0.1 < four
+
+
+def test_same_seed_same_plan(found: BestPlan) -> None:
+    assert best_plan(PLANE, "plane.yaml", Assumed()).document() == found.document()
+
+
+def test_a_stopped_search_has_the_best_so_far() -> None:
+    def stop(what: str, share: float) -> None:
+        if what.startswith("plans tried") and share > 0.001:
+            raise KeyboardInterrupt
+
+    stopped = best_plan(PLANE, "plane.yaml", Assumed(), progress=stop)
+    assert stopped.stopped
+    assert stopped.bound == 0.0
+    assert stopped.best.largest <= stopped.present.largest
+
+
+def test_an_effect_is_told_better_than_now() -> None:
+    found = best_plan(PLANE, "plane.yaml", Assumed(), told=["linear_drift"])
+    assert found.effects == ("linear_drift",)
+    assert found.best.largest < 0.9 * found.present.largest
+    assert found.document()["unit"] == "1"
+
+
+def test_what_a_budget_says_is_in_it() -> None:
+    line = {"name": "wavelength", "type": "B", "standard_uncertainty": 2e-6, "enters": "length", "varies": "setup"}
+    zero = {"name": "zero", "type": "B", "standard_uncertainty": 1e-7, "enters": "reading", "varies": "place"}
+    text = _changed(session={"budget": [line, zero]})
+    found = best_plan(text, "plane.yaml", Assumed(errors=shared_errors))
+    assert found.complete
+    result = identify(planned_session(parse_procedure(text, "plane")).session)
+    budget = propagate(
+        fitted_sessions(result), planned_session(parse_procedure(text, "plane")).session.description.budget
+    )
+    own = budget.u[budget.numbers.by_name["position_error"].members]
+    known = np.sqrt(np.square(own[np.isfinite(own) & (own > 0)]))
+    plain = best_plan(PLANE, "plane.yaml", Assumed()).present
+    assert found.present.largest > plain.largest
+    assert found.present.largest == pytest.approx(max(known.max(), plain.largest), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"seconds": 50.0}, "one setup takes"),
+        ({"features": ["work"]}, "choices.features are for a workpiece"),
+        ({"targets": [{"position": [0, 0, 0]}]}, "choices.targets are for a session with targets"),
+        ({"setups": [{"id": "A", "position": [1.0, 1.0, 0.0]}]}, "the id 'A' is taken"),
+        (
+            {"setups": [{"position": [{"first": 0.0, "last": 1.0, "count": 5000}, 1.0, 0.0]}]},
+            "more than 1000 candidates",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(changes: dict[str, Any], why: str) -> None:
+    with pytest.raises((ModelError, SessionError), match=why):
+        best_plan(_changed(**changes), "plane.yaml", Assumed())
+
+
+def test_an_effect_that_no_plan_tells_is_said() -> None:
+    with pytest.raises(ModelError, match="no plan of these candidates tells"):
+        best_plan(PLANE, "plane.yaml", Assumed(), told=["thermal_expansion_x"])
+    with pytest.raises(ModelError, match="backlash_x"):
+        best_plan(PLANE, "plane.yaml", Assumed(), told=["backlsh_x"])
+
+
+def test_files_of_the_package_offer_something() -> None:
+    for name in ("tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross", "probing_pins"):
+        file = procedure_file(name)
+        assert Path(file).is_file()
+        assert len(offer(file.read_text(), name).setups) > 10
