@@ -7,16 +7,23 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.interface.show import Answer
+import pandas as pd
+
+from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.plots.trend import draw_trend
 from machine_tool_calibration.reports.tables import show_table
-from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict
+from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict, trend_table, trend_words
 from machine_tool_calibration.trends.check import LEVEL
 from machine_tool_calibration.trends.check import Check as Checked
+from machine_tool_calibration.trends.explain import ALARM
+from machine_tool_calibration.trends.trend import Course
+from machine_tool_calibration.trends.trend import Trend as Followed
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
-__all__ = ["Check"]
+__all__ = ["Check", "Trend"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,3 +61,57 @@ class Check(Answer, Checked):
             "not_compared": self.untold,
             "changes": [asdict(one) | {"moved": one.moved, "too_uncertain": one.blind} for one in self.changes],
         }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trend(Answer, Followed):
+    """The sizes of a machine's errors over time."""
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One value a row: `name`, `date`, `value` and standard uncertainty `u` in `unit` (SI), `instrument`."""
+        rows = [
+            (one.name, date, value, u, one.unit, one.ways[way])
+            for one in self.courses
+            for date, value, u, way in zip(one.dates, one.value, one.u, one.way, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["name", "date", "value", "u", "unit", "instrument"])
+
+    @property
+    def headline(self) -> str:
+        """What has changed."""
+        return " ".join(trend_words(self))
+
+    def show(self, screen: Console, /) -> None:
+        """Print the sizes, how each is explained, and what has changed."""
+        show_table(screen, trend_table(self))
+        screen.print()
+        for words in trend_words(self):
+            screen.print(words)
+
+    def plot(self) -> Figure:
+        """The sizes over time with U, those that changed first."""
+        return notebook(draw_trend(self))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return {
+            "format": "mtcal-trend/1",
+            "machine": self.machine,
+            "dates": self.dates,
+            "alarm_from": ALARM,
+            "alarms": [one.name for one in self.alarms],
+            "sentences": list(trend_words(self)),
+            "courses": [_course(one) for one in self.courses],
+        }
+
+
+def _course(one: Course) -> dict[str, Any]:
+    told: dict[str, Any] = {"name": one.name, "unit": one.unit, "kind": one.kind, "alarm": one.alarm}
+    told |= {"suspected": one.suspected, "limit": one.limit, "against_limit": one.against_limit}
+    if one.explanation is not None:
+        told |= {key: getattr(one.explanation, key) for key in ("jump", "drift", "change", "u", "spread")}
+        told |= {"began": list(one.began), "instrument": one.explanation.shift}
+        told |= {"instrument_step": one.shift, "instrument_step_u": one.explanation.u_shift}
+    instruments = [one.ways[way] for way in one.way]
+    return told | {"dates": one.dates, "value": one.value, "value_u": one.u, "instruments": instruments}

@@ -16,8 +16,9 @@ from machine_tool_calibration.words import enumeration, say
 
 if TYPE_CHECKING:
     from machine_tool_calibration.trends.logbook import Entry
+    from machine_tool_calibration.trends.trend import Course, Trend
 
-__all__ = ["check_remarks", "check_table", "check_verdict", "entries_table"]
+__all__ = ["check_remarks", "check_table", "check_verdict", "entries_table", "trend_table", "trend_words"]
 
 # Figures of a hash that text shows, and changes that one line names.
 _SHORT, _MOST = 12, 3
@@ -97,3 +98,56 @@ def _where(change: Change) -> str:
         return ""
     turned = change.name[-1] in "ABC"
     return say("check.at", place=f"{np.degrees(change.at[0]):.6g}°" if turned else f"{1e3 * change.at[0]:.6g} mm")
+
+
+def trend_table(found: Trend) -> TextTable:
+    """Every number that is followed: alarms first."""
+    columns = heads("figure", "at_first", "at_last", "change_U", "explanation", "probability", "spread", "limit")
+    title = say("trend.title", machine=found.machine, n=len(found.dates), first=found.dates[0], last=found.dates[-1])
+    return TextTable(title, columns, tuple(_course_row(one) for one in found.courses), say("trend.note"))
+
+
+def _course_row(one: Course) -> tuple[str, ...]:
+    values = (one.name, quantity(float(one.value[0]), one.unit), _last(one))
+    limit = "" if one.limit is None else say(f"trend.{one.against_limit}", limit=quantity(one.limit, one.unit))
+    if one.explanation is None:
+        return (*values, "", say("trend.few"), "", "", limit)
+    change = ""
+    if one.changed or one.suspected:
+        change = quantity(one.explanation.change, one.unit, one.explanation.u)
+    elif one.shifted:
+        change = quantity(one.shift, one.unit, one.explanation.u_shift)
+    kind = say(f"trend.possible_{one.kind}" if one.suspected else f"trend.{one.kind}")
+    chance = probability(one.explanation.shift if one.kind == "instrument" else one.explanation.probability)
+    return (*values, change, kind, chance, quantity(one.explanation.spread, one.unit), limit)
+
+
+def trend_words(found: Trend) -> Iterator[str]:
+    """What has changed, what another instrument explains, what is beyond a limit; a sentence each."""
+    for one in found.courses:
+        if one.changed and one.explanation is not None:
+            size, p = (
+                quantity(one.explanation.change, one.unit, one.explanation.u),
+                probability(one.explanation.probability),
+            )
+            values = {"name": one.name, "size": size, "first": one.began[0], "last": one.began[1], "p": p}
+            more = {"now": one.dates[-1]} if one.kind == "drift" else {}
+            yield say(f"trend.says_{one.kind}", **values, **more)
+        if one.against_limit in ("exceeded", "open") and one.limit is not None:
+            limit = quantity(one.limit, one.unit)
+            yield say(
+                f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=one.dates[-1]
+            )
+    shifted = [one for one in found.courses if one.shifted]
+    if shifted:
+        most = max(shifted, key=lambda one: abs(one.shift) / one.explanation.u_shift if one.explanation else 0.0)
+        u = most.explanation.u_shift if most.explanation else None
+        names, size = enumeration([one.name for one in shifted]), quantity(most.shift, most.unit, u)
+        instrument = most.ways[most.way[-1]]
+        yield say("trend.says_instrument", names=names, name=most.name, instrument=instrument, size=size)
+    if not found.alarms:
+        yield say("trend.quiet", n=len(found.courses))
+
+
+def _last(one: Course) -> str:
+    return quantity(float(one.value[-1]), one.unit, float(one.u[-1]))
