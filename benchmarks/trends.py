@@ -163,7 +163,7 @@ def measured() -> tuple[list[str], int]:
 def _row(course: Course, since: str) -> str:
     assert course.explanation is not None
     kind, one = course.kind + "?" * course.suspected, course.explanation
-    size, u = (course.shift, one.u_shift) if kind == "instrument" else (one.change, one.u)
+    size, u = (one.step, one.u_step) if kind == "instrument" else (one.change, one.u)
     expanded = 2e6 * float(np.median(course.u))
     if kind == "steady":
         return f"| {course.name} | {expanded:.3f} | {kind} | | | |"

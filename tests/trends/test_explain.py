@@ -64,7 +64,7 @@ def test_another_sensor_explains_a_step_and_a_jump_beside_it_is_still_found() ->
         stepped = noise(seed) + 8.0 * OTHER
         found = explained(stepped, OTHER)
         assert found.shifted and not found.changed
-        assert abs(found.shifts[1] - found.shifts[0] - 8.0) < 4.0 * found.u_shift
+        assert abs(found.step - 8.0) < 4.0 * found.u_step
         assert explained(stepped).changed and not explained(noise(seed), OTHER).shifted
         both = explained(stepped + 8.0 * (np.arange(N) >= 22), OTHER)
         assert both.shifted and both.jump > ALARM and both.first <= 21 < 22 <= both.last

@@ -52,7 +52,7 @@ def test_another_instrument_or_model_is_no_alarm() -> None:
     found = trend(entries(20, step, instrument=lambda k: "L7" if k < 12 else "L9"))
     (course,) = found.courses
     assert course.kind == "instrument" and not found.alarms and course.ways == ("L7", "L9")
-    assert course.explanation is not None and abs(course.shift - 4e-6) < 4 * course.explanation.u_shift
+    assert course.explanation is not None and abs(course.explanation.step - 4e-6) < 4 * course.explanation.u_step
     (course,) = trend(entries(20, step, model=lambda k: "free" if k < 12 else "rigid_body")).courses
     assert course.kind == "instrument" and course.ways == ("L7 (free)", "L7 (rigid_body)")
 
@@ -81,3 +81,5 @@ def test_few_sessions_say_nothing_and_an_unknown_limit_is_refused() -> None:
     assert found.courses[0].kind == "few" and not found.alarms
     with pytest.raises(ModelError, match="did you mean 'EXX'"):
         trend(entries(3, lambda k: 5e-6), {"EXY": 1e-6})
+    with pytest.raises(ModelError, match="EAX is in m: limits are for errors in m and squareness in rad"):
+        trend(entries(3, lambda k: 5e-6, "EAX"), {"EAX": 1e-6})

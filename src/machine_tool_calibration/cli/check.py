@@ -82,12 +82,14 @@ def _stated(request: FitRequest, label: str, *, seed: int, progress: Report) -> 
 def _before(entries: tuple[Entry, ...], asked: FitRequest) -> list[Entry]:
     """Entries before the measurement, which may be entered itself."""
     from machine_tool_calibration.session.provenance import provenance
+    from machine_tool_calibration.trends.logbook import date_of
 
     origin = provenance(asked.sessions)
     sums = [entry.sha256 for entry in entries]
     found = list(entries[: sums.index(origin.sha256)] if origin.sha256 in sums else entries)
     if origin.sha256 not in sums and (date := origin.sessions[0].measured):
-        found = [entry for entry in found if entry.date <= date]
+        when = date_of(date, asked.sessions[0].source)
+        found = [entry for entry in found if entry.date <= when]
     if not found:
         raise CalibrationError(f"{entries[0].machine}: the logbook has no entry before this measurement")
     return found

@@ -112,6 +112,6 @@ def _course(one: Course) -> dict[str, Any]:
     if one.explanation is not None:
         told |= {key: getattr(one.explanation, key) for key in ("jump", "drift", "change", "u", "spread")}
         told |= {"began": list(one.began), "instrument": one.explanation.shift}
-        told |= {"instrument_step": one.shift, "instrument_step_u": one.explanation.u_shift}
+        told |= {"instrument_step": one.explanation.step, "instrument_step_u": one.explanation.u_step}
     instruments = [one.ways[way] for way in one.way]
     return told | {"dates": one.dates, "value": one.value, "value_u": one.u, "instruments": instruments}

@@ -51,7 +51,7 @@ def _draw(panel: Axes, course: Course) -> None:
     if course.changed and course.explanation is not None:
         panel.axvspan(when[course.explanation.first], when[course.explanation.last], color=BAND, alpha=0.3, lw=0)
     if course.limit is not None:
-        for sign in (1.0, -1.0) if course.signed else (1.0,):
+        for sign in (1.0, -1.0) if course.value.min() < 0.0 else (1.0,):
             panel.axhline(sign * 1e6 * course.limit, color=COLORS[1], lw=1.0, ls="--")
     locator = AutoDateLocator(maxticks=6)  # type: ignore[no-untyped-call]
     panel.xaxis.set_major_locator(locator)

@@ -116,7 +116,7 @@ def _course_row(one: Course) -> tuple[str, ...]:
     if one.changed or one.suspected:
         change = quantity(one.explanation.change, one.unit, one.explanation.u)
     elif one.shifted:
-        change = quantity(one.shift, one.unit, one.explanation.u_shift)
+        change = quantity(one.explanation.step, one.unit, one.explanation.u_step)
     kind = say(f"trend.possible_{one.kind}" if one.suspected else f"trend.{one.kind}")
     chance = probability(one.explanation.shift if one.kind == "instrument" else one.explanation.probability)
     return (*values, change, kind, chance, quantity(one.explanation.spread, one.unit), limit)
@@ -138,11 +138,10 @@ def trend_words(found: Trend) -> Iterator[str]:
             yield say(
                 f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=one.dates[-1]
             )
-    shifted = [one for one in found.courses if one.shifted]
+    shifted = [(one, one.explanation) for one in found.courses if one.explanation is not None and one.shifted]
     if shifted:
-        most = max(shifted, key=lambda one: abs(one.shift) / one.explanation.u_shift if one.explanation else 0.0)
-        u = most.explanation.u_shift if most.explanation else None
-        names, size = enumeration([one.name for one in shifted]), quantity(most.shift, most.unit, u)
+        most, said = max(shifted, key=lambda pair: abs(pair[1].step) / pair[1].u_step)
+        names, size = enumeration([one.name for one, _ in shifted]), quantity(said.step, most.unit, said.u_step)
         instrument = most.ways[most.way[-1]]
         yield say("trend.says_instrument", names=names, name=most.name, instrument=instrument, size=size)
     if not found.alarms:

@@ -16,7 +16,7 @@ that they ever exceed K is at most 1 / K (Ville's inequality), were the uncertai
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -41,8 +41,9 @@ SHIFTED = 0.5
 changed, a jump of the machine needs far more to be believed."""
 # The spreads tried, in uncertainties of one session, and the sizes of changes and shifts, in uncertainty and spread.
 _SPREADS = np.concatenate([[0.0], np.geomspace(0.2, 50.0, 12)])
-_SIZES = SMALLEST_SIGNAL * SCALE_STEP ** np.arange(3)
-_CREDIBLE = 0.95
+_SIZES: Array = np.array([SMALLEST_SIGNAL * SCALE_STEP**k for k in range(3)])
+_SHIFTS = _SIZES[:-1]
+_CREDIBLE, _ROUNDING = 0.95, 1e-12
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,8 @@ class Explanation:
         u: its standard uncertainty, that of its date contained.
         first, last: number of the sessions between which it began, with a probability of 95 % if something changed.
         spread: between sessions, standard deviation.
-        shifts: for each way of measuring what it adds, by the best explanation.
-        u_shift: standard uncertainty of the difference of the last two ways of measuring.
+        step: by how much the last way of measuring reads more than the one in use before it; 0 where there is only one.
+        u_step: its standard uncertainty.
     """
 
     jump: float
@@ -68,8 +69,8 @@ class Explanation:
     first: int
     last: int
     spread: float
-    shifts: tuple[float, ...]
-    u_shift: float
+    step: float = 0.0
+    u_step: float = 0.0
 
     @property
     def probability(self) -> float:
@@ -87,6 +88,39 @@ class Explanation:
         return self.shift >= ALARM
 
 
+@dataclass(frozen=True)
+class _Case:
+    """What the explanations leave open besides dates: in standard uncertainties of a session.
+
+    Attributes:
+        spread: between sessions.
+        shift: standard deviation of what a way of measuring adds; 0 where they do not differ.
+        prior: logarithm of its probability.
+        sizes: (s,) standard deviations of a change, all equally probable.
+    """
+
+    spread: float
+    shift: float
+    prior: float
+    sizes: Array
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A case after the values are known.
+
+    Attributes:
+        steady: logarithm of evidence times prior of the case without a change.
+        changing: (c, s) of each change by a unit of its column times a coefficient, without the change's own prior.
+        mean, variance: (c, s) of that coefficient.
+    """
+
+    steady: float
+    changing: Array
+    mean: Array
+    variance: Array
+
+
 def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) -> Explanation:
     """Weigh the explanations of one number.
 
@@ -97,58 +131,84 @@ def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) 
         way: (n,) number of the way of measuring, from 0.
         among: of how many numbers this is one: the more are followed, the more each needs to raise an alarm.
     """
-    n, ways, unit = len(value), int(way.max()) + 1, float(np.median(u))
-    y, sigma = (value - np.median(value)) / unit, u / unit
+    unit = float(np.median(u))
+    y, sigma, place = (value - np.median(value)) / unit, u / unit, np.eye(int(way.max()) + 1)[way]
     begins, columns = _columns(days)
-    jumps = n - 1
+    jumps = len(value) - 1
     chance = 1.0 - (1.0 - CHANGED) ** (1.0 / among)
-    share = np.log(chance / 2.0) - np.log([jumps] * jumps + [len(columns) - jumps] * (len(columns) - jumps))
-    place = np.eye(ways)[way]
-    cases = []
-    for spread, weight in zip(_SPREADS, _spread_weights(), strict=True):
-        size = np.sqrt(1.0 + spread**2)
-        for shift in (0.0, *_SIZES[:-1] * size) if ways > 1 else (0.0,):
-            prior = np.log(weight)
-            if ways > 1:
-                prior += np.log(SHIFTED / (len(_SIZES) - 1) if shift else 1.0 - SHIFTED)
-            cases.append((spread, shift, prior, size * _SIZES))
-    steady, changing, found = np.zeros(len(cases)), np.zeros((len(cases), len(columns), len(_SIZES))), []
-    for k, (spread, shift, prior, sizes) in enumerate(cases):
-        # What the values scatter by, with the shifts of the ways of measuring; all of it made independent.
-        root = cholesky(np.diag(sigma**2 + spread**2) + shift**2 * place @ place.T, lower=True)
-        white = solve_triangular(root, np.column_stack([np.ones(n), y, columns.T]), lower=True)
-        level = white[:, 0] / np.linalg.norm(white[:, 0])
-        rest = white[:, 1:] - np.outer(level, level @ white[:, 1:])
-        none = prior - np.log(np.diag(root)).sum() - np.log(np.linalg.norm(white[:, 0])) - rest[:, 0] @ rest[:, 0] / 2
-        g, b = np.einsum("nc,nc->c", rest[:, 1:], rest[:, 1:])[:, None], (rest[:, 1:].T @ rest[:, 0])[:, None]
-        gain = 1.0 + g * sizes**2
-        steady[k] = none + np.log1p(-chance)
-        changing[k] = none + (share - np.log(len(_SIZES)))[:, None] + b**2 * sizes**2 / gain / 2 - np.log(gain) / 2
-        found.append((b * sizes**2 / gain, sizes**2 / gain))
+    # Jumps and drifts are equally probable, and so are their dates.
+    share = np.repeat([chance / 2.0 / jumps, chance / 2.0 / (len(columns) - jumps)], [jumps, len(columns) - jumps])
+    cases = _cases(place.shape[1])
+    weighed = [_weigh(case, y, sigma, place, columns) for case in cases]
+    steady = np.array([one.steady for one in weighed]) + np.log1p(-chance)
+    changing = np.array([one.changing for one in weighed]) + np.log(share / len(_SIZES))[:, None]
     total = logsumexp([logsumexp(steady), logsumexp(changing)])
     p_steady, p = np.exp(steady - total), np.exp(changing - total)
     each = p.sum(axis=(0, 2))
     jump, drift = float(each[:jumps].sum()), float(each[jumps:].sum())
+
     kind = slice(0, jumps) if jump >= drift else slice(jumps, None)
-    weight = p[:, kind] / max(p[:, kind].sum(), 1e-300)
-    mean, variance = (np.array(one)[:, kind] for one in zip(*found, strict=True))
+    weight = p[:, kind] / p[:, kind].sum()
+    mean, variance = (np.array([getattr(one, name)[kind] for one in weighed]) for name in ("mean", "variance"))
     change = float((weight * mean).sum())
-    u_change = float(np.sqrt((weight * (variance + (mean - change) ** 2)).sum()))
     first, last = _interval(begins[kind], weight.sum(axis=(0, 2)))
-    case = p_steady + p.sum(axis=(1, 2))
-    shifts, u_shift = _shifts(cases, case, y, sigma, place, columns[kind], weight, mean, jump + drift >= ALARM)
-    return Explanation(
+    of_case = p_steady + p.sum(axis=(1, 2))
+    shift = float(of_case[[case.shift > 0 for case in cases]].sum())
+    found = Explanation(
         jump=jump,
         drift=drift,
-        shift=float(sum(c for c, one in zip(case, cases, strict=True) if one[1] > 0)),
+        shift=shift,
         change=unit * change,
-        u=unit * u_change,
+        u=unit * float(np.sqrt((weight * (variance + (mean - change) ** 2)).sum())),
         first=first,
         last=last,
-        spread=unit * float(np.sqrt(sum(c * one[0] ** 2 for c, one in zip(case, cases, strict=True)))),
-        shifts=tuple(float(unit * s) for s in shifts),
-        u_shift=unit * u_shift,
+        spread=unit * float(np.sqrt(of_case @ np.array([case.spread**2 for case in cases]))),
     )
+    used = list(dict.fromkeys(way[::-1].tolist()))
+    if len(used) == 1:
+        return found
+    best = max((k for k, case in enumerate(cases) if case.shift > 0), key=lambda k: of_case[k])
+    part = p[best][kind] / p[best][kind].sum()
+    left = y - np.einsum("cs,cs,cn->n", part, mean[best], columns[kind]) if found.changed else y
+    step, u_step = _step(cases[best], left, sigma, place, used[0], used[1])
+    return replace(found, step=unit * step, u_step=unit * u_step)
+
+
+def _cases(ways: int) -> list[_Case]:
+    """Every spread, each without and, of several ways of measuring, with shifts of every size."""
+    density = _SPREADS[1:] / (1.0 + (_SPREADS[1:] / SPREAD) ** 2)
+    weights = np.concatenate([[ALL_REPRODUCES], (1.0 - ALL_REPRODUCES) * density / density.sum()])
+    out = []
+    for spread, weight in zip(_SPREADS.tolist(), weights.tolist(), strict=True):
+        size = float(np.sqrt(1.0 + spread**2))
+        out.append(_Case(spread, 0.0, float(np.log(weight * (1.0 - SHIFTED if ways > 1 else 1.0))), size * _SIZES))
+        for shift in _SHIFTS if ways > 1 else ():
+            out.append(_Case(spread, size * shift, float(np.log(weight * SHIFTED / len(_SHIFTS))), size * _SIZES))
+    return out
+
+
+def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) -> _Weighed:
+    """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out.
+
+    Args:
+        case: spread, shift and sizes.
+        y: (n,) values, and `sigma` their standard uncertainties.
+        sigma: (n,).
+        place: (n, ways) 1 where a value is of a way of measuring.
+        columns: (c, n) what each change does to the values.
+    """
+    covariance = np.diag(sigma**2 + case.spread**2) + case.shift**2 * place @ place.T
+    root = cholesky(covariance, lower=True)
+    white = solve_triangular(root, np.column_stack([np.ones(len(y)), y, columns.T]), lower=True)
+    length = np.linalg.norm(white[:, 0])
+    level = white[:, 0] / length
+    rest = white[:, 1:] - np.outer(level, level @ white[:, 1:])
+    steady = case.prior - np.log(np.diag(root)).sum() - np.log(length) - rest[:, 0] @ rest[:, 0] / 2.0
+    information, score = np.sum(rest[:, 1:] ** 2, axis=0)[:, None], (rest[:, 1:].T @ rest[:, 0])[:, None]
+    gain = 1.0 + information * case.sizes**2
+    variance = case.sizes**2 / gain
+    changing = steady + (score**2 * variance - np.log(gain)) / 2.0
+    return _Weighed(float(steady), changing, score * variance, variance)
 
 
 def _columns(days: Array) -> tuple[IntArray, Array]:
@@ -162,53 +222,30 @@ def _columns(days: Array) -> tuple[IntArray, Array]:
     return np.concatenate([number[:-1], onsets]), np.concatenate([jumps, drifts])
 
 
-def _spread_weights() -> Array:
-    """Prior of the spreads that are tried: none at all, or half-Cauchy."""
-    density = _SPREADS[1:] / (1.0 + (_SPREADS[1:] / SPREAD) ** 2)
-    return np.concatenate([[ALL_REPRODUCES], (1.0 - ALL_REPRODUCES) * density / density.sum()])
-
-
 def _interval(begins: IntArray, weight: Array) -> tuple[int, int]:
     """The shortest stretch of sessions with 95 % of the probability: from the one to the one after the last."""
-    total = np.bincount(begins, weight)
-    sums = np.concatenate([[0.0], np.cumsum(total)])
-    spans = [
-        (int(end) - k, k, int(end))
-        for k in range(len(total))
-        if (end := np.searchsorted(sums, sums[k] + _CREDIBLE * sums[-1] - 1e-12)) < len(sums)
-    ]
-    _, first, end = min(spans)
-    return first, end
+    sums = np.concatenate([[0.0], np.cumsum(np.bincount(begins, weight))])
+    ends = [int(np.searchsorted(sums, low + _CREDIBLE * sums[-1] - _ROUNDING)) for low in sums[:-1]]
+    first = min((k for k, end in enumerate(ends) if end < len(sums)), key=lambda k: ends[k] - k)
+    return first, ends[first]
 
 
-def _shifts(
-    cases: list[tuple[float, float, float, Array]],
-    case: Array,
-    y: Array,
-    sigma: Array,
-    place: Array,
-    columns: Array,
-    weight: Array,
-    mean: Array,
-    changed: bool,
-) -> tuple[Array, float]:
-    """What each way of measuring adds, by the most probable spread and size of shifts, beside a change if there is one.
+def _step(case: _Case, left: Array, sigma: Array, place: Array, last: int, before: int) -> tuple[float, float]:
+    """By how much one way of measuring reads more than another, and its standard uncertainty.
 
-    Returns:
-        (ways,) shifts, and the standard uncertainty of the difference of the last two.
+    Args:
+        case: spread and size of the shifts.
+        left: (n,) values without what changed.
+        sigma: (n,) their standard uncertainties.
+        place: (n, ways) as for `_weigh`.
+        last: number of the one.
+        before: of the other.
     """
-    ways = place.shape[1]
-    if ways < 2:
-        return np.zeros(ways), 0.0
-    k = max((k for k, one in enumerate(cases) if one[1] > 0), key=lambda k: case[k])
-    spread, shift = cases[k][:2]
-    left = y - np.einsum("cs,cs,cn->n", weight[k], mean[k], columns) / max(weight[k].sum(), 1e-300) if changed else y
-    inverse = 1.0 / (sigma**2 + spread**2)
+    inverse = 1.0 / (sigma**2 + case.spread**2)
     # Level and shifts together, the shifts with their prior.
-    design = np.column_stack([np.ones(len(y)), place])
-    normal = design.T @ (inverse[:, None] * design) + np.diag([0.0, *[shift**-2] * ways])
-    covariance = np.linalg.inv(normal)
-    found = covariance @ design.T @ (inverse * left)
-    step = np.zeros(ways + 1)
-    step[-2:] = -1.0, 1.0
-    return np.asarray(found[1:], dtype=np.float64), float(np.sqrt(step @ covariance @ step))
+    design = np.column_stack([np.ones(len(left)), place])
+    normal = design.T @ (inverse[:, None] * design) + np.diag([0.0, *[case.shift**-2] * place.shape[1]])
+    row = np.zeros(design.shape[1])
+    row[1 + last], row[1 + before] = 1.0, -1.0
+    solved = np.linalg.solve(normal, row)
+    return float(solved @ (design.T @ (inverse * left))), float(np.sqrt(solved @ row))

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.budget.conformity import unit_of_figure
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.estimation.priors import ACCEPTED
-from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.trends.explain import FEWEST, Explanation, explain
 from machine_tool_calibration.trends.logbook import Entry
-from machine_tool_calibration.trends.sizes import LOCATION
 
 __all__ = ["Course", "Trend", "trend"]
 
@@ -36,7 +35,7 @@ class Course:
         way: (n,) which way of measuring each is of.
         ways: their names: the instrument, and the model where instruments do not tell them apart.
         explanation: None of fewer sessions than say something.
-        limit: that it should keep, of what has a sign its absolute value; None without one.
+        limit: that its absolute value should keep; None without one.
     """
 
     name: str
@@ -75,13 +74,6 @@ class Course:
         return "instrument" if self.shifted else "steady"
 
     @property
-    def shift(self) -> float:
-        """By how much the last way of measuring reads more than the one before."""
-        assert self.explanation is not None
-        order = list(dict.fromkeys(self.way[::-1].tolist()))
-        return self.explanation.shifts[order[0]] - self.explanation.shifts[order[1]] if len(order) > 1 else 0.0
-
-    @property
     def began(self) -> tuple[str, str]:
         """Dates between which the change began, with a probability of 95 %."""
         assert self.explanation is not None
@@ -92,19 +84,13 @@ class Course:
         """Of the last session: `exceeded`, `kept`, or `open` where U contains the limit; None without a limit."""
         if self.limit is None:
             return None
-        size = abs(self.value[-1]) if self.signed else self.value[-1]
-        room = _COVERAGE * self.u[-1]
+        size, room = abs(self.value[-1]), _COVERAGE * self.u[-1]
         return "exceeded" if size - room > self.limit else "kept" if size + room <= self.limit else "open"
 
     @property
     def alarm(self) -> bool:
         """Whether it has changed, or is beyond its limit."""
         return self.changed or self.against_limit == "exceeded"
-
-    @property
-    def signed(self) -> bool:
-        """Whether it has a sign, as a squareness and a reversal have, and a range has not."""
-        return bool(self.name in SQUARENESS or LOCATION.fullmatch(self.name) or self.name.startswith("B_mean"))
 
 
 @dataclass(frozen=True)
@@ -135,14 +121,16 @@ def trend(entries: Sequence[Entry], limits: Mapping[str, float] | None = None) -
         limits: by name, in m or rad.
 
     Raises:
-        ModelError: a limit for what is in no entry.
+        ModelError: a limit for what is in no entry, or in another unit.
     """
     limits = limits or {}
-    names = list(dict.fromkeys(size.name for entry in entries for size in entry.sizes))
+    names = {size.name: size.unit for entry in entries for size in entry.sizes}
     for name in limits:
         if name not in names:
             known = did_you_mean(name, names) or f"; there are {', '.join(names)}"
             raise ModelError(f"no session has {name!r}{known}")
+        if names[name] != unit_of_figure(name):
+            raise ModelError(f"{name} is in {names[name]}: limits are for errors in m and squareness in rad")
     ways = _ways(entries)
     courses = [_course(name, entries, ways, len(names), limits.get(name)) for name in names]
     alarms = [one for one in courses if one.alarm]
