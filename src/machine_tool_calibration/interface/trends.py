@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One machine over months, as a text, a table, a picture and a document."""
+"""One machine over months, as a text, a picture and a document."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-
-import pandas as pd
 
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.trend import draw_trend
@@ -66,16 +64,6 @@ class Check(Answer, Checked):
 @dataclass(frozen=True, eq=False, repr=False)
 class Trend(Answer, Followed):
     """The sizes of a machine's errors over time."""
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """One value a row: `name`, `date`, `value` and standard uncertainty `u` in `unit` (SI), `instrument`."""
-        rows = [
-            (one.name, date, value, u, one.unit, one.ways[way])
-            for one in self.courses
-            for date, value, u, way in zip(one.dates, one.value, one.u, one.way, strict=True)
-        ]
-        return pd.DataFrame(rows, columns=["name", "date", "value", "u", "unit", "instrument"])
 
     @property
     def headline(self) -> str:
