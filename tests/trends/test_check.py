@@ -34,7 +34,7 @@ def measured(seed: int, squareness: float = 0.0) -> tuple[Result, Statement]:
 def statement(value: Array, u: float, label: str, name: str = "EYX", draws: int = 0, seed: int = 1) -> Statement:
     """A measurement that states one motion along an axis, or one number, with independent uncertainties."""
     count = len(value)
-    members, at = np.arange(count), AT[:count] if count > 1 else None
+    members, at = np.arange(count), AT if count == len(AT) else None
     listed = (Quantity(name, "m", 0, count, lambda k: "", at),)
     return Statement(
         label=label,
@@ -114,10 +114,40 @@ def test_the_spread_between_sessions_is_told_by_earlier_ones_and_counts() -> Non
     # A jump between two sessions makes it no larger.
     jumped = [*rows[:15], *(statement(one.numbers.value + 1e-4 * AT, u, f"{k}+") for k, one in enumerate(rows[15:]))]
     assert between_sessions(jumped)["EYX"] == pytest.approx(told, rel=0.1)
-    assert check(rows[-2], rows[-1]).moved and not check(rows[-2], rows[-1], rows[:-1]).moved
+    for last in (rows[-2:], [replace(one, samples=None) for one in rows[-2:]]):
+        (found,) = check(*last, rows[:-1]).changes
+        assert check(*last).moved and not found.moved
+        # Of each of both, and of a motion with samples without its mean and slope.
+        assert found.u == pytest.approx(np.sqrt(2.0) * found.between, rel=0.3 if last[0].samples is not None else 0.01)
     assert between_sessions(rows[: SESSIONS - 1]) == {}
     quiet = [statement(u * rng.standard_normal(6), u, f"q{k}") for k in range(40)]
     assert between_sessions(quiet)["EYX"] < u
+
+
+def test_the_spread_of_position_errors_counts_likewise() -> None:
+    rng, points = np.random.default_rng(5), np.array([[x, y, 0.0] for x in AT for y in AT])
+
+    def placed(k: int, draws: int) -> Statement:
+        value = 2e-6 * rng.standard_normal(3 * len(points))
+        one = statement(value, 1e-7, f"{draws} {k}", "position_error", draws, seed=k)
+        return replace(one, points=points, parts={})
+
+    for draws in (300, 0):
+        rows = [placed(k, draws) for k in range(20)]
+        found = check(rows[-2], rows[-1], rows[:-1])
+        assert check(rows[-2], rows[-1]).moved and not found.moved
+        assert found.changes[0].between == pytest.approx(2e-6, rel=0.1) and found.changes[0].along is not None
+
+
+def test_values_that_one_of_both_lacks_are_left_out() -> None:
+    value = 1e-6 * np.ones(6)
+    first, second = (
+        statement(value, 1e-7, "first"),
+        statement(np.array([1e-6, np.nan, 5e-6, 1e-6, 1e-6, 1e-6]), 1e-7, "b"),
+    )
+    (found,) = check(first, second).changes
+    assert found.moved and found.at == (AT[2],) and found.change == pytest.approx(4e-6)
+    assert found.u == pytest.approx(np.sqrt(2) * 1e-7)
 
 
 def test_what_was_too_uncertain_and_what_only_one_has_is_said() -> None:

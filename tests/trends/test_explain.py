@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.trends.explain import ALARM, CHANGED, Explanation, explain
+from machine_tool_calibration.estimation.priors import ALL_REPRODUCES
+from machine_tool_calibration.trends.explain import ALARM, CHANGED, SHIFTED, Explanation, _cases, explain
 
 N = 30
 MONTHS = 30.4 * np.arange(N)
@@ -77,6 +78,30 @@ def test_a_sensor_that_comes_back_tells_a_shift_from_a_jump() -> None:
     jumped = explained(noise(3) + 8.0 * (np.arange(N) >= 12), visiting)
     assert shifted.shifted and not shifted.changed
     assert jumped.changed and not jumped.shifted
+
+
+def test_what_a_change_would_be_does_not_depend_on_how_probable_it_is() -> None:
+    value = noise(2) + 2.5 * (np.arange(N) >= 15)
+    few, many = (explain(MONTHS, value, U, ONE, among) for among in (1, 100_000))
+    assert few.probability > 0.9 > 0.1 > many.probability
+    assert many.jump > many.drift and many.change == pytest.approx(few.change, rel=0.05)
+    assert many.u == pytest.approx(few.u, rel=0.1) and (many.first, many.last) == (few.first, few.last)
+
+
+def test_the_spread_between_sessions_is_in_the_uncertainty_of_a_step() -> None:
+    for size in (1.0, 5.0):
+        found = [explained(noise(seed, size) + 40.0 * OTHER, OTHER) for seed in range(10)]
+        assert np.median([one.u_step for one in found]) == pytest.approx(size * np.sqrt(2.0 / 15.0), rel=0.2)
+
+
+@pytest.mark.parametrize("ways", [1, 3])
+def test_the_prior_is_a_probability_and_has_the_tail_of_half_cauchy(ways: int) -> None:
+    cases = _cases(ways)
+    chance = np.exp([one.prior for one in cases])
+    assert chance.sum() == pytest.approx(1.0)
+    beyond = chance[[one.spread > 10.0 for one in cases]].sum() / (1.0 - ALL_REPRODUCES)
+    assert beyond == pytest.approx(1.0 - 2.0 / np.pi * np.arctan(10.0), abs=0.03)
+    assert chance[[one.shift > 0 for one in cases]].sum() == pytest.approx(SHIFTED if ways > 1 else 0.0)
 
 
 def test_units_and_level_make_no_difference() -> None:

@@ -2,6 +2,7 @@
 """The courses of a machine's numbers from its entries: dates, instruments, limits."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,3 +84,17 @@ def test_few_sessions_say_nothing_and_an_unknown_limit_is_refused() -> None:
         trend(entries(3, lambda k: 5e-6), {"EXY": 1e-6})
     with pytest.raises(ModelError, match="EAX is in m: limits are for errors in m and squareness in rad"):
         trend(entries(3, lambda k: 5e-6, "EAX"), {"EAX": 1e-6})
+
+
+def test_alarms_come_first_and_a_suspicion_is_none() -> None:
+    one, two, three = (
+        entries(20, lambda k: 5e-6, "EXX"),
+        entries(20, lambda k: 5e-6 + 0.35e-6 * (k >= 10), "EYY"),
+        entries(20, lambda k: 5e-6 + 3e-6 * (k >= 10), "EZZ"),
+    )
+    joined = [replace(a, sizes=(*a.sizes, *b.sizes, *c.sizes)) for a, b, c in zip(one, two, three, strict=True)]
+    found = trend(joined, {"EXX": 1e-6})
+    assert [c.name for c in found.courses][2] == "EYY" and {c.name for c in found.alarms} == {"EXX", "EZZ"}
+    suspected = found.courses[2]
+    assert suspected.suspected and suspected.kind == "jump" and not suspected.alarm
+    assert not any(c.suspected for c in found.alarms)
