@@ -35,6 +35,7 @@ __all__ = [
     "figure_of",
     "iso_numbers",
     "numbers",
+    "of_document",
     "unit_of",
 ]
 
@@ -151,6 +152,25 @@ def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array]) -> Numbers:
         shifts: for each session (n,) what is added to its readings, m.
     """
     return _listed(_of_runs(fitted, shifts))
+
+
+def of_document(document: Mapping[str, Any]) -> Numbers:
+    """What a result document (`mtcal-result/1`) says of its map, error motions and unknowns."""
+    content, entries = document.get("error_map") or {}, list[_Entry]()
+    if POSITION_ERROR in content:
+        value, u = (np.asarray(content[key], dtype=np.float64) for key in (POSITION_ERROR, f"{POSITION_ERROR}_u"))
+        filled = [np.pad(a, ((0, 0), (0, 3 - a.shape[1])), constant_values=np.nan).reshape(-1) for a in (value, u)]
+        entries.append(_Entry(POSITION_ERROR, "m", filled[0], filled[1], _nowhere))
+    entries += _content(content)
+    tables: dict[str, list[Mapping[str, Any]]] = {}
+    for one in document.get("parameters", ()):
+        tables.setdefault(one["error_motion"] if "error_motion" in one else one["name"], []).append(one)
+    for name, table in tables.items():
+        value, u = (np.array([one[key] for one in table]) for key in ("value", "standard_uncertainty"))
+        at = [one["position"] for one in table] if "error_motion" in table[0] else None
+        where = partial(_at, name, at, 1) if at is not None and len(at) > 1 else _nowhere
+        entries.append(_Entry(name, table[0]["unit"], value, u, where, _positions(at, len(table))))
+    return _listed(entries)
 
 
 def _listed(entries: Iterable[_Entry]) -> Numbers:

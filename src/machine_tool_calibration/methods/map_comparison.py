@@ -19,9 +19,19 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_mo
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import drawn
-from machine_tool_calibration.model.result import ErrorMap
 
-__all__ = ["BY_CHANCE", "DRAWS", "LEVEL", "MapComparison", "Motion", "compare_fits", "compare_maps", "map_draws"]
+__all__ = [
+    "BY_CHANCE",
+    "DRAWS",
+    "LEVEL",
+    "MapComparison",
+    "Motion",
+    "common_points",
+    "compare_fits",
+    "compare_maps",
+    "joint_p_value",
+    "map_draws",
+]
 
 LEVEL = 0.01
 """p-value below which maps contradict each other."""
@@ -161,7 +171,7 @@ def compare_maps(
         u_second=values[3],
         u=values[4],
         motion=_motion(moves, scale, a - b, rows[0] - rows[1]),
-        p_value=_p_value(difference, both, draws),
+        p_value=joint_p_value(difference, both, draws),
         labels=labels,
     )
 
@@ -199,8 +209,17 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
     return tuple(out)
 
 
-def _p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
-    """Of the sum of squares that are made independent; of a covariance from draws by Hotelling's distribution."""
+def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
+    """Of the sum of squares that are made independent; of a covariance from draws by Hotelling's distribution.
+
+    Args:
+        difference: (q,) what should be zero.
+        rows: (k, q) of a root of its covariance.
+        draws: number of random draws that the root was made of; None where it is exact.
+
+    Returns:
+        p-value; None where there is nothing to test, or too few draws to tell.
+    """
     _, sizes, right = np.linalg.svd(rows, full_matrices=False)
     good = sizes > _RANK * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
     rank = int(good.sum())
@@ -255,7 +274,7 @@ def compare_fits(
     Raises:
         ModelError: no point, or no direction at any, is in both maps.
     """
-    pairs = _common_points(first.error_map, second.error_map)
+    pairs = common_points(first.error_map.points, second.error_map.points)
     if not len(pairs[0]):
         raise ModelError(
             "the maps have no point in common: measure at the same commanded positions, or take a model whose map "
@@ -279,11 +298,11 @@ def _share(progress: Callable[[str, float], None], number: int, share: float) ->
     progress("drawing both maps", (number + share) / 2)
 
 
-def _common_points(first: ErrorMap, second: ErrorMap) -> tuple[IntArray, IntArray]:
-    """Numbers of the points that are in both maps, in the first one's order; each once."""
+def common_points(first: Array, second: Array) -> tuple[IntArray, IntArray]:
+    """Numbers of the points, (n, 3) m, that are in both maps, in the first one's order; each once."""
     from scipy.spatial import cKDTree
 
-    found = cKDTree(second.points).query(first.points, distance_upper_bound=_SAME)
+    found = cKDTree(second).query(first, distance_upper_bound=_SAME)
     distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     mine = np.flatnonzero(np.isfinite(distance))
     _, once = np.unique(nearest[mine], return_index=True)

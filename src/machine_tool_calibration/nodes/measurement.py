@@ -195,7 +195,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 _await_ready(client, [program.name for program in programs])
                 listeners.client = client
                 started = time.monotonic()
-                stages = Stages(client, procedure, setting) if setting.until is not None else None
+                stages = _stages(client, procedure, setting)
                 _run(client, total, progress, stages)
                 measured = time.monotonic() - started
                 total = client.procedure.number("captured")
@@ -295,6 +295,14 @@ def _await_ready(client: Client, names: Sequence[str]) -> None:
         waiting = ", ".join(missing) or client.procedure.entries.get("waiting_for")
         waiting = waiting or ("the procedure" if records() else "the recorder")
         raise CalibrationError(f"the graph is not complete after {_START:g} s: no sign of {waiting}")
+
+
+def _stages(client: Client, procedure: Procedure, setting: Setting) -> Stages | None:
+    """What decides after each setup, if something is to be reached."""
+    if setting.until is None:
+        return None
+    model, by_hand = setting.model or None, not setting.simulated_time
+    return Stages(client, procedure, setting.until, model=model, effects=setting.effects, by_hand=by_hand)
 
 
 def _run(client: Client, total: int, progress: Progress, stages: Stages | None) -> None:

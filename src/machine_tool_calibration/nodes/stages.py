@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 
-from machine_tool_calibration.budget.enough import Reached, determined, reached
+from machine_tool_calibration.budget.enough import Reached, Until, determined, reached
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -21,7 +21,6 @@ from machine_tool_calibration.session.collect import live_session
 
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.client import Client
-    from machine_tool_calibration.nodes.measurement import Setting
     from machine_tool_calibration.procedure import Procedure
 
 __all__ = ["Stages"]
@@ -35,18 +34,28 @@ class Stages:
     Args:
         client: beside the graph.
         procedure: that it runs, paused before every new setup.
-        setting: with what is to be reached.
+        until: what is to be reached.
+        model: variant of the model; the default if absent.
+        effects: added to the model.
+        by_hand: whether a person takes the instrument to its setups, if it has to be taken there.
 
     Attributes:
         reached: after each setup so far.
     """
 
-    def __init__(self, client: Client, procedure: Procedure, setting: Setting) -> None:
-        assert setting.until is not None
-        self._client, self._until = client, setting.until
-        self._model, self._effects = setting.model or None, setting.effects
-        mounted = method_spec(procedure.session.method).mounted(procedure.session)
-        self._by_hand = bool(mounted) and not setting.simulated_time
+    def __init__(
+        self,
+        client: Client,
+        procedure: Procedure,
+        until: Until,
+        *,
+        model: str | None,
+        effects: tuple[str, ...],
+        by_hand: bool,
+    ) -> None:
+        self._client, self._until = client, until
+        self._model, self._effects = model, effects
+        self._by_hand = by_hand and bool(method_spec(procedure.session.method).mounted(procedure.session))
         self._own = tuple(own_effects(()))
         self._wanted = 1
         if self._until.u is not None:  # all that the whole procedure determines

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal logbook`: every session that was measured on a machine, with its result, in one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.output import (
+    FILE,
+    PATH,
+    console,
+    json_option,
+    progress_bar,
+    session_labels,
+    write_json,
+)
+
+__all__ = ["command", "machine_option"]
+
+machine_option = click.option("--machine", help="The machine, where a logbook has several.")
+
+
+@click.group("logbook")
+def command() -> None:
+    """Keep a machine's logbook: every session with its result, none ever changed.
+
+    BOOK is one file (SQLite). Each entry has machine, date, instrument, the data's SHA-256, the software that evaluated
+    it, the result document, the sizes of all errors and the readings themselves. `mtcal check` and `mtcal trend` read
+    it.
+
+    \b
+    mtcal logbook add mill.logbook january february march
+    mtcal logbook list mill.logbook
+    """
+
+
+@command.command("add")
+@click.argument("book", type=FILE)
+@click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)
+@click.option("--machine", help="Name of the machine, unless `about` in session.yaml says it.")
+@click.option("--date", help="When it was measured (ISO 8601), unless `about` says it.")
+@click.option("--instrument", help="Which instrument read, unless `about` says it, such as a serial number.")
+@model_options
+@history_option
+@json_option
+def add(
+    book: Path,
+    sessions: tuple[Path, ...],
+    machine: str | None,
+    date: str | None,
+    instrument: str | None,
+    wanted: Wanted,
+    as_json: bool,
+) -> None:
+    """Identify sessions, each by itself, and enter them with their results.
+
+    A session that is in BOOK already, by the SHA-256 of its data, is said and changes nothing.
+    """
+    from machine_tool_calibration.trends.logbook import Logbook, entry_of
+    from machine_tool_calibration.trends.sizes import sizes_of
+    from machine_tool_calibration.words import say
+
+    if date is not None and len(sessions) > 1:
+        raise click.UsageError("--date is for one SESSION.")
+    said: list[dict[str, object]] = []
+    for path, label in zip(sessions, session_labels(sessions), strict=True):
+        with progress_bar() as progress:
+            fit = wanted.fit([path], progress)
+            sizes = sizes_of(fit.result, progress)
+        entry = entry_of(
+            fit.measurement.sessions[0],
+            label,
+            fit.document(),
+            sizes,
+            machine=machine,
+            date=date,
+            instrument=instrument,
+        )
+        told, added = Logbook(book).add(entry)
+        said.append({"label": label, "added": added, "number": told.number, "sha256": told.sha256})
+        if not as_json:
+            values = {"machine": told.machine, "date": told.date, "sum": told.sha256[:12], "count": len(told.sizes)}
+            console().print(say("logbook.added" if added else "logbook.there", label=label, n=told.number, **values))
+    if as_json:
+        write_json({"format": "mtcal-logbook-added/1", "book": str(book), "sessions": said})
+
+
+@command.command("list")
+@click.argument("book", type=FILE)
+@machine_option
+@json_option
+def listed(book: Path, machine: str | None, as_json: bool) -> None:
+    """List the entries of a logbook by date."""
+    from machine_tool_calibration.reports.tables import show_table
+    from machine_tool_calibration.reports.trends import entries_table
+    from machine_tool_calibration.trends.logbook import Logbook
+
+    entries = Logbook(book).entries(machine)
+    if as_json:
+        document = {"format": "mtcal-logbook/1", "book": str(book), "entries": [one.document() for one in entries]}
+        write_json(document)
+    else:
+        show_table(console(), entries_table(entries))

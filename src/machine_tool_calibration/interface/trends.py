@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One machine over months, as a text, a picture and a document."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from machine_tool_calibration.interface.show import Answer, notebook
+from machine_tool_calibration.plots.trend import draw_trend
+from machine_tool_calibration.reports.tables import show_table
+from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict, trend_table, trend_words
+from machine_tool_calibration.trends.check import LEVEL
+from machine_tool_calibration.trends.check import Check as Checked
+from machine_tool_calibration.trends.explain import ALARM
+from machine_tool_calibration.trends.trend import Course
+from machine_tool_calibration.trends.trend import Trend as Followed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+__all__ = ["Check", "Trend"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Check(Answer, Checked):
+    """Whether an earlier map still predicts a measurement."""
+
+    @property
+    def headline(self) -> str:
+        """The verdict, in one line."""
+        return check_verdict(self)
+
+    def show(self, screen: Console, /) -> None:
+        """Print what changed, the verdict, and what could not be told."""
+        show_table(screen, check_table(self))
+        screen.print()
+        for words in (check_verdict(self), *check_remarks(self)):
+            screen.print(words)
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return {
+            "format": "mtcal-check/1",
+            "map": self.earlier,
+            "measurement": self.now,
+            "since": self.since,
+            "until": self.until,
+            "holds": not self.moved,
+            "verdict": check_verdict(self),
+            "level": LEVEL,
+            "rule": "holm",
+            "correlated": self.correlated,
+            "sessions_of_spread": self.sessions,
+            "moved": [one.name for one in self.moved],
+            "too_uncertain": [one.name for one in self.blind],
+            "not_compared": self.untold,
+            "changes": [asdict(one) | {"moved": one.moved, "too_uncertain": one.blind} for one in self.changes],
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trend(Answer, Followed):
+    """The sizes of a machine's errors over time."""
+
+    @property
+    def headline(self) -> str:
+        """What has changed."""
+        return " ".join(trend_words(self))
+
+    def show(self, screen: Console, /) -> None:
+        """Print the sizes, how each is explained, and what has changed."""
+        show_table(screen, trend_table(self))
+        screen.print()
+        for words in trend_words(self):
+            screen.print(words)
+
+    def plot(self) -> Figure:
+        """The sizes over time with U, those that changed first."""
+        return notebook(draw_trend(self))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return {
+            "format": "mtcal-trend/1",
+            "machine": self.machine,
+            "dates": self.dates,
+            "alarm_from": ALARM,
+            "alarms": [one.name for one in self.alarms],
+            "sentences": list(trend_words(self)),
+            "courses": [_course(one) for one in self.courses],
+        }
+
+
+def _course(one: Course) -> dict[str, Any]:
+    told: dict[str, Any] = {"name": one.name, "unit": one.unit, "kind": one.kind, "alarm": one.alarm}
+    told |= {"suspected": one.suspected, "limit": one.limit, "against_limit": one.against_limit}
+    if one.explanation is not None:
+        told |= {key: getattr(one.explanation, key) for key in ("jump", "drift", "change", "u", "spread")}
+        told |= {"began": list(one.began), "instrument": one.explanation.shift}
+        told |= {"instrument_step": one.explanation.step, "instrument_step_u": one.explanation.u_step}
+    instruments = [one.ways[way] for way in one.way]
+    return told | {"dates": one.dates, "value": one.value, "value_u": one.u, "instruments": instruments}

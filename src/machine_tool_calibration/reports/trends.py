@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of one machine over months: its logbook, whether an earlier map still holds, and what changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.budget.published import POSITION_ERROR
+from machine_tool_calibration.reports.quantities import probability, quantity
+from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.trends.check import SESSIONS, Change, Check
+from machine_tool_calibration.words import enumeration, say
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.trends.logbook import Entry
+    from machine_tool_calibration.trends.trend import Course, Trend
+
+__all__ = ["check_remarks", "check_table", "check_verdict", "entries_table", "trend_table", "trend_words"]
+
+# Figures of a hash that text shows, and changes that one line names.
+_SHORT, _MOST = 12, 3
+
+
+def entries_table(entries: Sequence[Entry]) -> TextTable:
+    """The entries of a logbook, one a row."""
+    rows = tuple(
+        (
+            *(str(one.number), one.date, one.machine, one.label, one.instrument),
+            ", ".join([str(one.result.get("model", "")), *one.result.get("effects", ())]),
+            *(str(len(one.sizes)), one.sha256[:_SHORT]),
+        )
+        for one in entries
+    )
+    columns = heads("number", "date", "machine", "session", "instrument", "model", "sizes", "sum")
+    return TextTable(say("logbook.title", n=len(entries)), columns, rows)
+
+
+def check_table(check: Check) -> TextTable:
+    """Every error that both have, the most significant change first."""
+    rows = tuple(
+        (
+            *(_name(one), quantity(one.before, one.unit), quantity(one.after, one.unit)),
+            *(quantity(one.change, one.unit, one.u), _where(one)),
+            *(
+                probability(one.adjusted),
+                say("check.moved" if one.moved else "check.blind" if one.blind else "check.stayed"),
+            ),
+        )
+        for one in check.changes
+    )
+    columns = heads("figure", "was", "is_now", "largest_change", "changed_at", "adjusted_p", "verdict")
+    title = say("check.title", earlier=check.earlier, now=check.now)
+    return TextTable(title, columns, rows, say("check.note", n=len(check.changes)))
+
+
+def check_verdict(check: Check) -> str:
+    """Whether the map still holds, in one line."""
+    if not check.moved:
+        return say("check.holds", n=len(check.changes))
+    # Position errors are made of the others: they are named only where none of these is found.
+    moved = [one for one in check.moved if one.name != POSITION_ERROR] or list(check.moved)
+    told = []
+    for one in moved[:_MOST]:
+        size, where = quantity(one.change, one.unit, one.u), _where(one)
+        key = "check.changed_at" if where else "check.changed"
+        told.append(say(key, name=_name(one), size=size, **({"where": where} if where else {})))
+    if len(moved) > _MOST:
+        told.append(say("check.more", n=len(moved) - _MOST))
+    return say("check.fails", what=enumeration(told))
+
+
+def check_remarks(check: Check) -> Iterator[str]:
+    """Since when, what could not be told, and what U contains; a sentence each."""
+    if check.moved and check.since:
+        dates = {"since": check.since, "until": check.until}
+        yield say("check.since_until", **dates) if check.until else say("check.since", since=check.since)
+    if check.blind:
+        yield say("check.blind_words", names=enumeration([_name(one) for one in check.blind]))
+    if check.untold:
+        yield say("check.untold", names=", ".join(check.untold))
+    if not check.correlated:
+        yield say("check.uncorrelated")
+    yield say("check.between", n=check.sessions) if check.sessions else say("check.no_between", n=SESSIONS)
+
+
+def _name(change: Change) -> str:
+    return say("check.position_error") if change.name == POSITION_ERROR else change.name
+
+
+def _where(change: Change) -> str:
+    if change.along is not None:
+        place = ", ".join(f"{1e3 * v:.6g}" for v in change.at)
+        return say("check.along_at", axis="xyz"[change.along], place=place)
+    if not change.at:
+        return ""
+    turned = change.name[-1] in "ABC"
+    return say("check.at", place=f"{np.degrees(change.at[0]):.6g}°" if turned else f"{1e3 * change.at[0]:.6g} mm")
+
+
+def trend_table(found: Trend) -> TextTable:
+    """Every number that is followed: alarms first."""
+    columns = heads("figure", "at_first", "at_last", "change_U", "explanation", "probability", "spread", "limit")
+    title = say("trend.title", machine=found.machine, n=len(found.dates), first=found.dates[0], last=found.dates[-1])
+    return TextTable(title, columns, tuple(_course_row(one) for one in found.courses), say("trend.note"))
+
+
+def _course_row(one: Course) -> tuple[str, ...]:
+    values = (one.name, quantity(float(one.value[0]), one.unit), _last(one))
+    limit = "" if one.limit is None else say(f"trend.{one.against_limit}", limit=quantity(one.limit, one.unit))
+    if one.explanation is None:
+        return (*values, "", say("trend.few"), "", "", limit)
+    change = ""
+    if one.changed or one.suspected:
+        change = quantity(one.explanation.change, one.unit, one.explanation.u)
+    elif one.shifted:
+        change = quantity(one.explanation.step, one.unit, one.explanation.u_step)
+    kind = say(f"trend.possible_{one.kind}" if one.suspected else f"trend.{one.kind}")
+    chance = probability(one.explanation.shift if one.kind == "instrument" else one.explanation.probability)
+    return (*values, change, kind, chance, quantity(one.explanation.spread, one.unit), limit)
+
+
+def trend_words(found: Trend) -> Iterator[str]:
+    """What has changed, what another instrument explains, what is beyond a limit; a sentence each."""
+    for one in found.courses:
+        if one.changed and one.explanation is not None:
+            size, p = (
+                quantity(one.explanation.change, one.unit, one.explanation.u),
+                probability(one.explanation.probability),
+            )
+            values = {"name": one.name, "size": size, "first": one.began[0], "last": one.began[1], "p": p}
+            more = {"now": one.dates[-1]} if one.kind == "drift" else {}
+            yield say(f"trend.says_{one.kind}", **values, **more)
+        if one.against_limit in ("exceeded", "open") and one.limit is not None:
+            limit = quantity(one.limit, one.unit)
+            yield say(
+                f"trend.says_{one.against_limit}", name=one.name, limit=limit, size=_last(one), date=one.dates[-1]
+            )
+    shifted = [(one, one.explanation) for one in found.courses if one.explanation is not None and one.shifted]
+    if shifted:
+        most, said = max(shifted, key=lambda pair: abs(pair[1].step) / pair[1].u_step)
+        names, size = enumeration([one.name for one, _ in shifted]), quantity(said.step, most.unit, said.u_step)
+        instrument = most.ways[most.way[-1]]
+        yield say("trend.says_instrument", names=names, name=most.name, instrument=instrument, size=size)
+    if not found.alarms:
+        yield say("trend.quiet", n=len(found.courses))
+
+
+def _last(one: Course) -> str:
+    return quantity(float(one.value[-1]), one.unit, float(one.u[-1]))

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether an earlier map of a machine still predicts a measurement, and which error has changed if it does not.
+
+Error motions, squareness, reversal and effects are held against each other one by one, and the position errors as a
+whole. Where both measurements are at hand with their readings, each with all correlations: what the coordinate system
+can change (zero, and the slope of a straightness) is taken out of both, and the position errors are brought to a common
+datum as `methods/map_comparison.py` does it. A result document has no correlations: there its coordinate system must be
+the same, and a motion's largest normalised difference counts, times the number of its values (Bonferroni).
+
+As many are tested at once, their p-values are adjusted by Holm's step-down rule, which holds whatever the correlation
+between them is (the position errors are made of the motions): that any error of a machine that did not change is
+called changed has at most the chance `LEVEL`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.budget.published import POSITION_ERROR
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
+from machine_tool_calibration.trends.statement import Part, Statement
+
+__all__ = ["LEVEL", "Change", "Check", "between_sessions", "check"]
+
+SESSIONS = 5
+"""Fewest sessions of which the spread between sessions is told: of four differences half are expected beyond it."""
+# Median of the square of a standard normal number.
+_MEDIAN = 0.4549
+# Positions that are one, m or rad.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Change:
+    """How one error differs between two measurements.
+
+    Attributes:
+        name: error motion, squareness, `B_mean_X`, effect's coefficient or `position_error`.
+        unit: m, rad or another one of SI.
+        before, after: its size by either measurement: the range of a motion, the value of a single number, the RMS of
+            position errors.
+        change: later less earlier; of many values the one with the largest normalised change, in a common datum.
+        u: standard uncertainty of that change.
+        at: where that is: position on the axis, or x, y, z of the place, m or rad; empty of a single number.
+        along: of position errors the direction, 0 to 2; None otherwise.
+        rms: of the changes of all its values.
+        u_rms: of their standard uncertainties.
+        between: standard deviation between sessions that is contained in them, of one session; 0 where it is not known.
+        p_value: of all its values together if nothing changed.
+        adjusted: the same by Holm's rule among all that are compared.
+    """
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    change: float
+    u: float
+    at: tuple[float, ...]
+    along: int | None
+    rms: float
+    u_rms: float
+    between: float
+    p_value: float
+    adjusted: float = 1.0
+
+    @property
+    def moved(self) -> bool:
+        """Whether it has changed by more than its uncertainty explains."""
+        return self.adjusted < LEVEL
+
+    @property
+    def blind(self) -> bool:
+        """Whether it was too uncertain to tell: as much again as the error itself could have been added unseen."""
+        return not self.moved and 2.0 * self.u_rms > abs(self.before)
+
+
+@dataclass(frozen=True)
+class Check:
+    """An earlier map against a measurement.
+
+    Attributes:
+        earlier, now: names of both.
+        since, until: their dates; None where nothing says them.
+        changes: what both have, the most significant first.
+        untold: what only one of both has.
+        correlated: whether the correlations of both are known.
+        sessions: number of sessions that tell the spread between sessions; 0 where it is not known.
+    """
+
+    earlier: str
+    now: str
+    since: str | None
+    until: str | None
+    changes: tuple[Change, ...]
+    untold: tuple[str, ...]
+    correlated: bool
+    sessions: int = 0
+
+    @property
+    def moved(self) -> tuple[Change, ...]:
+        """What has changed."""
+        return tuple(one for one in self.changes if one.moved)
+
+    @property
+    def blind(self) -> tuple[Change, ...]:
+        """What was too uncertain to tell."""
+        return tuple(one for one in self.changes if one.blind)
+
+
+def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ()) -> Check:
+    """Hold an earlier map against a measurement of the same machine that is independent of it.
+
+    Args:
+        earlier: the map.
+        now: the measurement.
+        history: earlier measurements of the machine by the same method and model, in order: of `SESSIONS` or more the
+            spread between sessions is told, and counts.
+
+    Raises:
+        CalibrationError: they are the same data, or have nothing in common.
+    """
+    if earlier.sha256 == now.sha256:
+        raise CalibrationError(f"{now.label}: is the measurement that the map {earlier.label} was made from")
+    correlated = earlier.samples is not None and now.samples is not None
+    same = (earlier.method, earlier.model, sorted(earlier.effects)) == (now.method, now.model, sorted(now.effects))
+    if not correlated and not same:
+        raise CalibrationError(
+            f"{earlier.label}: a result document has no correlations, by which another method, model or set of effects "
+            "could be brought to its datum: give its session, or the machine's logbook"
+        )
+    between = between_sessions(history)
+    found = [_part(earlier, now, name, between.get(name, 0.0)) for name in earlier.parts if name in now.parts]
+    changes = [one for one in (*found, _position(earlier, now, between.get(POSITION_ERROR, 0.0))) if one is not None]
+    if not changes:
+        raise CalibrationError(f"{earlier.label} and {now.label} have no error in common that both determine")
+    order = np.argsort([one.p_value for one in changes], kind="stable")
+    each = np.array([changes[k].p_value for k in order]) * np.arange(len(changes), 0, -1)
+    adjusted = np.minimum(np.maximum.accumulate(each), 1.0)
+    told = {one.name for one in changes}
+    return Check(
+        earlier=earlier.label,
+        now=now.label,
+        since=earlier.date,
+        until=now.date,
+        changes=tuple(replace(changes[k], adjusted=float(p)) for k, p in zip(order, adjusted, strict=True)),
+        untold=tuple(name for name in {**earlier.parts, **now.parts} if name not in told),
+        correlated=correlated,
+        sessions=len(history) if between else 0,
+    )
+
+
+def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
+    """Standard deviation between sessions of each error, beyond what the sessions' own uncertainty explains.
+
+    By the median of the squared changes from one session to the next, over all values of an error: a jump between two
+    of them does not make it larger.
+
+    Args:
+        history: measurements of one machine by the same method and model, in order.
+
+    Returns:
+        By name of the error; nothing where there are fewer than `SESSIONS`.
+    """
+    if len(history) < SESSIONS:
+        return {}
+    names = set.intersection(*({*one.parts} for one in history))
+    rows = {name: [(o.numbers.value[m := o.parts[name].members], o.numbers.u[m]) for o in history] for name in names}
+    if all(len(one.points) and np.array_equal(one.points, history[0].points) for one in history):
+        stated = [one.position_error for one in history]
+        rows[POSITION_ERROR] = [(value.reshape(-1), u.reshape(-1)) for value, u in stated]
+    out = {}
+    for name, pairs in rows.items():
+        if len({len(value) for value, _ in pairs}) > 1:
+            continue
+        value, u = (np.array(each) for each in zip(*pairs, strict=True))
+        squares, expected = np.diff(value, axis=0) ** 2, u[1:] ** 2 + u[:-1] ** 2
+        known = np.isfinite(squares) & np.isfinite(expected) & (expected > 0)
+        if known.any():
+            more = np.median(squares[known]) / _MEDIAN - np.median(expected[known])
+            out[name] = float(np.sqrt(max(more, 0.0) / 2.0))
+    return out
+
+
+def _part(earlier: Statement, now: Statement, name: str, between: float) -> Change | None:
+    """The change of an error motion or of a single number; None where they have nothing in common."""
+    one, two = earlier.parts[name], now.parts[name]
+    picks = _common(one, two)
+    if picks is None:
+        return None
+    members = one.members[picks[0]], two.members[picks[1]]
+    values = [own.numbers.value[m] for own, m in zip((earlier, now), members, strict=True)]
+    sigmas = [own.numbers.u[m] for own, m in zip((earlier, now), members, strict=True)]
+    good = np.isfinite(values[0] + values[1] + sigmas[0] + sigmas[1])
+    if not good.any():
+        return None
+    at = None if one.at is None else one.at[picks[0]][good]
+    before, after = values[0][good], values[1][good]
+    spread = 2.0 * between**2 * np.ones(len(before))
+    if at is not None and len(at) > 1 and earlier.samples is not None and now.samples is not None:
+        base, _ = np.linalg.qr(Part(name, one.unit, members[0][good], at).datum)
+        before, after = (value - base @ (base.T @ value) for value in (before, after))
+        draws = len(earlier.samples)
+        rows = (earlier.samples[:, members[0][good]] - now.samples[:, members[1][good]]) / np.sqrt(draws)
+        rows = np.concatenate([rows, np.diag(np.sqrt(spread))]) if between else rows
+        rows = rows - (rows @ base) @ base.T
+        u = np.sqrt(np.einsum("kq,kq->q", rows, rows))
+        p = joint_p_value(after - before, rows, draws)
+    else:
+        u, p = np.sqrt(sigmas[0][good] ** 2 + sigmas[1][good] ** 2 + spread), None
+    size = (float(before[0]), float(after[0])) if at is None else (float(np.ptp(before)), float(np.ptp(after)))
+    places = ((),) * len(u) if at is None else tuple((float(place),) for place in at)
+    return _change(name, one.unit, size, after - before, u, places, between, p)
+
+
+def _common(one: Part, two: Part) -> tuple[IntArray, IntArray] | None:
+    """Which values of two parts are of the same positions."""
+    if one.at is None or two.at is None:
+        return None if one.at is not two.at else (np.arange(1), np.arange(1))
+    near = np.abs(one.at[:, None] - two.at) < _SAME
+    first = np.flatnonzero(near.any(axis=1))
+    return (first, near[first].argmax(axis=1)) if len(first) else None
+
+
+def _position(earlier: Statement, now: Statement, between: float) -> Change | None:
+    """The change of the position errors as a whole, at the points that both have."""
+    if not (len(earlier.points) and len(now.points)):
+        return None
+    pairs = common_points(earlier.points, now.points)
+    both = list(zip((earlier, now), pairs, strict=True))
+    (first, u_first), (second, u_second) = ([a[pair] for a in own.position_error] for own, pair in both)
+    if not np.isfinite(first + second).any():
+        return None
+    points = earlier.points[pairs[0]]
+    if earlier.samples is not None and now.samples is not None:
+        draws, n = len(earlier.samples), len(points)
+        members = [own.numbers.quantity(POSITION_ERROR).members for own in (earlier, now)]
+        roots = [
+            own.samples[:, m].reshape(draws, -1, 3)[:, pair] / np.sqrt(draws)
+            for (own, pair), m in zip(both, members, strict=True)
+            if own.samples is not None
+        ]
+        if between:
+            more = np.sqrt(2.0) * between * np.eye(3 * n).reshape(-1, n, 3)
+            roots = [np.concatenate([roots[0], more]), np.concatenate([roots[1], 0.0 * more])]
+        found = compare_maps(points, first, second, (roots[0], roots[1]), draws, (earlier.label, now.label))
+        first, second, u, p = found.first, found.second, found.u, found.p_value
+    else:
+        u, p = np.sqrt(u_first**2 + u_second**2 + 2.0 * between**2), None
+    k, j = np.nonzero(np.isfinite(first + second) & (u > 0))
+    if not len(k):
+        return None
+    size = (_rms(first[k, j]), _rms(second[k, j]))
+    places = tuple(tuple(map(float, points[i])) for i in k)
+    return _change(POSITION_ERROR, "m", size, (second - first)[k, j], u[k, j], places, between, p, j)
+
+
+def _change(
+    name: str,
+    unit: str,
+    size: tuple[float, float],
+    difference: Array,
+    u: Array,
+    places: Sequence[tuple[float, ...]],
+    between: float,
+    p: float | None,
+    along: IntArray | None = None,
+) -> Change:
+    """Of all values of an error; without a joint p-value the smallest of the values, times their number."""
+    z = np.divide(np.abs(difference), u, out=np.zeros(len(u)), where=u > 0)
+    most = int(np.argmax(z))
+    chance = min(1.0, len(z) * float(special.erfc(z[most] / np.sqrt(2.0)))) if p is None else p
+    return Change(
+        name=name,
+        unit=unit,
+        before=size[0],
+        after=size[1],
+        change=float(difference[most]),
+        u=float(u[most]),
+        at=places[most],
+        along=None if along is None else int(along[most]),
+        rms=_rms(difference),
+        u_rms=_rms(u),
+        between=between,
+        p_value=chance,
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

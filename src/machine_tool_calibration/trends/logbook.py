@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A machine's logbook: every session that was measured on it, with its result, in the order of entering.
+
+It is one SQLite file. A folder of sessions would do for reading, but a file can be copied and handed over whole, an
+entry is in it wholly or not at all, also where two programs enter at once or one is killed, and the database itself
+refuses to change what was entered: triggers end every UPDATE and DELETE. Any program for SQLite reads it; the result
+and the sizes are JSON, description and readings the text of `session.yaml` and `observations.csv`, whose SHA-256, one
+after the other, is the entry's.
+"""
+
+from __future__ import annotations
+
+import datetime
+import io
+import json
+import sqlite3
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean
+from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
+from machine_tool_calibration.session.csv_text import write_csv
+from machine_tool_calibration.session.folder import read_session, readings_frame
+from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.session.provenance import name_of_machine
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.trends.sizes import Size
+
+__all__ = ["Entry", "Logbook", "date_of", "entry_of", "is_logbook"]
+
+# "mtlb": says of which program a database is (SQLite's application_id), and which version its tables have.
+_APPLICATION, _VERSION = 0x6D746C62, 1
+_MAGIC = b"SQLite format 3\x00"
+# Seconds that one program waits for another that is entering.
+_PATIENCE = 30.0
+_COLUMNS = (
+    "machine", "date", "instrument", "label", "sha256", "software", "result", "sizes", "description", "readings",
+)  # fmt: skip
+_TABLES = f"""
+CREATE TABLE IF NOT EXISTS entries (
+    number INTEGER PRIMARY KEY,
+    {", ".join(f"{name} TEXT NOT NULL" for name in _COLUMNS)},
+    entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP,
+    UNIQUE (sha256)
+);
+CREATE TRIGGER IF NOT EXISTS no_update BEFORE UPDATE ON entries
+    BEGIN SELECT RAISE(ABORT, 'entries are never changed'); END;
+CREATE TRIGGER IF NOT EXISTS no_delete BEFORE DELETE ON entries
+    BEGIN SELECT RAISE(ABORT, 'entries are never removed'); END;
+PRAGMA application_id = {_APPLICATION};
+PRAGMA user_version = {_VERSION};
+"""
+# Keys of `instrument` in `about` that say which one it is; others, such as a certificate, may change with time.
+_IDENTITY = ("name", "type", "model", "serial", "serial_number", "id")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One session in a logbook.
+
+    Attributes:
+        number: in the logbook, from 1; 0 before it is entered.
+        machine: its name.
+        date: when it was measured, ISO 8601, a day or a moment.
+        instrument: which one read: kind, and name or serial number where `about` has them.
+        label: name of the session's folder.
+        sha256: of its data, as in the result's provenance.
+        software: name and version that evaluated it.
+        result: the result document (`mtcal-result/1`).
+        sizes: of error motions, squareness, reversal and effects.
+        description: text of `session.yaml`.
+        readings: text of `observations.csv`.
+    """
+
+    number: int
+    machine: str
+    date: str
+    instrument: str
+    label: str
+    sha256: str
+    software: str
+    result: Mapping[str, Any]
+    sizes: tuple[Size, ...]
+    description: str
+    readings: str
+
+    @cached_property
+    def session(self) -> Session:
+        """The measurement, read again from what was entered.
+
+        Raises:
+            SessionError: what was entered has another SHA-256, or cannot be read.
+        """
+        if sha256((self.description + self.readings).encode()).hexdigest() != self.sha256:
+            raise SessionError(f"entry {self.number} ({self.label}): the data has another SHA-256 than was entered")
+        with tempfile.TemporaryDirectory() as folder:
+            for name, text in ((DESCRIPTION_FILE, self.description), (OBSERVATIONS_FILE, self.readings)):
+                (Path(folder) / name).write_text(text, encoding="utf-8", newline="")
+            return replace(read_session(Path(folder), check=False), source=self.label)
+
+    def document(self) -> dict[str, Any]:
+        """What a list of entries says of it."""
+        names = ("number", "machine", "date", "instrument", "label", "sha256", "software", "sizes")
+        told = {name: getattr(self, name) for name in names}
+        return told | {key: self.result.get(key) for key in ("method", "model", "effects")}
+
+
+def entry_of(
+    session: Session,
+    label: str,
+    result: Mapping[str, Any],
+    sizes: Sequence[Size],
+    *,
+    machine: str | None = None,
+    date: str | None = None,
+    instrument: str | None = None,
+) -> Entry:
+    """What is to be entered of a session.
+
+    Args:
+        session: the measurement; all that was recorded is entered.
+        label: its name.
+        result: its result document.
+        sizes: of what was found.
+        machine: its name, unless `about` says it.
+        date: when it was measured, ISO 8601, unless `about` says it.
+        instrument: which one read, unless `about` says it.
+
+    Raises:
+        CalibrationError: nothing says which machine it was, or when.
+    """
+    about, origin = session.description.about, result["provenance"]
+    name = machine or name_of_machine(about)
+    if not name:
+        raise CalibrationError(f"{label}: nothing says which machine it is: `about: {{machine: …}}`, or --machine")
+    told = date or about.get("date") or about.get("time")
+    if not told:
+        raise CalibrationError(f"{label}: nothing says when it was measured: `about: {{date: 2026-05-04}}`, or --date")
+    text = io.StringIO(newline="")
+    write_csv(readings_frame(session.as_recorded), text)
+    return Entry(
+        number=0,
+        machine=name,
+        date=date_of(str(told), label),
+        instrument=instrument or _instrument(session),
+        label=label,
+        sha256=origin["sha256"],
+        software=origin["software"],
+        result=result,
+        sizes=tuple(sizes),
+        description=description_yaml(session.description),
+        readings=text.getvalue(),
+    )
+
+
+def date_of(text: str, where: str) -> str:
+    """A day or moment in ISO 8601, as it is entered.
+
+    Raises:
+        CalibrationError: it is none.
+    """
+    try:
+        return datetime.date.fromisoformat(text).isoformat()
+    except ValueError:
+        pass
+    try:
+        return datetime.datetime.fromisoformat(text).isoformat()
+    except ValueError:
+        raise CalibrationError(f"{where}: {text!r} is no date such as 2026-05-04 (ISO 8601)") from None
+
+
+def _instrument(session: Session) -> str:
+    about = session.description.about.get("instrument", "")
+    if isinstance(about, Mapping):
+        about = " ".join(str(about[key]) for key in _IDENTITY if about.get(key))
+    kind = session.instrument or session.method
+    return f"{kind}: {about}" if about and isinstance(about, str) else kind
+
+
+def is_logbook(path: Path) -> bool:
+    """Whether a file is an SQLite database, which of all that this package reads only a logbook is."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(_MAGIC)) == _MAGIC
+    except OSError:
+        return False
+
+
+class Logbook:
+    """The entries of a file."""
+
+    def __init__(self, path: Path) -> None:
+        """Of a file, which the first entry makes."""
+        self.path = path
+
+    def add(self, entry: Entry) -> tuple[Entry, bool]:
+        """Enter a session.
+
+        Returns:
+            The entry as it is in the logbook, and whether it is new; otherwise nothing was changed.
+
+        Raises:
+            CalibrationError: the file is no logbook, or cannot be written.
+        """
+        with self._open(make=True) as database, database:
+            database.execute("BEGIN IMMEDIATE")  # so that nobody enters between looking and entering
+            found = self._select(database, "WHERE sha256 = ?", entry.sha256)
+            if found:
+                return found[0], False
+            values = {name: getattr(entry, name) for name in _COLUMNS}
+            values["result"] = json.dumps(entry.result, ensure_ascii=False, allow_nan=False)
+            values["sizes"] = json.dumps([size.document() for size in entry.sizes], ensure_ascii=False)
+            names = ", ".join(_COLUMNS)
+            places = ", ".join("?" * len(_COLUMNS))
+            done = database.execute(f"INSERT INTO entries ({names}) VALUES ({places})", [*values.values()])
+        return replace(entry, number=int(done.lastrowid or 0)), True
+
+    def entries(self, machine: str | None = None) -> tuple[Entry, ...]:
+        """Those of a machine in the order of their dates; of all machines where none is named.
+
+        Raises:
+            CalibrationError: there is no such file, it is no logbook, or has no such machine.
+        """
+        if not self.path.exists():
+            raise CalibrationError(f"{self.path}: no such logbook; `mtcal logbook add {self.path} SESSION` begins one")
+        with self._open() as database:
+            found = self._select(database, "ORDER BY date, number")
+        if machine is None:
+            return tuple(found)
+        known = list(dict.fromkeys(entry.machine for entry in found))
+        if machine not in known:
+            listed = ", ".join(known) or "none"
+            raise CalibrationError(
+                f"{self.path}: no machine {machine!r}{did_you_mean(machine, known)}; there is {listed}"
+            )
+        return tuple(entry for entry in found if entry.machine == machine)
+
+    def of_one(self, machine: str | None = None) -> tuple[Entry, ...]:
+        """Entries of the machine that is named, or of the only one.
+
+        Raises:
+            CalibrationError: as for `entries`, there are none, or several machines and none is named.
+        """
+        found = self.entries(machine)
+        names = list(dict.fromkeys(entry.machine for entry in found))
+        if not found:
+            raise CalibrationError(f"{self.path}: has no entries")
+        if len(names) > 1:
+            raise CalibrationError(f"{self.path}: say of which machine: {', '.join(names)}")
+        return found
+
+    @contextmanager
+    def _open(self, *, make: bool = False) -> Iterator[sqlite3.Connection]:
+        try:
+            uri = f"{self.path.absolute().as_uri()}?mode={'rwc' if make else 'ro'}"
+            # Without transactions of the library's own, which begin too late.
+            with closing(sqlite3.connect(uri, _PATIENCE, isolation_level=None, uri=True)) as database:
+                (kind,) = database.execute("PRAGMA application_id").fetchone()
+                (tables,) = database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+                (version,) = database.execute("PRAGMA user_version").fetchone()
+                if make and not tables and kind == 0:
+                    database.executescript(f"BEGIN IMMEDIATE;{_TABLES}COMMIT;")
+                elif kind != _APPLICATION:
+                    raise CalibrationError(f"{self.path}: is a database, but no logbook of mtcal")
+                elif version != _VERSION:
+                    raise CalibrationError(f"{self.path}: a logbook of version {version}, not {_VERSION}")
+                yield database
+        except sqlite3.DatabaseError as error:
+            raise CalibrationError(f"{self.path}: cannot be used as a logbook: {error}") from None
+
+    @staticmethod
+    def _select(database: sqlite3.Connection, rest: str, *values: str) -> list[Entry]:
+        rows = database.execute(f"SELECT number, {', '.join(_COLUMNS)} FROM entries {rest}", values).fetchall()
+        found = [dict(zip(("number", *_COLUMNS), row, strict=True)) for row in rows]
+        for one in found:
+            one["result"], one["sizes"] = json.loads(one["result"]), tuple(Size(**s) for s in json.loads(one["sizes"]))
+        return [Entry(**one) for one in found]

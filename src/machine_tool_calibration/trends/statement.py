@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one measurement states of the machine, so that it can be held against another one of the same machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.budget.published import (
+    POSITION_ERROR,
+    Numbers,
+    everything,
+    figure_of,
+    numbers,
+    of_document,
+)
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
+from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.methods.map_comparison import DRAWS
+from machine_tool_calibration.model.refits import drawn
+from machine_tool_calibration.trends.sizes import LOCATION
+
+__all__ = ["Part", "Statement", "of_fit", "of_result"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """An error motion, or a single number such as a squareness.
+
+    Attributes:
+        name: as in ISO 230-1, `B_mean_X`, or an effect's coefficient.
+        unit: m, rad or another one of SI.
+        members: (k,) places in the vector of published numbers.
+        at: (k,) positions on the axis, m or rad; None of a single number.
+    """
+
+    name: str
+    unit: str
+    members: IntArray
+    at: Array | None
+
+    @property
+    def datum(self) -> Array:
+        """(k, r) columns of what the coordinate system can change of it: zero, and of a straightness the slope.
+
+        A straightness's slope is part of a squareness or of the alignment (ISO 230-1, 3.4).
+        """
+        if self.at is None:
+            return np.zeros((1, 0))
+        ones = np.ones(len(self.at))
+        turns = self.name in ERROR_MOTIONS and parse_motion(self.name).is_straightness
+        return np.stack([ones, self.at - self.at.mean()] if turns else [ones], axis=1)
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What a measurement states.
+
+    Attributes:
+        label: its name.
+        date: when it was measured; None where nothing says it.
+        method: of the measurement.
+        model: variant of the method's model.
+        effects: ids of the effects in it.
+        sha256: of the data.
+        numbers: values and standard uncertainties.
+        points: (n, 3) places of the position error, m; without rows where there is none.
+        parts: error motions and single numbers by name.
+        samples: (draws, M') deviations of the first numbers, drawn together; None of a document, which has no
+            correlations.
+    """
+
+    label: str
+    date: str | None
+    method: str
+    model: str
+    effects: tuple[str, ...]
+    sha256: str
+    numbers: Numbers
+    points: Array
+    parts: Mapping[str, Part]
+    samples: Array | None = field(default=None, repr=False)
+
+    @property
+    def position_error(self) -> tuple[Array, Array]:
+        """(n, 3) position error at the points and its standard uncertainty, m."""
+        if not len(self.points):
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        members = self.numbers.quantity(POSITION_ERROR).members
+        return self.numbers.value[members].reshape(-1, 3), self.numbers.u[members].reshape(-1, 3)
+
+
+def of_fit(
+    fitted: FittedSessions,
+    label: str,
+    *,
+    draws: int = DRAWS,
+    seed: int = 1,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Statement:
+    """What one identified session states, with all correlations.
+
+    Args:
+        fitted: the session.
+        label: its name.
+        draws: by which the correlations are carried; each uncertainty is told to 1 / sqrt(2 draws).
+        seed: of the draws.
+        progress: told what is done and which share of it.
+    """
+    published, origin = everything(fitted), fitted.provenance
+    samples = np.zeros((draws, len(numbers(fitted, fitted.joint).value)))
+    # Each measurement has draws of its own: with the same ones two of them would seem to err together.
+    rng = np.random.default_rng([seed, int(origin.sha256[:16], 16)])
+    for k, joint in enumerate(drawn(fitted.joint, rng, draws)):
+        progress(label, k / draws)
+        samples[k] = numbers(fitted, joint).value - published.value[: samples.shape[1]]
+    return Statement(
+        label=label,
+        date=origin.sessions[0].measured,
+        method=fitted.joint.fits[0].model.observations.session.method,
+        model=fitted.model_name,
+        effects=fitted.effects,
+        sha256=origin.sha256,
+        numbers=published,
+        points=fitted.error_map.points,
+        parts=_parts(published, fitted.error_map.content, fitted.effects),
+        samples=samples,
+    )
+
+
+def of_result(document: Mapping[str, Any], label: str) -> Statement:
+    """What a result document states: values and uncertainties, without correlations.
+
+    Raises:
+        CalibrationError: it is no result of one session.
+    """
+    if document.get("format") != "mtcal-result/1" or document.get("method") == "joint":
+        raise CalibrationError(f"{label}: is no result document (mtcal-result/1) of one session")
+    if "provenance" not in document or "model" not in document:
+        raise CalibrationError(f"{label}: says neither its model nor what it was made from: of a formulation, or old")
+    content, origin = document.get("error_map") or {}, document["provenance"]
+    published = of_document(document)
+    points = np.zeros((0, 3))
+    if POSITION_ERROR in published.by_name:
+        found = np.asarray(content["points"] if "points" in content else content["grid"], dtype=np.float64)
+        points = np.pad(found, ((0, 0), (0, 3 - found.shape[1])))
+    return Statement(
+        label=label,
+        date=origin["sessions"][0]["measured"],
+        method=document["method"],
+        model=document["model"],
+        effects=tuple(document["effects"]),
+        sha256=origin["sha256"],
+        numbers=published,
+        points=points,
+        parts=_parts(published, content, document["effects"]),
+    )
+
+
+def _parts(published: Numbers, content: Mapping[str, Any], effects: Sequence[str]) -> dict[str, Part]:
+    """Error motions along their axes, also those that stand as profiles of position errors, and single numbers."""
+    found: list[Part] = []
+    for quantity in published.quantities:
+        name, members = quantity.name, np.arange(quantity.first, quantity.first + quantity.count)
+        if name in "xyz" and f"{name}_position" in content:
+            at = np.asarray(content[f"{name}_position"], dtype=np.float64)
+            for j, component in enumerate("XYZ"):
+                found.append(Part(f"E{component}{name.upper()}", "m", members[j::3], at))
+        elif name in ERROR_MOTIONS and quantity.count > 1 and quantity.at is not None:
+            found.append(Part(name, quantity.unit, members, quantity.at))
+        elif quantity.count == 1 and (
+            name in SQUARENESS
+            or LOCATION.fullmatch(name)
+            or figure_of(name) == "B_mean"
+            or name.partition(".")[0] in effects
+        ):
+            found.append(Part(name, quantity.unit, members, None))
+    return {part.name: part for part in found}

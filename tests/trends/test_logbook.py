@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A logbook keeps what was entered, and refuses everything else."""
+
+import hashlib
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify_sessions
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.trends.logbook import Entry, Logbook, date_of, entry_of, is_logbook
+from machine_tool_calibration.trends.sizes import sizes_of
+
+
+@pytest.fixture(scope="module")
+def measured() -> tuple[Session, Entry]:
+    """A positioning run with a reversal, and what is entered of it."""
+    effects = (FlawSpec(id="backlash_x", size=2e-6),)
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=2, effects=effects)).session
+    about = {"machine": {"name": "mill"}, "date": "2026-03-02", "instrument": {"serial": "L7", "certificate": "c1"}}
+    session = replace(session, description=session.description.model_copy(update={"about": about}))
+    result = identify_sessions(FitRequest((session,), effects=("backlash_x",)))
+    return session, entry_of(session, "march", result.document(), sizes_of(result))
+
+
+def test_an_entry_comes_back_as_it_was_entered_with_its_readings(
+    measured: tuple[Session, Entry], tmp_path: Path
+) -> None:
+    session, entry = measured
+    book = Logbook(tmp_path / "mill.logbook")
+    entered, new = book.add(entry)
+    assert new and entered.number == 1 and is_logbook(book.path)
+    (found,) = book.of_one("mill")
+    assert found == replace(entry, number=1)
+    assert (found.machine, found.date, found.instrument) == ("mill", "2026-03-02", "laser_interferometer: L7")
+    np.testing.assert_array_equal(found.session.readings.displacement, session.readings.displacement)
+    assert found.session.description == session.description
+
+
+def test_the_hash_is_that_of_the_result_and_of_the_texts(measured: tuple[Session, Entry]) -> None:
+    _, entry = measured
+    assert entry.sha256 == entry.result["provenance"]["sha256"]
+    assert entry.sha256 == hashlib.sha256((entry.description + entry.readings).encode()).hexdigest()
+    with pytest.raises(SessionError, match="another SHA-256"):
+        _ = replace(entry, readings=entry.readings.replace("1", "2", 1)).session
+
+
+def test_the_same_session_again_changes_nothing(measured: tuple[Session, Entry], tmp_path: Path) -> None:
+    _, entry = measured
+    book = Logbook(tmp_path / "mill.logbook")
+    book.add(entry)
+    before = book.path.read_bytes()
+    again, new = book.add(replace(entry, machine="another", date="2027-01-01"))
+    assert not new and (again.number, again.machine, again.date) == (1, "mill", "2026-03-02")
+    assert book.path.read_bytes() == before
+
+
+@pytest.mark.parametrize("change", ["DELETE FROM entries", "UPDATE entries SET machine = 'x'"])
+def test_the_database_itself_refuses_to_change_an_entry(
+    measured: tuple[Session, Entry], tmp_path: Path, change: str
+) -> None:
+    book = Logbook(tmp_path / "mill.logbook")
+    book.add(measured[1])
+    with sqlite3.connect(book.path) as database, pytest.raises(sqlite3.IntegrityError, match="never"):
+        database.execute(change)
+    assert len(book.entries()) == 1
+
+
+def test_entries_stand_by_date_and_several_machines_are_asked_for(
+    measured: tuple[Session, Entry], tmp_path: Path
+) -> None:
+    entry, book = measured[1], Logbook(tmp_path / "shop.logbook")
+    for date, machine in (("2026-05-01", "mill"), ("2026-01-01", "lathe"), ("2026-04-01T08:00:00", "mill")):
+        book.add(replace(entry, date=date, machine=machine, sha256=date))
+    assert [one.date[:7] for one in book.entries()] == ["2026-01", "2026-04", "2026-05"]
+    assert [one.number for one in book.of_one("mill")] == [3, 1]
+    with pytest.raises(CalibrationError, match="of which machine: lathe, mill"):
+        book.of_one()
+    with pytest.raises(CalibrationError, match="did you mean 'mill'"):
+        book.entries("mil")
+
+
+def test_sizes_are_the_range_the_reversal_and_the_effect(measured: tuple[Session, Entry]) -> None:
+    _, entry = measured
+    sizes = {size.name: size for size in entry.sizes}
+    values = np.array(entry.result["error_map"]["tables"]["EXX"]["value"])
+    assert sizes["EXX"].value == pytest.approx(np.ptp(values))
+    backlash = sizes["backlash_x.b"]
+    assert abs(backlash.value - 2e-6) < 4 * backlash.u
+    # A reversal is a backlash's full width, with the sign of forward minus backward.
+    assert abs(abs(sizes["B_mean_X"].value) - 4e-6) < 4 * sizes["B_mean_X"].u + 4 * backlash.u
+
+
+def test_what_is_no_logbook_is_refused(measured: tuple[Session, Entry], tmp_path: Path) -> None:
+    other = tmp_path / "other.db"
+    with sqlite3.connect(other) as database:
+        database.execute("CREATE TABLE something (a)")
+    text = tmp_path / "text"
+    text.write_text("no database\n" * 100)
+    for path, why in ((other, "no logbook of mtcal"), (text, "cannot be used"), (tmp_path / "none", "no such logbook")):
+        with pytest.raises(CalibrationError, match=why):
+            Logbook(path).entries()
+    with pytest.raises(CalibrationError, match="no logbook of mtcal"):
+        Logbook(other).add(measured[1])
+
+
+@pytest.mark.parametrize(("about", "why"), [({"date": "2026-01-01"}, "which machine"), ({"machine": "m"}, "when it")])
+def test_machine_and_date_are_needed(measured: tuple[Session, Entry], about: dict[str, Any], why: str) -> None:
+    session, entry = measured
+    session = replace(session, description=session.description.model_copy(update={"about": about}))
+    with pytest.raises(CalibrationError, match=why):
+        entry_of(session, "s", entry.result, entry.sizes)
+
+
+def test_a_date_is_one_of_iso_8601() -> None:
+    assert date_of("20260504", "s") == "2026-05-04" and date_of("2026-05-04 08:30", "s") == "2026-05-04T08:30:00"
+    with pytest.raises(CalibrationError, match=r"s: '4\.5\.2026' is no date"):
+        date_of("4.5.2026", "s")
