@@ -72,9 +72,32 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
     assert not (output / "bag").exists()
 
 
+def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
+    procedure, site = bench.write("small.yaml", PROCEDURE), bench.write("site.yaml", {**SITE, "noise": 3e-7})
+    status, said = mtcal("run", procedure, "--site", site, "--until", "U=1.5um", "--json")
+    assert status == 0, said.err
+    document = json.loads(said.out)
+    stages = document["reached"]
+    assert [one["enough"] for one in stages] == [False] * (len(stages) - 1) + [True]
+    assert 2 <= len(stages) < 4 and stages[-1]["U"] <= 1.5e-6
+    assert stages[0]["U"] is None  # one station alone determines no map
+    session = read_session(tmp_path / "mtcal_output" / "small" / "session")
+    assert len(session.readings) == document["readings"] == stages[-1]["readings"] < 128
+    # the recording holds what was decided, and is as whole as that of any other run
+    assert len(session_from_bag(tmp_path / document["bag"]).readings) == document["readings"]
+    status, said = mtcal("enough", tmp_path / document["bag"], "--until", "U=1.5um", "--json")
+    assert status == 0, said.err
+    again = json.loads(said.out)["reached"]
+    assert [(one["setup"], one["enough"]) for one in again] == [(one["setup"], one["enough"]) for one in stages]
+    assert again[-1]["U"] == pytest.approx(stages[-1]["U"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["run", "tracking_2d", "--until", "soon"], "mtcal: until: 'soon' is neither U=2um nor told="),
+        (["run", "tracking_2d", "--until", "told=backlash"], "mtcal: no effect 'backlash' (did you mean "),
+        (["run", "tracking_2d", "--until", "U=0um"], "mtcal: until U: '0um' must be positive"),
         (
             ["run", "nothing"],
             "mtcal: nothing: no such file, and no procedure of that name; known are direct_iso230_2, pointer_centre, ",

@@ -79,6 +79,25 @@ def test_a_lost_beam_is_tied_to_known_targets():
     assert datums == [0.0] * 9 + [1.0] * 3 + [2.0] * 12
 
 
+def test_a_paused_procedure_is_finished_with_what_was_measured():
+    world = World(small())
+    deliver = world.deliver
+
+    def delivered(to, content):
+        if len(world.emitted) == 7 and world.sequencer.state is State.RUNNING:
+            world.sequencer.pause()
+        deliver(to, content)
+
+    world.deliver = delivered
+    world.run()
+    assert world.sequencer.state is State.PAUSED
+    world.sequencer.finish()
+    assert world.sequencer.state is State.FINISHED
+    assert world.sequencer.message == f"finished after 7 of {len(world.plan.steps)} readings"
+    world.run()
+    assert len(world.emitted) == 7
+
+
 def test_a_datum_that_does_not_fit_ends_in_an_error():
     world = World(small())
     deliver, count = world.deliver, [0]

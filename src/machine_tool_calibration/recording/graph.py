@@ -76,6 +76,7 @@ GRAPH_TOPICS = (
     GraphTopic("environment/air_pressure", "sensor_msgs/msg/FluidPressure", depth=10),
     GraphTopic("environment/relative_humidity", "sensor_msgs/msg/RelativeHumidity", depth=10),
     GraphTopic("procedure/status", _STATUS, latched=True),
+    GraphTopic("until/status", _STATUS, latched=True),
     GraphTopic("error_map", "sensor_msgs/msg/PointCloud2", latched=True),
     GraphTopic("error_map/axes", "sensor_msgs/msg/PointCloud2", latched=True),
     GraphTopic("error_map/arrows", "visualization_msgs/msg/MarkerArray", latched=True),

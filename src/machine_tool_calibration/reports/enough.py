@@ -33,7 +33,7 @@ def show_reached(screen: Console, stages: Sequence[Reached]) -> None:
         for one in stages
     )
     columns = (*heads("setup", "readings", "time"), *(effects or heads("U_largest")))
-    show_table(screen, TextTable(say("enough.title"), columns, rows))
+    show_table(screen, TextTable(say("enough.title"), columns, rows, "" if effects else say("enough.coordinate")))
     first = next((one for one in stages if one.enough), None)
     if first is None:
         screen.print(say("enough.never"))
