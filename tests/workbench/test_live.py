@@ -194,6 +194,19 @@ def test_the_map_comes_as_soon_as_it_can_be_calculated_and_not_more_often_than_i
     number = feed.number
     calculated(feed, feed._due)
     assert feed.number == number, "no reading has come since"
+    assert feed.fall == [(len(session.readings), 72, pytest.approx(2.0 * np.nanmax(direct.error_map.uncertainty)))]
+
+
+def test_u_falls_from_map_to_map_and_begins_anew_with_another_session(feed: Feed, session: Session) -> None:
+    for rows in (slice(0, 216), slice(216, 288)):
+        tell(feed.heard, session, rows)
+        calculated(feed, feed._due)
+        assert not feed.why_not
+    (few, _, before), (many, _, after) = feed.fall
+    assert (few, many) == (216, 288) and after < before
+    tell(feed.heard, session, slice(0, 2), start=START + 10**12)
+    calculated(feed, feed._due)
+    assert not feed.fall
 
 
 def test_a_large_session_is_calculated_in_another_process(

@@ -107,7 +107,8 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
     found = Reached(session.setup_ids[int(readings.setup[-1])], len(readings), seconds)
     try:
         if until.u is not None:
-            u = largest_u(chosen, wanted)
+            found_map = complete.identify(chosen).error_map
+            u = found_map.largest_expanded if found_map.determined >= wanted else float("inf")
             return replace(found, u=u, enough=u <= until.u)
         probabilities, enough = _told(chosen, until.told)
         return replace(found, probabilities=probabilities, enough=enough)
@@ -115,16 +116,9 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
         return found
 
 
-def largest_u(chosen: FitRequest, wanted: int) -> float:
-    """Largest U of a coordinate of the map, m; infinite where fewer are determined than are wanted."""
-    u = complete.identify(chosen).error_map.uncertainty
-    known = u[np.isfinite(u)]
-    return 2.0 * float(known.max()) if len(known) >= max(wanted, 1) else float("inf")
-
-
 def determined(chosen: FitRequest) -> int:
     """How many coordinates of the map a session determines."""
-    return int(np.isfinite(complete.identify(chosen).error_map.uncertainty).sum())
+    return complete.identify(chosen).error_map.determined
 
 
 def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], bool]:

@@ -155,6 +155,16 @@ class ErrorMap:
     not_determined: tuple[NotDetermined, ...] = ()
     in_datum: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    @property
+    def determined(self) -> int:
+        """How many coordinates of the position errors the data determines."""
+        return int(np.isfinite(self.uncertainty).sum())
+
+    @property
+    def largest_expanded(self) -> float:
+        """Largest expanded uncertainty (k = 2) of one of them, m; infinite if there is none."""
+        return 2.0 * float(np.nanmax(self.uncertainty)) if self.determined else float("inf")
+
 
 def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
     """RMS length of the change of the position errors that both maps determine, m.

@@ -128,6 +128,16 @@ class LivePage:
         self._residuals.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
         # Both show the same readings one above the other in time.
         self._residuals.x_range = self._readings.x_range
+        self._fall = ColumnDataSource({name: [] for name in ("number", "value", "shown", "determined")})
+        hover = [("readings", "@number"), ("largest U", "@shown"), ("coordinates determined", "@determined")]
+        self._uncertainty = new_figure(
+            "Largest U (k = 2) of a coordinate", "readings", "U, µm", hover=hover, height=220
+        )
+        self._uncertainty.line("number", "value", source=self._fall, color="#0072b2")
+        self._uncertainty.scatter("number", "value", source=self._fall, size=6, color="#0072b2")
+        self._wanted = Span(dimension="width", line_color="#b36b00", line_dash="dashed", visible=False)
+        self._uncertainty.add_layout(self._wanted)
+        self._uncertainty.visible = False
         self._map = MapPlot("#0072b2")
         self._map.plot.visible = False
         self._plane = pn.widgets.Select(name="Map in the plane", width=120, options=["xy"], visible=False)
@@ -144,7 +154,9 @@ class LivePage:
             beside(self._readings, self._residuals),
             beside(
                 self._map.plot,
-                pn.Column(self._plane, self._map_words, self._setups, sizing_mode="stretch_width"),
+                pn.Column(
+                    self._plane, self._uncertainty, self._map_words, self._setups, sizing_mode="stretch_width",
+                ),
             ),
             sizing_mode="stretch_width",
         )  # fmt: skip
@@ -168,6 +180,7 @@ class LivePage:
             self._map_number = feed.number
             self._draw_residuals()
             self._draw_map()
+            self._draw_fall()
         self._say_progress()
 
     def _say_progress(self) -> None:
@@ -273,6 +286,21 @@ class LivePage:
             "shown": [quantity(value, "m") for value in residual.tolist()],
         }
         self._residuals.title.text = f"Residuals of the map: {quantity(rms(found.residual), 'm')} RMS"
+
+    def _draw_fall(self) -> None:
+        """How U falls from map to map, and what `mtcal run --until` is to come to."""
+        fall, until = self._feed.fall, self._feed.heard.newest("until")
+        self._fall.data = {
+            "number": [count for count, _, _ in fall],
+            "value": [1e6 * u for _, _, u in fall],
+            "shown": [quantity(u, "m") for _, _, u in fall],
+            "determined": [str(determined) for _, determined, _ in fall],
+        }
+        self._uncertainty.visible = len(fall) > 1
+        wanted = until.entries.get("wanted_U", "") if until is not None else ""
+        self._wanted.visible = bool(wanted)
+        if wanted:
+            self._wanted.location = 1e6 * float(wanted)
 
     def _draw_map(self) -> None:
         found = self._feed.map

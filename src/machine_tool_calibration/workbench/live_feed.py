@@ -110,6 +110,8 @@ class Feed:
         trouble: why nothing is heard; empty if nothing is wrong.
         map: the newest map of the present session; None as long as there is none.
         number: grows with every map.
+        fall: of every map of the present session, its readings, its determined coordinates, and the largest U (k = 2)
+            of one of them, m.
         calculating: since when a map is being calculated, and from how many readings; 0 if none is.
         why_not: why there is no map of the newest readings; empty if there is.
 
@@ -133,6 +135,7 @@ class Feed:
         self.trouble = ""
         self.map: LiveMap | None = None
         self.number = 0
+        self.fall: list[tuple[int, int, float]] = []
         self.why_not = ""
         self.calculating = (0.0, 0)
         self._client: Client | None = None
@@ -250,6 +253,10 @@ class Feed:
 
     def _show(self, found: LiveMap | None) -> None:
         self.map, self.number = found, self.number + 1
+        if found is None:
+            self.fall = []
+        elif found.error_map.determined:
+            self.fall.append((len(found.row), found.error_map.determined, found.error_map.largest_expanded))
 
 
 def _calculated(session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress) -> LiveMap:
