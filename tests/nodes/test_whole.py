@@ -127,7 +127,7 @@ def test_topics_services_and_contents_are_those_of_the_documents(whole):
     wanted = {f"/{name.strip('/')}" for name in rows()}
     assert operator.wait(lambda: wanted <= {name for name, _ in node.get_topic_names_and_types()}, PATIENCE)
     # this program's own subscriptions make topics too; those of the other nodes are looked at by themselves
-    missing = {"probe/trigger", "player/status", "truth/table"}
+    missing = {"probe/trigger", "player/status", "truth/table", "until/status"}
     assert operator.wait(lambda: set(rows()) - missing <= set(heard), PATIENCE), set(rows()) - missing - set(heard)
     check_topics(node)
     for name, message in heard.items():
@@ -189,6 +189,7 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     assert {topic.name for topic in GRAPH_TOPICS} - {name[1:] for name in bag.topics} <= {
         "probe/trigger",
         "truth/table",
+        "until/status",
     }
     assert bag.topics["/reading"].qos[0].depth == 20000  # so that a replay latches them all
     begin, end = (round((ORIGIN + seconds) * 1e9) for seconds in (0.0, 600.0))

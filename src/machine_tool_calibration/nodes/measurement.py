@@ -305,7 +305,7 @@ def _stages(client: Client, procedure: Procedure, setting: Setting) -> Stages | 
     return Stages(client, procedure, setting.until, model=model, effects=setting.effects, by_hand=by_hand)
 
 
-def _run(client: Client, total: int, progress: Progress, stages: Stages | None) -> None:
+def _run(client: Client, total: int, progress: Progress, stages: Stages | None = None) -> None:
     client.call("procedure/start", _COLLECT)
     seen, begun = time.monotonic(), False
 

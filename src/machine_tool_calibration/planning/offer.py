@@ -46,7 +46,8 @@ class Offer:
     """What could be measured.
 
     Attributes:
-        content: the procedure's file, with every candidate among its setups and targets, measured once.
+        content: the procedure's file, with every candidate among its setups and targets, measured once, or once in
+            either sense of the path.
         procedure: the same as a procedure.
         choices: what is allowed.
         targets: names of the targets, or of the features of a workpiece; one without a name if there are none.
@@ -78,8 +79,17 @@ class Offer:
         spent = np.zeros((len(self.setups), len(self.targets)))
         place = {name: k for k, name in enumerate(self.setups)}
         for step, seconds in zip(made.steps, np.diff(made.ends, prepend=0.0), strict=True):
-            spent[place[step.setup], self._target_of(step.target)] += seconds
+            spent[place[step.setup], self._target_of(step.target)] += seconds / self._senses
         return spent
+
+    @property
+    def _senses(self) -> int:
+        """Of the path that are candidates of their own: 1, or 2 where every second repeat goes back."""
+        return int(self.procedure.session.repeats)
+
+    def in_each_sense(self, repeats: int) -> IntArray:
+        """How many of so many repeats go in each sense of the path."""
+        return np.array([(repeats + k) // self._senses for k in reversed(range(self._senses))])
 
     def _target_of(self, number: int | None) -> int:
         session = self.procedure.session
@@ -88,7 +98,7 @@ class Offer:
         return (number or 0) if isinstance(session, RotaryAxis) else 0
 
     def unit_of(self, observed: Observations) -> IntArray:
-        """(n,) which candidate each reading belongs to: setup times the number of targets plus target."""
+        """(n,) which candidate each reading belongs to: by setup, target and sense of the path."""
         readings, session = observed.readings, self.procedure.session
         if isinstance(session, Probing):
             feature = {point.id: self.targets.index(point.feature) for point in session.workpiece}
@@ -97,12 +107,12 @@ class Offer:
             target = np.array([self.targets.index(str(name)) for name in readings.labels["target"]])
         else:
             target = np.zeros(len(readings), dtype=np.int64)
-        return np.asarray(readings.setup * len(self.targets) + target)
+        return np.asarray((readings.setup * len(self.targets) + target) * self._senses + readings.repeat)
 
     def weights(self, choice: Choice) -> Array:
-        """(S T,) how often each candidate is measured."""
-        out = np.zeros((len(self.setups), len(self.targets)))
-        out[np.ix_(choice.setups, choice.targets)] = choice.repeats
+        """(S T senses,) how often each candidate is measured."""
+        out = np.zeros((len(self.setups), len(self.targets), self._senses))
+        out[np.ix_(choice.setups, choice.targets)] = self.in_each_sense(choice.repeats)
         return out.reshape(-1)
 
     @property
@@ -144,8 +154,13 @@ class Offer:
         )
 
 
-def offer(text: str, source: str) -> Offer:
+def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
     """What the text of a procedure's file offers.
+
+    Args:
+        text: of the file.
+        source: its name, for messages.
+        both_senses: whether repeats that run the path backwards are candidates of their own: they tell something else.
 
     Raises:
         SessionError: as `parse_procedure`, or a candidate that is none.
@@ -163,7 +178,8 @@ def offer(text: str, source: str) -> Offer:
             raise SessionError(f"{source}: choices.targets are for a session with targets")
         session["targets"] = _with_candidates(session["targets"], choices.targets, f"{source}: choices.targets", "T")
     repeats = session.get("repeats", 1)
-    session["repeats"] = 1
+    returns = both_senses and present.path.alternate and max((repeats, *choices.repeats)) > 1
+    session["repeats"] = 2 if returns else 1
     content["session"] = session
     whole = parse_procedure(_dumped(content), source)
     targets, always = _targets(whole, choices, source)

@@ -373,21 +373,22 @@ def bound(
 
 def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: Callable[[float], object]) -> float:
     """Lower bound of the largest variance over `scale`, with one number of repeats."""
-    told, weights = candidates.told, program.inside
-    tangents, values = np.zeros((0, candidates.count)), np.zeros(0)
+    told, shares = candidates.told, program.inside
+    tangents, values = np.zeros((0, program.count)), np.zeros(0)
     lowest = 0.0
     for number in range(_ROUNDS):
         progress(number / _ROUNDS)
-        variance, slope = (part[told] / scale for part in candidates.slopes(weights))
+        variance, slope = (part[told] / scale for part in candidates.slopes(program.weights(shares)))
+        slope = program.by_shares(slope)
         near = np.argsort(-variance)[:_MOST_TANGENTS]
         near = near[variance[near] >= _NEAR * variance[near[0]]]
         tangents = np.vstack([tangents, slope[near]])
-        values = np.append(values, variance[near] - slope[near] @ weights)
+        values = np.append(values, variance[near] - slope[near] @ shares)
         value, corner = program.solved(tangents, values)
         lowest = max(lowest, value)
         if lowest > 1.0 or lowest > variance.max() * (1.0 - _CLOSE):
             break
-        weights = (1.0 - _STRIDE) * weights + _STRIDE * corner
+        shares = (1.0 - _STRIDE) * shares + _STRIDE * corner
     return max(lowest, program.solved(tangents, values, whole=True)[0])
 
 
@@ -401,7 +402,7 @@ class _Relaxed:
     def __init__(self, offered: Offer, repeats: int) -> None:
         """State the rules for a number of repeats."""
         setups, targets = len(offered.setups), len(offered.targets)
-        self.count, self.setups, self.repeats = setups * targets, setups, repeats
+        self.count, self.setups, self._each = setups * targets, setups, offered.in_each_sense(repeats)
         spent = offered.unit_seconds.reshape(-1)
         size = self.count + setups + 1  # the candidates, how far each setup is there, and the bound itself
         time, number = np.zeros(size), np.zeros(size)
@@ -416,13 +417,21 @@ class _Relaxed:
         most = float(_most(offered)[0])
         self.right = np.concatenate([[seconds, most], np.zeros(self.count)])
         share = min(most / setups, seconds / float(time.sum()), 1.0)
-        self.inside = np.full(self.count, share * repeats)
+        self.inside = np.full(self.count, share)
+
+    def weights(self, shares: Array) -> Array:
+        """How often each candidate is measured where setups have targets in part."""
+        return np.outer(shares, self._each).reshape(-1)
+
+    def by_shares(self, slopes: Array) -> Array:
+        """(q, count) derivatives by the shares, of (q, n) those by the weights."""
+        return np.asarray(slopes.reshape(len(slopes), self.count, -1) @ self._each)
 
     def solved(self, tangents: Array, values: Array, *, whole: bool = False) -> tuple[float, Array]:
-        """What no plan falls below, and weights at which the tangents come to it.
+        """What no plan falls below, and shares at which the tangents come to it.
 
         Args:
-            tangents: (q, count) derivatives by the weights.
+            tangents: (q, count) derivatives by the shares.
             values: (q,) the tangents at zero.
             whole: whether setups are there as a whole or not at all, as far as branch and bound comes with a fixed
                 number of nodes.
@@ -430,7 +439,7 @@ class _Relaxed:
         from scipy import optimize  # slow to load
 
         above = np.zeros((len(tangents), self.rows.shape[1]))
-        above[:, : self.count], above[:, -1] = self.repeats * tangents, -1.0
+        above[:, : self.count], above[:, -1] = tangents, -1.0
         goal, ends = np.zeros(self.rows.shape[1]), np.ones(self.rows.shape[1])
         goal[-1], ends[-1] = 1.0, np.inf
         rules = optimize.LinearConstraint(
@@ -447,4 +456,4 @@ class _Relaxed:
         )
         if found.x is None:
             return max(float(found.mip_dual_bound or 0.0), 0.0), np.zeros(self.count)
-        return float(found.mip_dual_bound if whole else found.fun), self.repeats * found.x[: self.count]
+        return float(found.mip_dual_bound if whole else found.fun), found.x[: self.count]
