@@ -200,6 +200,13 @@ def test_what_cannot_be_is_said_in_one_line(changes: dict[str, Any], why: str) -
         best_plan(_changed(**changes), "plane.yaml", Assumed())
 
 
+def test_the_bound_of_an_effect_is_that_of_plans_that_tell_it() -> None:
+    # A single repeat goes one way and tells no backlash: that says nothing of plans with two.
+    found = best_plan(PLANE, "plane.yaml", Assumed(), told=["backlash_x"])
+    assert found.best.repeats == 2
+    assert 0.9 * found.best.largest < found.bound <= found.best.largest * (1.0 + 1e-9)
+
+
 def test_an_effect_that_no_plan_tells_is_said() -> None:
     with pytest.raises(ModelError, match="no plan of these candidates tells"):
         best_plan(PLANE, "plane.yaml", Assumed(), told=["scale"])

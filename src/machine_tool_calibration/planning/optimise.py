@@ -372,13 +372,15 @@ def bound(
 
 
 def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: Callable[[float], object]) -> float:
-    """Lower bound of the largest variance over `scale`, with one number of repeats."""
+    """Lower bound of the largest variance over `scale`, with one number of repeats; infinite where no plan has one."""
     told, shares = candidates.told, program.inside
     tangents, values = np.zeros((0, program.count)), np.zeros(0)
     lowest = 0.0
     for number in range(_ROUNDS):
         progress(number / _ROUNDS)
         variance, slope = (part[told] / scale for part in candidates.slopes(program.weights(shares)))
+        if not np.isfinite(variance).all():
+            return np.inf  # not even all candidates together determine it with so many repeats
         slope = program.by_shares(slope)
         near = np.argsort(-variance)[:_MOST_TANGENTS]
         near = near[variance[near] >= _NEAR * variance[near[0]]]
