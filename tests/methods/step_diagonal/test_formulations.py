@@ -3,14 +3,14 @@
 
 import numpy as np
 import pytest
-
-from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
-from machine_tool_calibration.methods.step_diagonal.formulations import (
+from papers.formulations import (
     conventional,
+    identify_by_formulation,
     increments,
     new,
 )
+
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 
 STEP = np.array([0.03, 0.02, 0.05])
