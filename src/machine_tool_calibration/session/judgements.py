@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a method checks of a session: a measurement judged as a whole, and what was read held against what is stated."""
+"""A measurement judged as a whole, and what was read held against what is stated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["GROSS", "Checks", "Held", "Judgement", "Supposition"]
+__all__ = ["GROSS", "Held", "Judgement", "Supposition"]
 
 GROSS = 0.2
 """Share of a setup's readings up to which those that contradict are single gross errors, which are set aside."""
@@ -82,54 +79,3 @@ class Held:
     def bad(self) -> BoolArray:
         """(n,) readings that contradict."""
         return np.asarray(self.off > self.allowed)
-
-
-class Checks:
-    """What a method checks of a session, beside what is checked of every one.
-
-    Attributes:
-        needed: readings that some setup must have.
-    """
-
-    needed: ClassVar[int] = 1
-
-    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
-        """Refuse a session of which no model of the method can make anything.
-
-        Some setup must have readings enough; what was lost in others is named by the estimator.
-
-        Args:
-            session: the measurement.
-            measured: (n,) which of its readings are there.
-            place: names for messages.
-
-        Raises:
-            SessionError: fewer than two readings, or no setup has as many as needed.
-        """
-        good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
-        if good.sum() < 2:
-            raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
-        if good.max() < self.needed:
-            raise SessionError(
-                f"{place.readings}: too few readings: no setup has more than {good.max()}; at least {self.needed} are "
-                "needed"
-            )
-
-    def magnitudes(self, session: Session, place: Place) -> None:
-        """Refuse values of the method's own keys and columns that can only be a wrong unit.
-
-        Raises:
-            SessionError: the key or column, the value, and the unit that is suspected.
-        """
-
-    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
-        """Judgements by the nominal geometry, by which common mistakes are found."""
-        return iter(())
-
-    def held(self, session: Session) -> Iterator[Held]:
-        """Places, beams and displacements held against the geometry that the session states."""
-        return iter(())
-
-    def suspicious(self, session: Session) -> Iterator[str]:
-        """What in it hardly can be, a sentence each."""
-        return iter(())

@@ -1,34 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the rest of the package knows of a measuring method: one record, which the method's folder holds.
+"""What the rest of the package knows of a measuring method, which the method's folder holds.
 
-Functions of this room and of rooms below it stand in the record as they are. Those of rooms above it, and what takes
-long to import, stand as text `module:function` and are loaded when they are asked for (`load`).
+Functions of rooms above this one, and what takes long to import, stand as text `module:function` and are loaded when
+they are asked for (`load`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from functools import cache, cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
+
+import numpy as np
+
+from machine_tool_calibration.errors import SessionError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.session.description import Description
-    from machine_tool_calibration.session.judgements import Checks
+    from machine_tool_calibration.arrays import BoolArray
+    from machine_tool_calibration.session.description import Description, Place
+    from machine_tool_calibration.session.judgements import Held, Judgement
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["MethodSpec", "load"]
 
 
-@dataclass(frozen=True)
 class MethodSpec:
-    """A measuring method.
+    """A measuring method: a method's folder says what differs from this.
 
     Attributes:
         description: record of what session.yaml says.
-        columns: of a description, the columns of observations.csv without which the method cannot work.
         any_axis: whether some column of an axis's position is needed, of whichever axis.
-        checks: what is checked of a session, beside what is checked of every one.
+        always: columns that observations.csv must have, where they do not depend on the description.
+        needed: readings that some setup must have.
+        remounted: what is mounted again between setups, where that does not depend on the description.
         model: module with `build(session, variant)`, which gives the model.
         map: module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent.
         models: names of the model's variants, the default first; for each when it is the right one.
@@ -37,9 +42,6 @@ class MethodSpec:
         by_axes: variants in which nothing but the axes' errors moves the tool point.
         no_tables: why a model has no tables of error motions, and what to do.
 
-        words: of a description, what is measured, in words.
-        mounted: of a description, what has to be mounted again for further readings in a setup, whose unknowns then are
-            new ones; empty where everything stays in place.
         turned_part: what may be turned by orienting the spindle, and the effects that turn with it.
 
         reads_deviations: whether a reading is a small deviation rather than a path.
@@ -60,34 +62,32 @@ class MethodSpec:
         optics: of a site and a description, the simulated instrument's beam.
     """
 
-    description: type[Description]
-    columns: Callable[[Any], tuple[str, ...]]
-    checks: Checks
-    model: str
-    models: Mapping[str, str]
-    any_axis: bool = False
-    map: str | None = None
-    tables: str | None = None
-    by_axes: tuple[str, ...] = ()
-    no_tables: str = ""
+    description: ClassVar[type[Description]]
+    model: ClassVar[str]
+    models: ClassVar[Mapping[str, str]]
+    map: ClassVar[str | None] = None
+    any_axis: ClassVar[bool] = False
+    always: ClassVar[tuple[str, ...]] = ()
+    needed: ClassVar[int] = 1
+    remounted: ClassVar[str] = "the instrument"
+    tables: ClassVar[str | None] = None
+    by_axes: ClassVar[tuple[str, ...]] = ()
+    no_tables: ClassVar[str] = ""
+    turned_part: ClassVar[tuple[str, tuple[str, ...]]] = ("", ())
 
-    words: Callable[[Any], str] | None = None
-    mounted: Callable[[Any], str] = lambda description: "the instrument"
-    turned_part: tuple[str, tuple[str, ...]] = ("", ())
+    reads_deviations: ClassVar[bool] = False
+    reads_machine: ClassVar[bool] = False
+    probes_surface: ClassVar[bool] = False
+    turns_one_axis: ClassVar[bool] = False
+    states_runs: ClassVar[bool] = False
+    counts_from_run: ClassVar[bool] = False
+    free_order: ClassVar[bool] = False
 
-    reads_deviations: bool = False
-    reads_machine: bool = False
-    probes_surface: bool = False
-    turns_one_axis: bool = False
-    states_runs: bool = False
-    counts_from_run: bool = False
-    free_order: bool = False
-
-    steps: str | None = None
-    planned: str | None = None
-    further_places: str | None = None
-    pictures: str | None = None
-    optics: str | None = None
+    steps: ClassVar[str | None] = None
+    planned: ClassVar[str | None] = None
+    further_places: ClassVar[str | None] = None
+    pictures: ClassVar[str | None] = None
+    optics: ClassVar[str | None] = None
 
     @property
     def name(self) -> str:
@@ -102,6 +102,59 @@ class MethodSpec:
 
         kinds = get_args(self.description.model_fields["setups"].annotation)
         return any(isinstance(kind, type) and issubclass(kind, StationSetup) for kind in kinds)
+
+    def columns(self, description: Any) -> tuple[str, ...]:
+        """Columns of observations.csv without which the method cannot work."""
+        return self.always
+
+    def words(self, description: Any) -> str:
+        """What is measured, in words; empty where the method's name says it."""
+        return ""
+
+    def mounted(self, description: Any) -> str:
+        """What has to be mounted again for further readings in a setup, whose unknowns then are new ones; may be ''."""
+        return self.remounted
+
+    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
+        """Refuse a session of which no model of the method can make anything.
+
+        Some setup must have readings enough; what was lost in others is named by the estimator.
+
+        Args:
+            session: the measurement.
+            measured: (n,) which of its readings are there.
+            place: names for messages.
+
+        Raises:
+            SessionError: fewer than two readings, or no setup has as many as needed.
+        """
+        good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
+        if good.sum() < 2:
+            raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
+        if good.max() < self.needed:
+            raise SessionError(
+                f"{place.readings}: too few readings: no setup has more than {good.max()}; at least {self.needed} are "
+                "needed"
+            )
+
+    def magnitudes(self, session: Session, place: Place) -> None:
+        """Refuse values of the method's own keys and columns that can only be a wrong unit.
+
+        Raises:
+            SessionError: the key or column, the value, and the unit that is suspected.
+        """
+
+    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
+        """Judgements by the nominal geometry, by which common mistakes are found."""
+        return iter(())
+
+    def held(self, session: Session) -> Iterator[Held]:
+        """Places, beams and displacements held against the geometry that the session states."""
+        return iter(())
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """What in it hardly can be, a sentence each."""
+        return iter(())
 
 
 @cache

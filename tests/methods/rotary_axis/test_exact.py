@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.rotary_axis.checks import on_table
+from machine_tool_calibration.methods.rotary_axis.spec import on_table
 
 
 @pytest.mark.parametrize("axis", ["C", "A", "B"])

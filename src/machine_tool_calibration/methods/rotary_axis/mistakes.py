@@ -9,8 +9,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, best_motion, group_ranges
 from machine_tool_calibration.errors import ModelError, SessionError, suspected
-from machine_tool_calibration.methods.rotary_axis.checks import turning_mistakes
 from machine_tool_calibration.methods.rotary_axis.geometry import table_readings
+from machine_tool_calibration.methods.rotary_axis.spec import turning_mistakes
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
 from machine_tool_calibration.session.checks.mistakes import exchanged, explanation, shifted

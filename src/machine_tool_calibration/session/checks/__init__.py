@@ -25,8 +25,8 @@ def check_session(session: Session, place: Place | None = None) -> None:
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
     times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
-    targets and readings that the method needs (`Checks.enough`); readings that contradict the nominal geometry while
-    a common mistake would explain them (`check_consistency`), or by more than can be (`refuse_contradictions`).
+    targets and readings that the method needs (`MethodSpec.enough`); readings that contradict the nominal geometry
+    while a common mistake would explain them (`check_consistency`), or by more than can be (`refuse_contradictions`).
 
     Args:
         session: the measurement.
@@ -43,7 +43,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_doubled(session, place)
     check_units(session, place)
     read = np.isfinite(session.readings.displacement)
-    spec_of(session).checks.enough(session, read, place)
+    spec_of(session).enough(session, read, place)
     if not session.description.trust_units:
         with suspected():
             check_consistency(session, place)

@@ -2,7 +2,7 @@
 """Readings that contradict the stated geometry by more than any machine and any survey can be off.
 
 Each method says what its stated geometry makes of places, beams and displacements, and how far these may be off
-(`Checks.held`). What is commanded contradicts by a single row; of what is read, only by more than gross errors do.
+(`MethodSpec.held`). What is commanded contradicts by a single row; of what is read, only by more than gross errors do.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def refuse_contradictions(session: Session, place: Place, expected: Expected | N
             what is likelier meant.
     """
     with np.errstate(all="ignore"):
-        _refuse(session, place, expected or spec_of(session).checks.held)
+        _refuse(session, place, expected or spec_of(session).held)
 
 
 def _refuse(session: Session, place: Place, expected: Expected) -> None:

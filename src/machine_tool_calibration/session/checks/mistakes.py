@@ -88,7 +88,7 @@ def check_consistency(session: Session, place: Place) -> None:
     if len(sample.readings) < 4:
         return
     with np.errstate(all="ignore"):
-        what = explanation(sample, spec_of(session).checks.nominal(sample, place))
+        what = explanation(sample, spec_of(session).nominal(sample, place))
     if what is not None:
         raise SessionError(f"{place.readings}: {what}")
 

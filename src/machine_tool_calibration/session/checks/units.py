@@ -39,7 +39,7 @@ def check_units(session: Session, place: Place) -> None:
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
-    spec_of(session).checks.magnitudes(session, place)
+    spec_of(session).magnitudes(session, place)
     if session.description.trust_units:
         return
     with suspected():
