@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.session.checks.enough import on_a_line
+from machine_tool_calibration.session.checks.nominal_geometry import on_a_line
 from machine_tool_calibration.session.folder import read_session
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From one session, or several of one machine, to fitted models: the same for identifying, comparing and diagnosing."""
+"""From one session, or several of one machine, to fitted models: the same for identifying, comparing and diagnosing.
+
+Refused is what no machine has: errors of centimetres, and instruments that do not stand where they are stated to stand.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.errors import ModelError, did_you_mean, suspected
 from machine_tool_calibration.methods.build import build_model, error_map, sharing_variant
-from machine_tool_calibration.methods.joint.effects import with_effects
 from machine_tool_calibration.methods.joint.map import joint_map
-from machine_tool_calibration.methods.joint.model import CommonModels, common_models
+from machine_tool_calibration.methods.joint.model import CommonModels, common_models, with_effects
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.checks.places import has_stations, refuse_misplaced
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["FitRequest", "FittedSessions", "WithoutGrossErrors", "fit_sessions", "gross_errors", "joint_models"]
+__all__ = [
+    "FitRequest",
+    "FittedSessions",
+    "WithoutGrossErrors",
+    "fit_sessions",
+    "gross_errors",
+    "joint_models",
+    "refuse_impossible",
+]
+
 
 Built = tuple[MethodModel, str]
 """A session's model, and the name of its variant."""
@@ -215,3 +229,43 @@ def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
     )
     # Where nothing was set aside the model is that in which it was looked for.
     return WithoutGrossErrors(outliers, without(session, outliers, as_lost=True), None if outliers else built)
+
+
+# Position error that no machine tool has, m, and by how many of its uncertainties it must be known.
+_IMPOSSIBLE = 0.01
+_KNOWN = 5.0
+
+
+@suspected()
+def refuse_impossible(fitted: FittedSessions) -> None:
+    """Refuse what readings that contradict the geometry say of the machine, unless a session says `trust_units`.
+
+    The map is that of all sessions; an instrument stands where its own session says.
+
+    Args:
+        fitted: one session or several.
+
+    Raises:
+        ModelError: a position error of centimetres, or a station far from where it is stated to be.
+    """
+    sessions = [fit.model.observations.session for fit in fitted.joint.fits]
+    if not any(session.description.trust_units for session in sessions):
+        labels = fitted.joint.assembly.labels
+        _refuse_errors(sessions[0].source if len(sessions) == 1 else ", ".join(labels or ()), fitted.error_map)
+    for session, fit in zip(sessions, fitted.joint.fits, strict=True):
+        if has_stations(session) and not session.description.trust_units:
+            own = fitted.error_map if len(sessions) == 1 else error_map(fit)
+            refuse_misplaced(session, own.content)
+
+
+def _refuse_errors(name: str, error_map: ErrorMap) -> None:
+    size = np.abs(error_map.error)
+    there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
+    if there.any():
+        k, j = np.argwhere(there)[int(np.argmax(size[there]))]
+        place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k])
+        raise ModelError(
+            f"{name}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
+            f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
+            "instrument stood"
+        )

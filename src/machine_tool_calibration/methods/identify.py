@@ -21,8 +21,8 @@ from machine_tool_calibration.methods.fitted import (
     WithoutGrossErrors,
     fit_sessions,
     gross_errors,
+    refuse_impossible,
 )
-from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated

@@ -12,8 +12,8 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.rotary_axis.mistakes import _too_far, suppositions
 from machine_tool_calibration.methods.rotary_axis.model import build
+from machine_tool_calibration.methods.rotary_axis.start import _too_far, suppositions
 from machine_tool_calibration.session.session import Session
 
 # Enough to tell a mistake.

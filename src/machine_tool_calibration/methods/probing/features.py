@@ -19,9 +19,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
+from machine_tool_calibration.methods.probing.geometry import Circle, Element, Line, elements, through
 from machine_tool_calibration.methods.probing.map import common_motions, points_of_form, responses
 from machine_tool_calibration.methods.probing.model import ProbingModel
-from machine_tool_calibration.methods.probing.shapes import Circle, Element, Line, elements, through
 from machine_tool_calibration.model.fit import Fit
 
 __all__ = ["Features", "Quantity", "features"]

@@ -11,7 +11,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, first_true, groups
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.checks.enough import counted
 from machine_tool_calibration.session.checks.mistakes import (
     described,
     exchanged_axes,
@@ -20,7 +19,13 @@ from machine_tool_calibration.session.checks.mistakes import (
     turned_round,
     with_columns,
 )
-from machine_tool_calibration.session.checks.nominal_geometry import badly_exchanged, judged_by_worst, turned, wrapped
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    counted,
+    judged_by_worst,
+    turned,
+    wrapped,
+)
 from machine_tool_calibration.session.checks.units import MILLIMETRES
 from machine_tool_calibration.session.description import Description, Place, Probing
 from machine_tool_calibration.session.judgements import Held, Judgement

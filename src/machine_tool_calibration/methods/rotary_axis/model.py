@@ -35,8 +35,13 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_axis.mistakes import SURVEYED, refuse_mistakes, refuse_wrong_rows
-from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
+from machine_tool_calibration.methods.rotary_axis.start import (
+    SURVEYED,
+    Start,
+    find_start,
+    refuse_mistakes,
+    refuse_wrong_rows,
+)
 from machine_tool_calibration.model.model import (
     MethodModel,
     Parameter,

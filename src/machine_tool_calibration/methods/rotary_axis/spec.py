@@ -12,12 +12,14 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.rotary_axis.geometry import axis_rotation
-from machine_tool_calibration.session.checks.enough import enough_stations, on_a_line, refuse_one_line
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, in_degrees, scaled, turned_round
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
+    enough_stations,
     judged_by_worst,
     lines_of_sight,
+    on_a_line,
+    refuse_one_line,
     relative_misfit,
 )
 from machine_tool_calibration.session.description import Place, RotaryAxis, rotary_column

@@ -10,7 +10,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, unit_vectors
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.checks.enough import enough_stations, on_a_line, refuse_one_line
 from machine_tool_calibration.session.checks.mistakes import (
     LENGTHS,
     SENSES,
@@ -23,9 +22,12 @@ from machine_tool_calibration.session.checks.mistakes import (
 )
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
+    enough_stations,
     judged_by_worst,
     lines_of_sight,
     off_prediction,
+    on_a_line,
+    refuse_one_line,
     relative_misfit,
     wrapped,
 )
@@ -53,7 +55,6 @@ class TrackingSpec(MethodSpec):
 
     description = TrackingInterferometer
     model = "machine_tool_calibration.methods.tracking.model"
-    map = "machine_tool_calibration.methods.tracking.map"
     models: ClassVar = {
         "free": "the default: every target has a position of its own, whatever moves the tool; each needs one "
         "station more than there are dimensions",

@@ -8,8 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
-from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
-from machine_tool_calibration.session.checks.mistakes import check_consistency
+from machine_tool_calibration.session.checks.mistakes import check_consistency, refuse_contradictions
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
