@@ -46,13 +46,9 @@ class ErrorStates:
 def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Effect]) -> ErrorStates:
     """Errors of the map with those of the effects, as in the readings that are nearest to each of its points.
 
-    Where the direction of approach matters, each point has the nearest readings of every direction that occurred: it
-    may be reached from either side, whether it was in the measurement or not.
-
-    Args:
-        error_map: of the fits together.
-        fits: of each session.
-        effects: in the model; those on the reading itself are no errors of the machine and do not count.
+    Where the direction of approach matters, each point has the nearest readings of every direction that occurred:
+    it may be reached from either side, whether it was in the measurement or not. Effects on the reading itself are
+    no errors of the machine and do not count.
     """
     terms = {term.name for fit in fits for term in fit.model.terms}
     acting = [effect for effect in effects if effect.kind == "position" and effect.id in terms]

@@ -70,14 +70,7 @@ class ResidualErrors:
 
 
 def residual_errors(error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None) -> ResidualErrors:
-    """Errors before and after compensation.
-
-    Args:
-        error_map: the measured errors.
-        compensation: the deviations that the controller takes away, read back from the files.
-        directions: (n, 3) signs of the last moves at the map's points, for what the files say of backlash; without
-            them the errors are the mean of both directions.
-    """
+    """Errors before and after what the files take away, the latter with backlash where directions (n, 3) are given."""
     known = np.isfinite(error_map.error)
     predicted = compensation.field(error_map.points, directions)
     before = _without_motion(error_map.points, np.where(known, error_map.error, 0.0), known)

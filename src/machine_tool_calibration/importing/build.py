@@ -101,15 +101,7 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
 
 
 def _reading_rows(columns: Columns, name: str) -> Rows:
-    """The readings of a table: its columns named as quantities, and others that the mapping names.
-
-    Args:
-        columns: the table.
-        name: of the one setup, where no column names it and the session has no setups.
-
-    Raises:
-        SessionError: no reading, a cell that is no number, a unit that is not given, or no setup.
-    """
+    """The readings of a table: its columns named as quantities, and others that the mapping names."""
     columns.take_namesakes()
     columns.need(["displacement"], "the reading")
     setups = columns.mapping.session.get("setups")
@@ -135,11 +127,7 @@ _ROWS: dict[str, Callable[[Columns, str], Rows]] = {
 
 
 def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntArray]:
-    """The rows of several tables one below the other, in the order of time where that was stamped.
-
-    Returns:
-        The rows, and (n, 2) the table and the row in it that each comes from.
-    """
+    """The rows of several tables, in the order of time where that was stamped, and (n, 2) table and row of each."""
     lengths = [len(part.row) for part in parts]
     origin = np.column_stack([np.repeat(np.arange(len(parts)), lengths), np.concatenate([part.row for part in parts])])
     numbers = {

@@ -78,11 +78,7 @@ class Columns:
                 )
 
     def number(self, role: str) -> Array:
-        """(rows,) the quantity in SI, NaN where the cell is empty.
-
-        Raises:
-            SessionError: no such column, a cell that is no number, no unit, or one of another dimension.
-        """
+        """(rows,) the quantity in SI, NaN where the cell is empty; a SessionError names what is wrong."""
         wanted = ROLES[self.mapping.table][role]
         if role in self.mapping.values:
             text = self.mapping.values[role]
@@ -126,11 +122,7 @@ class Columns:
         return out
 
     def filled(self, role: str, values: Array) -> Array:
-        """The values, none of which may be missing.
-
-        Raises:
-            SessionError: a cell is empty.
-        """
+        """The values, none of which may be missing: a SessionError names the empty cell."""
         self._refuse_empty(role, ~np.isfinite(values))
         return values
 

@@ -151,11 +151,7 @@ class Mapping(Record):
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """The content of a mapping file, for `parse_mapping`.
-
-    Raises:
-        SessionError: not there, or no mapping of keys.
-    """
+    """The content of a mapping file, for `parse_mapping`; a SessionError if it is no mapping of keys."""
     document = load_yaml(read_text(path, 1 << 20), str(path))
     if not isinstance(document.value, dict):
         raise SessionError(f"{path}: must be a mapping of keys")
@@ -165,15 +161,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
-    """The mapping from its keys.
-
-    Args:
-        content: of the file, the command line, or both.
-        source: where it came from, for messages.
-
-    Raises:
-        SessionError: one line that names the key that is wrong.
-    """
+    """The mapping from the keys of the file, the command line, or both; a SessionError names the key that is wrong."""
     mapping = validated(Mapping, content, source, unnamed=("[key]",))
     roles = ROLES[mapping.table]
     for kind in ("columns", "values"):

@@ -115,15 +115,11 @@ class Alignment:
 
 
 def read_alignment(path: Path) -> Alignment:
-    """Read a search.
+    """Read a search: a CSV file in SI units, or the folder that holds it as `observations.csv`.
 
-    Args:
-        path: a CSV file in SI units with the columns `azimuth`, `displacement`, `x`, `y`, and `repeat` where there are
-            several runs; or the folder that holds it as `observations.csv`.
-
-    Raises:
-        SessionError: it cannot be read, lacks a column, is of several stations, or both or neither of beam and
-            retroreflector move.
+    Its columns are `azimuth`, `displacement`, `x`, `y`, and `repeat` where there are several runs. A SessionError
+    says that it cannot be read, lacks a column, is of several stations, or both or neither of beam and
+    retroreflector move.
     """
     file = path / "observations.csv" if path.is_dir() else path
     table = read_text_table(file, FileForm())

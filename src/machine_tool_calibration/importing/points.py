@@ -54,17 +54,7 @@ _POOR = 2e-3  # of the extent: no machine tool is that far off
 
 
 def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) -> None:
-    """Refuse measured points that are not those that were asked for.
-
-    Args:
-        measured: (n, 3) m, after alignment if there was one; NaN where missing.
-        nominal: (n, 3) m.
-        where: for messages.
-        aligned: whether the measured points were shifted and turned onto the nominal ones.
-
-    Raises:
-        SessionError: another unit, points in another frame or order, or a left-handed frame.
-    """
+    """Refuse measured (n, 3) that are not the nominal points, m: another unit, frame, order, or a left-handed frame."""
     good = np.isfinite(measured) & np.isfinite(nominal)
     off = np.where(good, measured - nominal, 0.0)
     count = np.maximum(good.sum(axis=0), 1)
@@ -100,16 +90,7 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
 
 
 def check_deviations(deviation: Array, position: Array, where: str) -> None:
-    """Refuse deviations that no machine tool has over its travel.
-
-    Args:
-        deviation: (n,) m, NaN where missing.
-        position: (n,) along the axis that was moved, or (n, 3), m.
-        where: for messages.
-
-    Raises:
-        SessionError: they spread too far; most often their unit is another.
-    """
+    """Refuse deviations (n,) that no machine tool has over its travel, m: most often their unit is another."""
     good = np.isfinite(deviation)
     extent = float(np.max(np.ptp(position, axis=0))) if len(position) else 0.0
     spread = float(np.std(deviation[good])) if good.any() else 0.0
@@ -131,18 +112,11 @@ _MEASURED = tuple(f"{what}_{axis}" for what in ("actual", "deviation") for axis 
 
 
 def point_rows(columns: Columns, name: str) -> Rows:
-    """One reading for each point and each direction that was measured.
+    """One reading for each point and each direction that was measured; `name` is the setup where no column names it.
 
-    The commanded position is the nominal one plus the origin. A reading is the measured minus the nominal coordinate
-    along one axis; where the points were measured in another frame (`align`), after the best shift and turn of each
-    setup, which `datum: rigid` leaves open anyway.
-
-    Args:
-        columns: of the table.
-        name: id of the setup, where no column names it.
-
-    Raises:
-        SessionError: no measured coordinate, an empty nominal one, or points that are not the nominal ones.
+    The commanded position is the nominal one plus the origin. A reading is the measured minus the nominal
+    coordinate along one axis; where the points were measured in another frame (`align`), after the best shift and
+    turn of each setup, which `datum: rigid` leaves open anyway.
     """
     mapping, table = columns.mapping, columns.table
     if mapping.align and mapping.session.get("datum", "rigid") != "rigid":
@@ -247,11 +221,8 @@ _NOT_KEPT = (*_ACTUAL, "range", "azimuth", "bearing", "elevation", "zenith", "re
 def range_rows(columns: Columns) -> Rows:
     """A reading for each row: the change of distance since the first one.
 
-    With a column `target` the targets turn with a rotary table (`rotary_axis`), else the machine carries one target to
-    the commanded positions (`tracking_interferometer`, with a beam that follows it).
-
-    Raises:
-        SessionError: a quantity that nothing is named for, an empty position, or a station whose place is unknown.
+    With a column `target` the targets turn with a rotary table (`rotary_axis`), else the machine carries one target
+    to the commanded positions (`tracking_interferometer`, with a beam that follows it).
     """
     mapping, table = columns.mapping, columns.table
     columns.need(("setup",), "the station")
@@ -361,11 +332,7 @@ def _targets(columns: Columns, used: np.ndarray) -> list[dict[str, object]]:
 
 
 def triple(text: str, what: str) -> list[float]:
-    """`-350, 50, 0 mm` in metres.
-
-    Raises:
-        SessionError: not three numbers and a unit.
-    """
+    """`-350, 50, 0 mm` in metres; a SessionError says that it is not three numbers and a unit."""
     parts = text.strip().rsplit(None, 1)
     numbers = parts[0].split(",") if len(parts) == 2 else []
     if len(numbers) != 3:

@@ -26,16 +26,7 @@ _NAME = re.compile(
 
 
 def positioning_rows(columns: Columns, name: str) -> Rows:
-    """A reading for each deviation: runs in their order, each along the way that it went.
-
-    Args:
-        columns: of the table.
-        name: id of the setup.
-
-    Raises:
-        SessionError: no axis, a run whose direction is not said, an empty position, or a direction that is neither up
-            nor down.
-    """
+    """A reading for each deviation: runs in their order, each along the way that it went; `name` is the setup."""
     mapping = columns.mapping
     if mapping.axis is None:
         raise SessionError(f"{columns.table.source}: which axis was moved is not said, as in --axis x")

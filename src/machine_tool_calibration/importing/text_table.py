@@ -39,11 +39,7 @@ def _stamp_seconds(text: str, pattern: str | None) -> float:
     """A time stamp in seconds since 1970, or since midnight where it has no date; NaN where it is none.
 
     Read are ISO 8601 (2024-05-03 10:15:00.25, with or without an offset), 3.5.2024 10:15:00 (the day first, as dots
-    say) and 10:15:00. Of 5/3/2024 nobody knows which is the day: that needs a pattern.
-
-    Args:
-        text: the cell.
-        pattern: of `datetime.strptime`, such as `%m/%d/%Y %H:%M:%S`; none of the above is tried then.
+    say) and 10:15:00. Of 5/3/2024 nobody knows which is the day: that needs a pattern of `datetime.strptime`.
     """
     try:
         if pattern is not None:
@@ -172,14 +168,7 @@ class TextTable:
         return self.parsed(self.text(column, what), f"column {column!r}", unit)
 
     def parsed(self, cells: np.ndarray, what: str, unit: str, lines: Sequence[int] | None = None) -> Array:
-        """Numbers of cells, as for `numbers`.
-
-        Args:
-            cells: (n,) text.
-            what: for messages.
-            unit: of the cells.
-            lines: (n,) line of each cell, where they are not those of the rows.
-        """
+        """Numbers of cells (n,), as for `numbers`; with the line of each where they are not those of the rows."""
         text = pd.Series(cells, dtype=object)
         plain = text.str.replace("\N{MINUS SIGN}", "-", regex=False)
         if self.form.decimal == ",":
@@ -228,21 +217,12 @@ class TextTable:
 
 
 def parse_form(content: dict[str, Any]) -> FileForm:
-    """How a text is written, from the keys of `FileForm`.
-
-    Raises:
-        SessionError: a key or value that it does not have.
-    """
+    """How a text is written, from the keys of `FileForm`; a SessionError names what it does not have."""
     return validated(FileForm, content, "")
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:
-    """The cells of a text file.
-
-    Raises:
-        SessionError: not there, too large, another encoding, no header or no rows, or a row with fewer or more cells
-            than the header has names; one line with file and line.
-    """
+    """The cells of a text file; a SessionError says what is wrong with it, in one line with file and line."""
     source = str(path)
     lines = _lines(path, form)
     numbered = [(number, text) for number, text in enumerate(lines, start=1) if number > form.skip and text.strip()]

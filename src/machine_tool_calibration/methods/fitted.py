@@ -240,13 +240,8 @@ _KNOWN = 5.0
 def refuse_impossible(fitted: FittedSessions) -> None:
     """Refuse what readings that contradict the geometry say of the machine, unless a session says `trust_units`.
 
-    The map is that of all sessions; an instrument stands where its own session says.
-
-    Args:
-        fitted: one session or several.
-
-    Raises:
-        ModelError: a position error of centimetres, or a station far from where it is stated to be.
+    A ModelError names a position error of centimetres in the map of all sessions, or a station far from where its
+    own session states it to be.
     """
     sessions = [fit.model.observations.session for fit in fitted.joint.fits]
     if not any(session.description.trust_units for session in sessions):

@@ -154,18 +154,12 @@ def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> t
 
 
 def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
-    """Expanded uncertainty (k = 2) of the figures from the repeatability that they were found with.
+    """Expanded uncertainty (k = 2) by figure, from the repeatability that the figures were found with.
 
     As of repeated tests: every figure is worked out again for runs that are drawn about the means with the standard
     deviation found, of each direction over all positions; twice the standard deviation of what comes out. The
-    uncertainty of the instrument and of its alignment and temperature (the standard's Annex A, from certificates that a
-    session does not hold) is not in it.
-
-    Args:
-        figures: of one axis, with at least two runs in each direction in which it was measured.
-
-    Returns:
-        By figure (`FIGURES`); those that the readings do not give are left out.
+    uncertainty of the instrument and of its alignment and temperature (the standard's Annex A, from certificates
+    that a session does not hold) is not in it; figures that the readings do not give are left out.
     """
     rng = np.random.default_rng(1)
     position, direction, centre, spread = [], [], [], []
@@ -198,16 +192,10 @@ def positioning_runs(
 ) -> list[dict[str, Any]]:
     """Figures of every setup in which a line was read along itself, in both directions or repeatedly.
 
-    Args:
-        observations: the readings.
-        diagonals: whether those along diagonals are wanted, instead of those along a linear axis.
-        uncertain: whether the uncertainties of the figures are wanted, which take most of the time.
-
-    Returns:
-        For each such setup its id, the `axis` (X; of a diagonal the signs of its motion along X, Y, Z: `NPP`, `NP0`),
-        the fields of `Positioning`, the single runs `runs_up` and `runs_down` (runs, m), m, and the expanded
-        uncertainties (k = 2) of the figures, `B_U` and so on, as far as the runs determine them. The positions of a
-        diagonal count from its end.
+    For each its id, the `axis` (X; of a diagonal, if `diagonals` are wanted, the signs of its motion along X, Y, Z:
+    `NPP`, `NP0`), the fields of `Positioning`, the single runs `runs_up` and `runs_down` (runs, m), m, and, if
+    wanted (they take most of the time), the expanded uncertainties (k = 2) of the figures, `B_U` and so on, as far
+    as the runs determine them. The positions of a diagonal count from its end.
     """
     out = []
     for index, name in enumerate(observations.session.setup_ids):
@@ -277,10 +265,7 @@ def _largest(runs: Sequence[dict[str, Any]], figure: str) -> dict[str, float]:
 
 
 def _line(observations: Observations, mine: IntArray) -> Array | None:
-    """(3,) direction of the line along which all readings of a setup sense and on which it begins and ends; or None.
-
-    An axis's points in its positive direction, a diagonal's as it was moved first.
-    """
+    """(3,) line along which all readings sense and on which they begin and end, an axis's upwards; None if none."""
     if len(mine) < 4:
         return None
     position, direction = observations.position[mine], observations.direction[mine]

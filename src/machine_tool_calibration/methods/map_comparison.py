@@ -177,10 +177,7 @@ def compare_maps(
 
 
 def _motions(points: Array, there: BoolArray) -> tuple[Array, float]:
-    """(q, 6) change of the components that are there by a unit of each motion, and the arm by which turns are scaled.
-
-    Turns are about the middle of the points, and move the farthest of them by 1.
-    """
+    """(q, 6) change of the components by a unit of each motion, turns scaled by the returned arm, m."""
     arm = points - points[there.any(axis=1)].mean(axis=0)
     size = float(np.linalg.norm(arm[there.any(axis=1)], axis=1).max()) or 1.0
     return rigid_motions(arm / size)[there], size
@@ -210,15 +207,10 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
 
 
 def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
-    """Of the sum of squares that are made independent; of a covariance from draws by Hotelling's distribution.
+    """p-value of (q,) differences by the sum of squares that are made independent; None where nothing tells.
 
-    Args:
-        difference: (q,) what should be zero.
-        rows: (k, q) of a root of its covariance.
-        draws: number of random draws that the root was made of; None where it is exact.
-
-    Returns:
-        p-value; None where there is nothing to test, or too few draws to tell.
+    From (k, q) rows of a root of their covariance; by Hotelling's distribution where it was made of so many
+    `draws`.
     """
     _, sizes, right = np.linalg.svd(rows, full_matrices=False)
     good = sizes > _RANK * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
@@ -236,14 +228,7 @@ def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | 
 def map_draws(
     fitted: FittedSessions, draws: int, seed: int, progress: Callable[[float], None] = lambda share: None
 ) -> Array:
-    """(draws, n, 3) deviations of a map's position errors, drawn from their joint distribution as it is published, m.
-
-    Args:
-        fitted: of which the map is.
-        draws: how many.
-        seed: of the draws.
-        progress: is told the share that is done.
-    """
+    """(draws, n, 3) deviations of a map's position errors, drawn from their joint published distribution, m."""
     base = fitted.error_map.error
     out = np.empty((draws, *base.shape))
     for k, joint in enumerate(drawn(fitted.joint, np.random.default_rng(seed), draws)):

@@ -40,12 +40,7 @@ class Collector:
     """Collects `reading` messages; the same readings give the same session, to the last bit, however they came."""
 
     def __init__(self, description: Description, place: Place) -> None:
-        """Start without readings.
-
-        Args:
-            description: the measurement's description.
-            place: how messages name where the readings come from.
-        """
+        """Start without readings; `place` is how messages name where they come from."""
         self.description = description
         self._place = place
         self._count = 0

@@ -34,9 +34,5 @@ class _File(Record):
 
 
 def read_feature_points(file: Path) -> dict[str, tuple[str, ...]]:
-    """Ids of the points of each feature.
-
-    Raises:
-        SessionError: one line with file, line and key of the first defect.
-    """
+    """Ids of the points of each feature; a SessionError names file, line and key of the first defect."""
     return parse_record(read_text(file), str(file), _File, FORMAT).features

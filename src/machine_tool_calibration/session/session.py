@@ -164,14 +164,7 @@ class Session:
         return self.recorded or self
 
     def keeping(self, rows: Iterable[int]) -> Session:
-        """The same measurement, with further readings known to be sound.
-
-        Args:
-            rows: their numbers in the recording, from 0.
-
-        Raises:
-            SessionError: it has no such reading.
-        """
+        """The same measurement, with rows that are known to be sound; a SessionError if it has no such row."""
         rows = frozenset(rows)
         for row in sorted(rows.difference(self.readings.row.tolist())):
             raise SessionError(f"{self.source}: there is no row {row} to keep; rows count from 0")
@@ -198,15 +191,7 @@ _FEW = 8
 
 
 def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
-    """Refuse a measurement that is given twice: fitted together, its readings would count as independent ones.
-
-    Args:
-        sessions: measurements that are to be fitted together.
-        labels: their names.
-
-    Raises:
-        SessionError: two of them are the same readings.
-    """
+    """Refuse (SessionError) a measurement that is given twice: its readings would count as independent ones."""
     named = zip(labels, (session.readings for session in sessions), strict=True)
     for (one, first), (other, second) in itertools.combinations(named, 2):
         if len(first) >= _FEW and _are_same(first, second):

@@ -43,15 +43,7 @@ Build = Callable[[Session], MethodModel]
 
 
 def refuse_mistakes(session: Session, build: Build) -> None:
-    """Refuse positions given for deviations, a part turned or mirrored, and units a thousand times too large.
-
-    Args:
-        session: the measurement.
-        build: its model without machine errors, so that all deviations are left.
-
-    Raises:
-        ModelError: the mistake.
-    """
+    """Refuse (ModelError) positions given for deviations, a part turned or mirrored, and units a thousandfold wrong."""
     seen = build(session).observations
     extent = float(np.ptp(seen.position, axis=0).max())
     if extent == 0.0 or len(seen) < 8:

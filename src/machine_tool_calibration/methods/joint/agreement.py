@@ -213,10 +213,7 @@ def _seen_of(model: MethodModel, name: str) -> set[str]:
 
 
 def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | None:
-    """Positions on an error motion's axis between which two sessions both depend on it, m; None if there are none.
-
-    Empty where the term is no error motion of a linear axis: it has no position.
-    """
+    """Positions between which both sessions depend on an error motion, m; none, or empty where it has no position."""
     if not _is_motion(name):
         return np.empty(0)
     axis = "XYZ".index(parse_motion(name).axis)
@@ -235,16 +232,10 @@ def _is_motion(name: str) -> bool:
 
 
 def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Array) -> tuple[Array, Array]:
-    """A smooth difference in a term: (K, k) its unknowns and (values, k) its values at positions, per coefficient.
+    """(K, k) a smooth difference in a term, and (values, k) what it is at positions that others have read too.
 
-    For a table, Legendre polynomials over the nodes that the session sees, or every such node by itself if they are
-    few; for a polynomial, its own; for all else each coefficient by itself.
-
-    Args:
-        model: of the session.
-        term: the error motion or effect.
-        common: which of its unknowns are compared.
-        at: positions that others have read too.
+    Of the unknowns `common`: for a table Legendre polynomials over the nodes that the session sees, or each node by
+    itself if they are few; for a polynomial its own; for all else each coefficient by itself.
     """
     each = np.eye(len(term.parameters))[:, common]
     table = next((t for t in getattr(model, "tables", None) or () if t.name == term.name), None)
@@ -297,13 +288,7 @@ class _Scores:
         return float(right @ inverse @ right), rank
 
     def difference(self, k: int, shape: Array, spread: float) -> tuple[float, float]:
-        """The largest value of a difference that is clearly one, and its standard uncertainty.
-
-        Args:
-            k: the difference.
-            shape: its values per unit of its coefficients.
-            spread: factor by which the readings scatter more than declared.
-        """
+        """The largest value that is clearly a difference, of a `shape` per coefficient, and its uncertainty."""
         inverse, _ = self._inverse(k)
         value = shape @ (inverse @ self.right[self._own(k)])
         uncertainty = spread * np.sqrt(np.einsum("vi,ij,vj->v", shape, inverse, shape).clip(0.0))

@@ -72,15 +72,7 @@ class CommonModels:
 
 
 def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> CommonModels:
-    """Give models of several sessions the same tables and one datum.
-
-    Args:
-        models: one for each session.
-        labels: names of the sessions.
-
-    Raises:
-        ModelError: the sessions are of machines with different chains.
-    """
+    """Give models of several sessions the same tables and one datum; a ModelError if their chains differ."""
     chains = [model.observations.session.description.machine.kinematics for model in models]
     linear = [chain for chain in chains if chain.linear]
     first = next((model for model, chain in zip(models, chains, strict=True) if chain.linear), models[0])
@@ -146,11 +138,7 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
 
 
 def _determined_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
-    """Error motions that tracking interferometers determine by all their readings, though none of them may by its own.
-
-    A single station senses one direction at each place: it cannot distinguish an angle from a straightness, which two
-    can.
-    """
+    """Error motions that trackers determine together: each alone senses one direction at a place."""
     trackers = [m for m in models if spec_of(m.observations.session).beam_from_pointer and tables_of(m)]
     if len(trackers) < 2:
         return []
@@ -306,16 +294,7 @@ def _preference(constraint: Constraint, motions: Mapping[str, MachineTable]) -> 
 
 
 def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[Effect]) -> CommonModels:
-    """The models with effects, in every session in which they can act.
-
-    Args:
-        common: the models.
-        labels: names of the sessions.
-        effects: to be added.
-
-    Raises:
-        ModelError: an effect acts in no session.
-    """
+    """The models with effects in every session in which they can act; a ModelError names one that acts in none."""
     models = list(common.models)
     for effect in effects:
         reasons = {label: effect.why_not(m.observations) for label, m in zip(labels, models, strict=True)}

@@ -56,8 +56,8 @@ class StatedAngles:
     def hiding(self, statement: str) -> str:
         """An agreement of sessions, with what it does not mean where angular errors explain as much.
 
-        A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX like EYX):
-        a straightness that another session sees differently cannot be distinguished from such a rotation.
+        A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX
+        like EYX).
         """
         if self.probability < _LIKELY:
             return statement
@@ -91,13 +91,7 @@ def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> t
 def settled(
     models: Sequence[MethodModel], labels: Sequence[str], angles: Sequence[MachineTable]
 ) -> tuple[MethodModel, ...]:
-    """The models with the size and shape of the angular errors that all readings together determine.
-
-    Args:
-        models: one for each session, those terms that were added included.
-        labels: names of the sessions.
-        angles: tables of the angular errors.
-    """
+    """The models with the size and shape of the angular errors that all readings together determine."""
     if not angles:
         return tuple(models)
     told = _posterior(fit_models(models, labels, random_of(angles)))

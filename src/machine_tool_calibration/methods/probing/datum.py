@@ -102,14 +102,7 @@ def _kernel(rows: Array) -> Array:
 
 
 def null_space(names: Sequence[str], dense: Array, point: IntArray, n_points: int) -> NullSpace:
-    """Find the changes of the unknowns that no touch notices.
-
-    Args:
-        names: of the K shared unknowns.
-        dense: (K, n) their columns.
-        point: (n,) which of the workpiece's points was touched: its own unknown enters with 1.
-        n_points: N.
-    """
+    """The changes of K shared unknowns (columns (K, n)) and N points (touched: (n,)) that no touch notices."""
     k = len(dense)
     size = np.sqrt(np.mean(dense**2, axis=1))
     typical = float(size.max(initial=0.0)) or 1.0
@@ -191,10 +184,7 @@ class _Search:
         return np.array(picked).reshape(-1, len(self.null.names))
 
     def score(self, choice: Sequence[int]) -> tuple[int, float]:
-        """Number of unknowns that are determined; and how little the others are tied to each other.
-
-        The second counts where two conditions must move before anything more is determined.
-        """
+        """Number of unknowns that are determined; and how little the others are tied: where two must move for more."""
         free = self.null.free(self.stack(choice))
         share = np.linalg.norm(free, axis=1)
         return int((share < SHARE).sum()), round(-float(share.sum()), 6)
@@ -255,18 +245,11 @@ LENGTH = say("datum.absolute_length")
 def conditions(
     tables: Sequence[MachineTable], setup_ids: Sequence[str], known: Mapping[str, KnownLength]
 ) -> list[Condition]:
-    """The conditions in the paper's order.
+    """The conditions in the paper's order; a ModelError if a measured length is no positioning error of X or Y.
 
-    Zero of every table at its axis's zero and of EXC, EYC, ECC at the first index, Eq. (16); straightness zero at the
-    last node too, which makes the line through both the direction of the axis, and the measured length, Eq. (17).
-
-    Args:
-        tables: of the linear axes.
-        setup_ids: the C indices.
-        known: measured lengths, by the positioning error's name.
-
-    Raises:
-        ModelError: a measured length is not a positioning error of X or Y.
+    Zero of every table at its axis's zero and of EXC, EYC, ECC at the first index, Eq. (16); straightness zero at
+    the last node too, which makes the line through both the direction of the axis, and the measured length, Eq.
+    (17).
     """
     by_name = {table.name: table for table in tables}
     for name in known:

@@ -63,15 +63,7 @@ class Touches:
 
 
 def rigid_motion(position: Array, normal: Array) -> Array:
-    """What a shift along x, one along y and a counter-clockwise turn of the workpiece do to its points.
-
-    Args:
-        position: (n, 2) points in the workpiece frame, m.
-        normal: (n, 2) outward normals.
-
-    Returns:
-        (3, n) displacement along the normal per metre, metre and radian.
-    """
+    """(3, n) displacement along normals (n, 2) of points (n, 2) per metre along x, along y, and radian."""
     return np.stack([normal[:, 0], normal[:, 1], _lever(position, normal)])
 
 
@@ -83,14 +75,7 @@ def nominal_points(description: Probing) -> tuple[Array, Array]:
 
 
 def point_means(columns: Array, point: IntArray, weight: Array, n_points: int) -> tuple[Array, Array]:
-    """(N, K) weighted mean of the columns over the touches of each point, 0 of none, and (N,) the sum of weights.
-
-    Args:
-        columns: (K, n).
-        point: (n,) which point was touched.
-        weight: (n,) of each touch.
-        n_points: N.
-    """
+    """(N, K) weighted mean of columns (K, n) over each point's touches, 0 of none, and (N,) sum of their weights."""
     total = np.asarray(np.bincount(point, weight, n_points), dtype=np.float64)
     mean = np.zeros((n_points, len(columns)))
     np.add.at(mean, point, (columns * weight).T)
@@ -98,14 +83,7 @@ def point_means(columns: Array, point: IntArray, weight: Array, n_points: int) -
 
 
 def touches(description: Probing, readings: Readings, rotation_sign: int) -> Touches:
-    """Turn the workpiece's nominal points to where they were touched, Eqs. (1)(2).
-
-    Args:
-        description: the workpiece in its frame at c = 0.
-        readings: which point was touched at which c.
-        rotation_sign: -1 if C positive turns the workpiece clockwise seen from +Z, as in the paper.
-
-    """
+    """Turn the workpiece's nominal points to where they were touched, Eqs. (1)(2); rotation_sign is -1 in the paper."""
     point = places_among(readings.labels["point"], [entry.id for entry in description.workpiece])
     position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
@@ -129,18 +107,10 @@ _OVERHANG = 0.5
 
 
 def table_nodes(machine: Machine, axis: str, reached: Array) -> tuple[Array, Array]:
-    """Nodes of the error tables of one linear axis.
+    """(k,) nodes of X or Y as the machine declares them, and (K,) with those added that the touches (n,) reach, m.
 
     Touches further than half an interval beyond the grid get nodes of their own, a whole number of intervals on:
-    nothing is assumed of the machine where the grid says nothing.
-
-    Args:
-        machine: names the grid, or only the travel.
-        axis: X or Y.
-        reached: (n,) positions at which the axis was read, m.
-
-    Returns:
-        (k,) the grid as declared, and (K,) the same with nodes added, both increasing, m.
+    nothing is assumed of the machine where the grid says nothing. Without a grid its travel is divided evenly.
     """
     tables = machine.table_grid or {}
     declared = tables.get(axis.lower(), tables.get(axis))
@@ -160,15 +130,8 @@ def table_nodes(machine: Machine, axis: str, reached: Array) -> tuple[Array, Arr
 def plane_tables(chain: Chain, nodes: dict[str, Array], position: Array) -> tuple[MachineTable, ...]:
     """Error motions of X and Y that move the stylus in the plane, and their squareness (Table 1).
 
-    Which yaw counts depends on the chain: with w-C-b-Y-X-Z-t Y carries X, so it is that of Y (Eq. (5)).
-
-    Args:
-        chain: the machine.
-        nodes: of the tables, by axis X and Y.
-        position: (n, 3) commanded positions, m.
-
-    Raises:
-        ModelError: the machine has no X or no Y.
+    Which yaw counts depends on the chain: with w-C-b-Y-X-Z-t Y carries X, so it is that of Y (Eq. (5)). A
+    ModelError says that the machine has no X or no Y.
     """
     for axis in "XY":
         if axis not in chain.linear:
@@ -241,18 +204,11 @@ class Line(Element):
 def elements(
     description: Probing, touched: BoolArray, named: Mapping[str, Sequence[str]] | None = None
 ) -> tuple[tuple[Element, ...], dict[str, str]]:
-    """The features of a workpiece.
+    """The features of a workpiece in the order of their points, and of each name that gives none the reason.
 
-    Args:
-        description: points with the names of their features.
-        touched: (N,) which of them were touched.
-        named: ids of the points of further features; they take part in no other one.
-
-    Returns:
-        The features, in the order of their points, and of each name that gives none the reason.
-
-    Raises:
-        CalibrationError: a point of `named` is unknown or twice in a feature, or what is named there is no feature.
+    Points that were not touched take no part; those of `named`, further features by the ids of their points, take
+    part in no other. A CalibrationError says that a point of `named` is unknown or twice in a feature, or that it
+    is no feature.
     """
     place = {point.id: k for k, point in enumerate(description.workpiece)}
     listed = named or {}
@@ -283,17 +239,9 @@ def elements(
 
 
 def element(name: str, index: IntArray, position: Array, normal: Array, touched: BoolArray) -> Element:
-    """The circle or line on which points of a workpiece lie.
+    """The circle or line on which the points `index` of a workpiece lie; (N, 2) positions, m, and outward normals.
 
-    Args:
-        name: of the feature.
-        index: (m,) its points.
-        position: (N, 2) nominal points of the workpiece, m.
-        normal: (N, 2) outward normals, unit vectors.
-        touched: (N,) which were touched: the others do not take part.
-
-    Raises:
-        CalibrationError: they lie on neither, or too few of them were touched.
+    Those that were not touched do not take part. A CalibrationError says that they lie on neither, or too few were.
     """
     p, n = position[index], normal[index]
     straight = bool(np.all(n @ n[0] > 1.0 - _TURNED**2 / 2))
@@ -323,15 +271,7 @@ def element(name: str, index: IntArray, position: Array, normal: Array, touched:
 
 
 def through(name: str, circles: Sequence[Circle]) -> Element:
-    """The circle or line through the centres of round features: a pitch circle, a row of holes.
-
-    Args:
-        name: of the new feature.
-        circles: of which the centres are used.
-
-    Raises:
-        CalibrationError: the nominal centres lie on neither, or are too few.
-    """
+    """The circle or line through the nominal centres of round features: a pitch circle, a row of holes."""
     centres = np.array([one.place for one in circles])
     normal = _normals(centres)
     found = element(name, np.arange(len(circles)), centres, normal, np.ones(len(circles), dtype=bool))

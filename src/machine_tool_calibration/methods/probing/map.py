@@ -100,11 +100,7 @@ class Responses:
         return np.asarray(self.touched & ~_moves(self.loose, self.scale))
 
     def combine(self, rows: Array) -> Combined:
-        """Sums of the points' errors, from their joint covariance.
-
-        Args:
-            rows: (q, N) weights of the points; of points that were not touched they are zero.
-        """
+        """Sums of the points' errors with weights (q, N), zero of points not touched, from their joint covariance."""
         half = rows @ self.half
         covariance = (rows * self.own) @ rows.T + half @ half.T
         value = rows @ self.value
@@ -119,13 +115,7 @@ def _moves(loose: Array, scale: Array) -> BoolArray:
 
 
 def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
-    """Carry the fit over to the points.
-
-    Args:
-        fit: of the session.
-        point: (n,) place of the touched point in the workpiece's list.
-        n_points: N.
-    """
+    """Carry the fit over to the N points; (n,) which one each reading touched."""
     stated = fit.joint.marginal
     columns = fit.marginal_columns
     mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
@@ -148,12 +138,7 @@ def workpiece_errors(found: Responses) -> Errors:
 
 
 def workpiece_form(found: Responses, motion: Array) -> Errors:
-    """Errors without what motions of the whole workpiece explain (least squares, all points alike).
-
-    Args:
-        found: the points.
-        motion: (N, t) displacement of the points along their normals by each motion.
-    """
+    """Errors without what motions (N, t) of the whole workpiece explain (least squares, all points alike)."""
     used = points_of_form(found, motion)
     basis = _orthonormal(motion[used])
     half = found.half[used] - basis @ (basis.T @ found.half[used])
@@ -168,14 +153,7 @@ def workpiece_form(found: Responses, motion: Array) -> Errors:
 
 
 def points_of_form(found: Responses, motion: Array) -> BoolArray:
-    """(N,) over which points the motion of the whole workpiece is taken out.
-
-    All that were touched, where such a motion is all that is not determined; otherwise those that are.
-
-    Args:
-        found: the points.
-        motion: (N, t) displacement of the points along their normals by each motion.
-    """
+    """(N,) over which the motion (N, t) of the whole is taken out: all touched if it alone is open, else steady."""
     used = found.touched
     basis = _orthonormal(motion[used])
     left = found.loose[used] - basis @ (basis.T @ found.loose[used])
@@ -310,21 +288,12 @@ class MonteCarlo:
 def monte_carlo(
     fit: Fit, rows: Array, draws: int = 1000, distribution: Distribution = "normal", seed: int = 1
 ) -> MonteCarlo:
-    """Propagate the distributions of the inputs to sums of the points' errors.
+    """Propagate the distributions of the inputs to sums of the points' errors, (q, N) weights; NaN: not determined.
 
     Inputs: every touch, with its declared uncertainty times the scatter of the readings where that contradicts it;
     every measured length, normal; the functions of time of what does not reproduce, normal, of the published size.
-
-    Args:
-        fit: of a probing session alone.
-        rows: (q, N) weights of the points of the workpiece; NaN for what is not determined.
-        draws: at least 100.
-        distribution: of the touches' errors.
-        seed: of the draws.
-
-    Raises:
-        CalibrationError: too few draws, or no such distribution.
-        ModelError: several sessions in one fit.
+    Refused are too few draws and an unknown distribution (CalibrationError), and a fit of several sessions
+    (ModelError).
     """
     if draws < FEWEST_DRAWS:
         raise CalibrationError(f"{draws} draws are too few for an interval; at least {FEWEST_DRAWS}")
@@ -345,12 +314,7 @@ def monte_carlo(
 
 @dataclass(frozen=True)
 class _Gains:
-    """Change of each quantity by each input, per standard uncertainty of the input.
-
-    Attributes:
-        touch: (q, n) by the touches.
-        normal: (q, k) by the other inputs, which are normal.
-    """
+    """Change of each quantity per standard uncertainty of touches (q, n) and of the other, normal, inputs (q, k)."""
 
     touch: Array
     normal: Array

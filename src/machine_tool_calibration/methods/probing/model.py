@@ -59,11 +59,7 @@ _ABSURD, _GOOD = 100.0, 30.0
 
 
 def _refuse_mistakes(session: Session) -> None:
-    """Refuse displacements that are a thousand or a million times too large.
-
-    Raises:
-        ModelError: the mistake.
-    """
+    """Refuse (ModelError) displacements that are a thousand or a million times too large."""
 
     def misfit(seen: Session) -> float:
         return float(np.median(np.abs(fit_models([_build(seen)]).fits[0].residuals)) / session.sigma)

@@ -163,11 +163,7 @@ def _declared(description: Description) -> Array:
 
 
 def _check_index_angles(session: Session, place: Place) -> None:
-    """The column c and the setup's c must be the same angle.
-
-    Raises:
-        SessionError: the first row where they are not, with the suspicion.
-    """
+    """The column c and the setup's c must be the same angle: a SessionError names the first row where they are not."""
 
     def off(session: Session) -> Array:
         expected = _declared(session.description)[session.readings.setup]

@@ -73,14 +73,7 @@ def axis_rotation(axis: str, angle: Array) -> Array:
 
 
 def merged_nodes(angle: Array) -> tuple[Array, IntArray]:
-    """Distinct positions of an axis and which of them each reading was taken at.
-
-    Args:
-        angle: (n,) commanded positions.
-
-    Returns:
-        (K,) increasing positions, each the middle one of those that are nearly equal, and (n,) their indices.
-    """
+    """(K,) increasing positions of an axis, nearly equal ones being their middle one, and (n,) each reading's."""
     order = np.argsort(angle, kind="stable")
     ordered = angle[order]
     place = np.cumsum(np.r_[0, np.diff(ordered) > _SAME_ANGLE])

@@ -201,10 +201,7 @@ def _why_loose(seen: list[str], stations: list[str]) -> str:
 
 
 def _fill(columns: Array, table: TableReadings, g: Array, arm: Array, tilt: Array) -> None:
-    """Columns of the six tables and of the targets, in place.
-
-    g.(epsilon x arm) = epsilon.(arm x g); and a target that moves by R dp is also turned by epsilon.
-    """
+    """Columns of tables and targets, in place: g.(epsilon x arm) = epsilon.(arm x g); R dp is turned by epsilon too."""
     k, n = len(table.nodes), len(g)
     rows = np.arange(n)
     turned = np.cross(arm, g)
@@ -253,11 +250,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
 
 
 def _check_places(model: RotaryAxisModel) -> None:
-    """Refuse where even a table that moves as it likes at every angle is missed.
-
-    Raises:
-        ModelError: stations and targets are not where they are said to be, nor near.
-    """
+    """Refuse (ModelError) where even a table that moves as it likes at every angle is missed."""
     residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
     if not missed <= _LOST * model.observations.session.sigma:

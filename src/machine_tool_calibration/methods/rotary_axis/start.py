@@ -66,17 +66,12 @@ class Start:
 
 
 def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted: bool = False) -> Start:
-    """Fit stations and targets with the table turning without error.
+    """Fit stations and targets, from nominal (S, 3) and (T, 3), m, with the table turning without error.
 
-    The datum of each run is taken out by subtracting the run's mean.
-
-    Args:
-        table: the readings.
-        stations: (S, 3) nominal, m.
-        targets: (T, 3) nominal at c = 0, m.
-        tilted: where the nominal places lead nowhere, try whether the axis stands tilted in the machine, by up to a
-            right angle: then all stations are first turned together; and whether they are wrong by decimetres: then
-            the fit sets out from places beside them.
+    The datum of each run is taken out by subtracting the run's mean. If `tilted`, where the nominal places lead
+    nowhere it is tried whether the axis stands tilted in the machine, by up to a right angle (then all stations are
+    first turned together), and whether they are wrong by decimetres (then the fit sets out from places beside
+    them).
     """
     start = _fitted(table, stations, targets)
     if _DOUBTFUL < start.misfit < _SMEARED:
@@ -144,10 +139,7 @@ def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
 def _fitted(
     table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL, *, resisting: bool = False
 ) -> Start:
-    """Reweighted as long as some readings are off by far more than the others: gross errors must not lead astray.
-
-    `resisting` also where none is.
-    """
+    """Reweighted while some readings are off by far more than the others, or always if `resisting`."""
     x = np.concatenate([stations.ravel(), targets.ravel()])
     off = np.abs(_off(table, stations, targets))
     usual = max(float(np.median(off)), 1e-9)  # m; 0 where most runs have a single reading
@@ -235,13 +227,10 @@ def suppositions(session: Session) -> Iterator[Supposition]:
 
 
 def refuse_mistakes(session: Session, start: Start) -> None:
-    """Refuse readings that a table turning without error misses by far, if a common mistake explains them.
+    """Refuse (ModelError) readings that a table turning without error misses by far and a common mistake explains.
 
-    Also looked at is where stations and targets had to be put: with all places free, exchanged ones fit perfectly, at
-    each other's place.
-
-    Raises:
-        ModelError: the mistake.
+    Also looked at is where stations and targets had to be put: with all places free, exchanged ones fit perfectly,
+    at each other's place.
     """
     description = session.description.as_a(RotaryAxis)
     stations, stations_u = _stated(description.setups)
@@ -265,16 +254,10 @@ def refuse_mistakes(session: Session, start: Start) -> None:
 
 
 def refuse_wrong_rows(session: Session, start: Start, *, found: bool = True) -> None:
-    """Refuse readings that a table turning without error misses by far.
+    """Refuse readings that a table turning without error misses by far, with what they look like (ModelError).
 
-    Args:
-        session: the measurement.
-        start: where stations and targets are.
-        found: those are the places at which most readings fit, and a run is judged by them; else they are the stated
-            ones, and a station or a target is.
-
-    Raises:
-        ModelError: the run, station or target, by how much, and what its readings look like.
+    Where stations and targets were `found`, those are the places at which most readings fit, and a run is judged by
+    them; else they are the stated ones, and a station or a target is.
     """
 
     def held(other: Session) -> Iterator[Held]:

@@ -50,18 +50,11 @@ _SAME_LINE = 1e-6
 def second_order(
     runs: Sequence[Run], setup: IntArray, displacement: Array, error: Array, end_error: Array, tilt: Array
 ) -> Array:
-    """What the first-order reading leaves out, at a first solution.
+    """(n,) exact minus first-order reading, m, at a first solution.
 
-    Args:
-        runs: the setups.
-        setup: (n,) of each reading.
-        displacement: (n, 3) nominal, since the start of the run, m.
-        error: (n, 3) position error since the start of the run, m.
-        end_error: (runs, 3) the same at the end of the run, m.
-        tilt: (runs, 3) t, across the beam; for a linear run, whose beam lies on the actual motion, it does not matter.
-
-    Returns:
-        (n,) exact minus first-order reading, m.
+    From each reading's setup, nominal displacement (n, 3) and position error (n, 3) since the start of the run, the
+    latter at the end of each run (runs, 3), m, and the mirror's tilt t (runs, 3) across the beam; for a linear run,
+    whose beam lies on the actual motion, the tilt does not matter.
     """
     beam = np.array([run.beam for run in runs])
     actual = np.array([run.motion for run in runs]) + end_error
@@ -140,10 +133,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
 
 
 def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> tuple[Observations, Array]:
-    """Readings with the direction in which each senses the mirror, and its displacement since the start of the run.
-
-    The path begins at the start of the run: how far the laser stood from there is dead path.
-    """
+    """Readings by the direction that each senses, and displacements from the run's start: before it is dead path."""
     run = groups(readings.setup, readings.repeat)
     position = readings.position()
     beam = np.array([r.beam for r in runs])[readings.setup]
@@ -172,10 +162,7 @@ def _complete(model: StepDiagonalModel, blocks: int) -> bool:
 
 
 def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
-    """The tables' datum, of those values that the readings determine; where none was lost, of all.
-
-    A lost last reading of a diagonal leaves some open; the line of a straightness is then that of the others.
-    """
+    """The tables' datum of the values that are determined: a lost last reading of a diagonal leaves some open."""
     assembly = assemble([model])
     loose = solve(assembly.problem).undetermined[assembly.places[0]]
     if not loose.size:
@@ -193,12 +180,7 @@ def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
 
 
 def _placed(nodes: Array, loose: Array) -> BoolArray:
-    """(k,) the values of a table that may only move along one line, or all where no three do.
-
-    Args:
-        nodes: (k,) their places, m.
-        loose: (k, r) how they may move without any reading changing.
-    """
+    """(k,) values of a table at nodes (k,) whose loose moves (k, r) lie on one line; all where no three do."""
     design = np.column_stack([np.ones(len(nodes)), nodes])
     most = float(np.abs(loose).max())
 
@@ -273,11 +255,7 @@ _SHARE = 1e-4
 
 
 def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Angle]) -> list[Angle]:
-    """Angular errors that show beside any functions of single axes, one for each diagonal and axis.
-
-    Such functions hold all position errors, the place at which the beam meets the mirror, and the other angular
-    errors: what is determined beside them rests on no assumption about these.
-    """
+    """Those that show beside any functions of single axes per diagonal, which hold all else: no assumption about it."""
     observations = model.observations
     n = len(observations)
     setup = observations.readings.setup
@@ -313,11 +291,7 @@ def _range(columns: Array) -> Array:
 
 
 def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> StepDiagonalModel:
-    """The model with those angular errors as free tables that the orders of the moves determine.
-
-    Raises:
-        ModelError: the moves were made in one order only.
-    """
+    """The model with the angular errors that the orders of the moves determine as free tables; a ModelError if none."""
     own = (replace(table, nodes=model.blocks["XYZ".index(table.name[2])]) for table in rotations)
     candidates = [Angle.of(table, model.observations) for table in own]
     kept = angles_shown_by_orders(model, candidates)
@@ -343,10 +317,7 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
 
 
 def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> StepDiagonalModel:
-    """Take to be zero what the readings leave open in the angular errors, and say so.
-
-    It is a slope over the whole travel, which together with tilts of the mirrors set anew changes no reading.
-    """
+    """Take to be zero, and say so, the slopes that with tilts of mirrors set anew change no reading."""
     assembly = assemble([full])
     loose = solve(assembly.problem).undetermined[assembly.places[0]]
     angular = loose[len(base.parameters) :]

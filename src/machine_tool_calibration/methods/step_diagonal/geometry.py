@@ -54,22 +54,14 @@ class Run:
 
 
 def step_diagonal_of(session: Session) -> StepDiagonal:
-    """The session's description.
-
-    Raises:
-        ModelError: the session is of another method.
-    """
+    """The session's description; a ModelError says that it is of another method."""
     if not isinstance(session.description, StepDiagonal):
         raise ModelError(f"{session.source}: a {session.method} session has no step diagonals")
     return session.description
 
 
 def runs_of(description: StepDiagonal) -> tuple[Run, ...]:
-    """The setups' runs, in the order of the description.
-
-    Raises:
-        SessionError: a direction that does not fit the setup's kind.
-    """
+    """The setups' runs; a SessionError names a direction that does not fit the setup's kind."""
     return tuple(_run(setup, description) for setup in description.setups)
 
 

@@ -162,13 +162,9 @@ class StepDiagonalModel(MethodModel):
         return tuple(tables), names
 
     def _map_rows(self) -> tuple[Array, IntArray]:
-        """Position errors at the block positions per unit of the unknowns that they depend on.
+        """(K, M) position errors at the block positions per unit of unknowns, and (K,) places of these in the model.
 
-        Angular errors count by the lever arms that they have along the edges that meet in the first block positions;
-        these arms vanish where the corner is the machine's zero.
-
-        Returns:
-            (K, M), oriented by the tables' own datum, and the (K,) places of the unknowns among the model's.
+        Angular errors count by their lever arms along the edges that meet in the first block positions.
         """
         places = []
         for axis, nodes in enumerate(self.blocks):
@@ -184,12 +180,8 @@ class StepDiagonalModel(MethodModel):
     def _oriented(self, rows: Array, undetermined: Array) -> tuple[Array, str]:
         """(M, K) rows of the map in the coordinate system of Eq. (17), and in words what orients it in another way.
 
-        The last block positions orient it; where that leaves a part of the map undetermined, those before them with
-        which the least is.
-
-        Args:
-            rows: (K, M) in any orientation.
-            undetermined: (K, k) directions of the unknowns that nothing fixes.
+        The last block positions orient it; where that leaves a part of the map open in the directions
+        `undetermined` (K, k), those before them with which the least is.
         """
         last = (-1, -1, -1)
         loose, every = undetermined.T @ rows, np.eye(rows.shape[1])

@@ -167,16 +167,11 @@ def is_open(rows: Array, loose: Array) -> BoolArray:
 
 
 def eq17(blocks: Sequence[Array], error: Array, last: tuple[int, int, int] = (-1, -1, -1)) -> Array:
-    """Position errors in the coordinate system of Eq. (17).
+    """(…, M) position errors in the coordinate system of Eq. (17): zero at each first block, turned as a whole.
 
-    Args:
-        blocks: block positions of x, y, z, m.
-        error: (…, M) errors in any orientation: axis after axis, position after position, component after component;
-            all zero where an axis has no positions of its own.
-        last: numbers of the positions at which e_y(x), e_z(x) and e_y(z) (e_z(y) where z did not move) are zero.
-
-    Returns:
-        (…, M) the same, zero at the first position of each axis and turned as a whole.
+    They are in any orientation: axis after axis, position after position, component after component; zero where an
+    axis has no positions. `last`: numbers of those at which e_y(x), e_z(x), e_y(z) (e_z(y) where z did not move)
+    are zero.
     """
     sizes = [3 * len(b) for b in blocks]
     parts = [p.reshape(*p.shape[:-1], -1, 3).copy() for p in np.split(error, np.cumsum(sizes)[:-1], axis=-1)]

@@ -161,10 +161,10 @@ def _vector(values: Iterable[float]) -> str:
 
 
 def _off_halts(session: Session) -> Array:
-    """Positions against those at which a diagonal halts if its moves are in the order that its id states.
+    """(n,) positions off the halts that a diagonal has by the order of moves in its id, in shares of the step.
 
-    In shares of the step; each reading has the mean of its setup: the two thirds of the halts at which one order
-    differs from another decide, not the middle one.
+    Each reading has the mean of its setup: the two thirds of the halts at which one order differs from another
+    decide.
     """
     description, readings = session.description.as_a(StepDiagonal), session.readings
     off, points = np.zeros(len(readings)), readings.position()

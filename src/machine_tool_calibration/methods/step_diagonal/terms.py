@@ -56,16 +56,7 @@ class Angle:
 def sensed_tables(
     tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations
 ) -> tuple[tuple[MachineTable, ...], tuple[NotDetermined, ...]]:
-    """Tables of translations at those block positions at which a reading senses them; squareness as it is.
-
-    Args:
-        tables: translations and squareness errors of the machine.
-        blocks: block positions of x, y, z, m.
-        observations: the readings.
-
-    Returns:
-        The tables that readings depend on, and what no reading depends on.
-    """
+    """Tables at those block positions at which a reading senses them, squareness as it is, and what none senses."""
     kept, left_out, position = [], [], observations.position
     for table in tables:
         if table.is_squareness:
@@ -96,17 +87,10 @@ def _visited(nodes: Array, position: Array) -> BoolArray:
 def tilt_terms(
     runs: Sequence[Run], observations: Observations, displacement: Array, one_mirror: bool
 ) -> tuple[Term, ...]:
-    """Two tilts of the mirror for each of its settings.
+    """Terms `ppp.tilt` of two tilts, rad, for each setting of the mirror, which `one_mirror` keeps between orders.
 
-    Args:
-        runs: the setups.
-        observations: the readings.
-        displacement: (n, 3) of the mirror since the start of the run, m.
-        one_mirror: whether the mirror stays as it is between the orders of the same diagonal.
-
-    Returns:
-        Terms `ppp.tilt` with `ppp.tilt_1` towards the horizontal direction across the beam and `ppp.tilt_2` towards
-        the other (`geometry.across`), rad. A tilt that no reading shows (a diagonal in a plane) is left out.
+    `ppp.tilt_1` is towards the horizontal direction across the beam, `ppp.tilt_2` towards the other
+    (`geometry.across`). A tilt that no reading shows (a diagonal in a plane) is left out.
     """
     setup = observations.readings.setup
     settings: dict[str, list[int]] = {}

@@ -2,8 +2,8 @@
 """Readings between stations and targets as a part of a least-squares problem, and what they cannot fix.
 
 That is a shift and a turn of the whole network. Unknown are every target's position, every station's rotation centre
-and its dead path (Ibaraki et al. 2014, Eqs. (2)-(4)). Directions are calculated chunk by chunk, so that memory holds little
-more than the readings.
+and its dead path (Ibaraki et al. 2014, Eqs. (2)-(4)). Directions are calculated chunk by chunk, so that memory holds
+little more than the readings.
 """
 
 from __future__ import annotations
@@ -60,20 +60,11 @@ class NetworkMotion:
 
 
 def carried_stations(point: IntArray, station: IntArray, n_points: int, n_stations: int, dimension: int) -> BoolArray:
-    """Stations that the network carries, so that the datum may rest on them.
+    """(S,) stations that the network carries, so that the datum may rest on them; all that were read if none.
 
-    A target read from more than d stations says something of these; a station read on more than d such targets is
-    held by them. What hangs on fewer could take up a condition of the datum without any reading changing.
-
-    Args:
-        point: (n,) target of each reading.
-        station: (n,) station of each reading.
-        n_points: number of targets.
-        n_stations: S.
-        dimension: d.
-
-    Returns:
-        (S,); all stations that were read at all, where no network is left.
+    A target (`point`, of N) read from more than d stations (`station`, of S) says something of these; a station
+    read on more than d such targets is held by them. What hangs on fewer could take up a condition of the datum
+    without any reading changing.
     """
     seen = np.zeros((n_points, n_stations), dtype=bool)
     seen[point, station] = True
@@ -97,13 +88,7 @@ class OwnSight:
     """
 
     def __init__(self, direction: Array, station: IntArray, n_stations: int) -> None:
-        """Look at the readings.
-
-        Args:
-            direction: (n, d) unit vectors from the station to the target.
-            station: (n,) station of each reading.
-            n_stations: S.
-        """
+        """Look along the unit vectors (n, d) from the station (n,) of each reading to its target."""
         size = direction.shape[1] + 1
         self._values = np.zeros((n_stations, size))
         self._vectors = np.tile(np.eye(size), (n_stations, 1, 1))
@@ -129,18 +114,10 @@ class OwnSight:
 
 
 def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Array]:
-    """Turn and shift places so that they have no common motion against the nominal ones.
+    """Actual places (n, d), and others (k, d) that go with them, without common motion against the nominal (n, d).
 
-    The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the linear
-    datum would leave its square, half a micrometre on a metre.
-
-    Args:
-        nominal: (n, d).
-        actual: (n, d).
-        others: (k, d) places that go with them.
-
-    Returns:
-        The actual and the other places after the motion.
+    The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the
+    linear datum would leave its square, half a micrometre on a metre.
     """
     turn, shift = best_motion(actual, nominal)
     return actual @ turn.T + shift, others @ turn.T + shift
@@ -167,16 +144,10 @@ class MultilaterationPart(Part):
     ) -> None:
         """Lay the readings out in slots.
 
-        Args:
-            groups: from `group_points`, blocks are stations.
-            path: (n,) reading plus first estimate of the station's dead path, m.
-            sigma: (n,) standard uncertainty of a reading, m.
-            target: (d, n_points) nominal positions, m.
-            station: (d, stations) first estimates of the rotation centres, m.
-            beam: (d, n) unit vectors of the commanded directions; None where the beam follows the target.
-            dense: (K, n) columns of further unknowns.
-            block_index: (stations, d + 1) place in the shared vector.
-            dense_index: (K,) place in the shared vector.
+        `groups` are from `group_points`, blocks are stations; `path` (n,) is the reading plus the first
+        estimate of the dead path, m; `target` (d, n_points) and `station` (d, stations) are first estimates, m;
+        `beam` (d, n) holds unit vectors of the commanded directions, None where the beam follows the target;
+        `dense` (K, n) the columns of further unknowns.
         """
         self.groups = groups
         self.block_index = block_index

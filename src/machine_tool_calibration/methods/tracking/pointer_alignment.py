@@ -168,12 +168,7 @@ class _Mixed:
     count: int
 
     def at(self, ratio: float) -> tuple[Array, float, float]:
-        """For a ratio of the variances of a random unknown and of a reading.
-
-        Returns:
-            (p, m) the best linear unbiased estimator, the variance of a reading, and the logarithm of the restricted
-            likelihood but for a constant.
-        """
+        """(p, m) best linear unbiased estimator, variance of a reading, logarithm of the restricted likelihood."""
         weight = self._weight(ratio)
         information = self.fixed.T @ weight @ self.fixed
         solve = np.linalg.solve(information, self.fixed.T @ weight)
@@ -184,11 +179,10 @@ class _Mixed:
         return np.asarray(solve), variance, float(logs - dof * np.log(max(variance, _LEAST))) / 2
 
     def averaged(self) -> tuple[Array, Array, Array, tuple[float, float]]:
-        """The fixed unknowns whatever the ratio is, by the probability of each (flat in the random ones' size).
+        """The fixed unknowns (p,), averaged over the ratio by its probability (flat in the random ones' size).
 
-        Returns:
-            (p,) values, (p, p) their covariance from scatter, (p, p) from the random unknowns and from not knowing how
-            large these are, and the variances of a reading and of a random unknown.
+        Also (p, p) covariances from scatter and from the random unknowns, and variances of a reading and a
+        random unknown.
         """
         ratios = 10.0 ** np.linspace(-_DECADES, _DECADES, _RATIOS)
         fits = [self.at(ratio) for ratio in ratios]

@@ -85,11 +85,7 @@ _ROWS = 20_000  # enough to judge by
 
 
 def check_consistency(session: Session, place: Place) -> None:
-    """Refuse a session whose readings a common mistake explains and its nominal geometry does not.
-
-    Raises:
-        SessionError: the mistake that is suspected.
-    """
+    """Refuse readings that a common mistake explains and the nominal geometry does not (SessionError names it)."""
     rows = np.flatnonzero(np.isfinite(session.readings.displacement))
     sample = session.with_readings(session.readings.select(rows[:: max(1, -(-len(rows) // _ROWS))]))
     if len(sample.readings) < 4:
@@ -121,13 +117,7 @@ def with_values(session: Session, what: str, **columns: Array) -> Supposition:
 
 
 def shifted(session: Session, name: str, values: Array) -> Iterator[Supposition]:
-    """A column that slipped by some rows against the others.
-
-    Args:
-        session: the measurement.
-        name: of the column, or `displacement`.
-        values: (n,) of it.
-    """
+    """Values (n,) of a column, or `displacement`, that slipped by some rows against the others."""
     for rows in _SLIPPED:
         which = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'down' if rows > 0 else 'up'}"
         yield with_values(session, f"{name} looks shifted by {which}", **{name: np.roll(values, -rows)})
@@ -149,13 +139,7 @@ def exchanged_axes(session: Session, dimension: int) -> Iterator[Supposition]:
 
 
 def exchanged(session: Session, kind: str, among: Sequence[str]) -> Iterator[Supposition]:
-    """Two setups exchanged, or two names in a column of labels.
-
-    Args:
-        session: the measurement.
-        kind: `setup`, or the column.
-        among: names that may be exchanged; so many of them are tried.
-    """
+    """Two setups exchanged, or two names in the column `kind`; among the first few of the names that may be."""
     readings = session.readings
     labels = readings.setup if kind == "setup" else readings.labels[kind]
     for pair in itertools.combinations(among[:_MOST], 2):
@@ -190,16 +174,10 @@ Expected = Callable[[Session], Iterable[Held]]
 
 
 def refuse_contradictions(session: Session, place: Place, expected: Expected | None = None) -> None:
-    """Refuse readings that contradict what the session states.
+    """Refuse readings (all are there) that contradict what the session states, or what else is `expected`.
 
-    Args:
-        session: all its readings are there.
-        place: names for messages.
-        expected: what is held against what; what the method says if absent.
-
-    Raises:
-        SessionError: one line that names the setup, the worst row, by how much it is off what, how many others are, and
-            what is likelier meant.
+    A SessionError names the setup, the worst row, by how much it is off what, how many others are, and what is
+    likelier meant.
     """
     with np.errstate(all="ignore"):
         _refuse(session, place, expected or spec_of(session).held)

@@ -80,10 +80,7 @@ def _by_group(session: Session, off: Off, kind: str) -> tuple[list[str], Array]:
 
 
 def relative_misfit(session: Session, predicted: Array, group: IntArray) -> Array:
-    """(n,) how far displacements are off a prediction (n,), m, each group having a zero of its own.
-
-    As a share of half the prediction's range in a group.
-    """
+    """(n,) how far displacements are off a prediction (n,), m, by group, as a share of half its range in a group."""
     return off_prediction(session, predicted, group) / typical_extent(predicted, group)
 
 
@@ -130,19 +127,7 @@ def enough_stations(
     needed: int,
     method: str,
 ) -> None:
-    """Refuse stations at one place, and too few of them that were read.
-
-    Args:
-        session: the measurement.
-        setups: its stations.
-        measured: (n,) which of its readings are there.
-        place: names for messages.
-        needed: how many stations there must be at least.
-        method: that needs them, in words.
-
-    Raises:
-        SessionError: which stations, or how many there are.
-    """
+    """Refuse stations at one place, and fewer than the method (in words) needs that were read (SessionError)."""
     positions = np.array([setup.position for setup in setups])
     for second in range(1, len(setups)):
         distance = np.linalg.norm(positions[:second] - positions[second], axis=1)

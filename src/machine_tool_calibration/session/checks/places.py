@@ -98,11 +98,7 @@ def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]
 
 
 def refuse_misplaced(session: Session, found: Mapping[str, Any]) -> None:
-    """Refuse places that are found where no survey errs by as much; arguments as for `misplaced`.
-
-    Raises:
-        ModelError: the place that is the farthest off.
-    """
+    """Refuse (ModelError) places that are found where no survey errs by as much; arguments as for `misplaced`."""
     for one in misplaced(session, found):
         if one.off > allowed(session, one.stated):
             raise ModelError(
