@@ -67,7 +67,7 @@ class StatedAngles:
 def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
     """Tables of the angular errors that a model takes for small random functions."""
     spread = model.spread if isinstance(model, StepDiagonalModel) else None
-    return () if spread is None else tuple(angle.table for angle in spread.angles)
+    return () if spread is None else spread.tables
 
 
 def in_words(angles: Sequence[MachineTable]) -> str:

@@ -33,8 +33,16 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 )
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
-from machine_tool_calibration.methods.step_diagonal.terms import Angle, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, assemble
+from machine_tool_calibration.methods.step_diagonal.terms import sensed_tables, tilt_terms
+from machine_tool_calibration.model.model import (
+    Constraint,
+    Kind,
+    NotDetermined,
+    Parameter,
+    Term,
+    assemble,
+    motion_value,
+)
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
@@ -226,18 +234,20 @@ def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
     return out
 
 
+def _as_own(table: MachineTable, term: Term) -> Term:
+    """An angular error whose unknowns are the session's own, not the machine's."""
+    names = tuple(motion_value(table.name, node, "rad", shared=False, prefix="angle.") for node in table.nodes)
+    return Term(f"angle.{table.name}", names, term.columns)
+
+
 def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
     """The model with all angular errors as small random functions."""
-    angles = []
-    for table in rotations:
-        nodes = coarse_nodes(base.blocks["XYZ".index(table.name[2])])
-        angle = Angle.of(replace(table, nodes=nodes), base.observations)
-        if np.abs(angle.columns).max(initial=0.0) > 1e-9:
-            angles.append(angle)
+    coarse = (replace(t, nodes=coarse_nodes(base.blocks["XYZ".index(t.name[2])])) for t in rotations)
+    told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
-    if not angles:
+    if not told:
         return replace(base, left_out=left_out)
-    spread = Spread(tuple(angles))
+    spread = Spread(tuple(table for table, _ in told), tuple(_as_own(table, term) for table, term in told))
     whole = replace(
         base,
         terms=base.terms + spread.terms,
@@ -254,7 +264,7 @@ _OWN_SHARE = 1e-3
 _SHARE = 1e-4
 
 
-def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Angle]) -> list[Angle]:
+def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Term]) -> list[Term]:
     """Those that show beside any functions of single axes per diagonal, which hold all else: no assumption about it."""
     observations = model.observations
     n = len(observations)
@@ -293,24 +303,25 @@ def _range(columns: Array) -> Array:
 def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> StepDiagonalModel:
     """The model with the angular errors that the orders of the moves determine as free tables; a ModelError if none."""
     own = (replace(table, nodes=model.blocks["XYZ".index(table.name[2])]) for table in rotations)
-    candidates = [Angle.of(table, model.observations) for table in own]
-    kept = angles_shown_by_orders(model, candidates)
+    candidates = {table.name: table for table in own}
+    kept = angles_shown_by_orders(model, [table.term(model.observations) for table in candidates.values()])
     if not kept:
         orders = sorted({run.order for run in model.runs if run.diagonal})
         raise ModelError(
             f"angular errors need diagonals in several orders of the moves, such as ppp_xyz, ppp_yzx and ppp_zxy; "
             f"this session has {', '.join(orders) or 'no diagonal'}"
         )
-    terms = tuple(Term(angle.table.name, angle.table.parameters, angle.columns) for angle in kept)
-    names = {angle.table.name for angle in kept}
+    angles = tuple(candidates[term.name] for term in kept)
     left_out = model.left_out + tuple(
-        NotDetermined(table.name, say("undetermined.no_order")) for table in rotations if table.name not in names
+        NotDetermined(table.name, say("undetermined.no_order"))
+        for table in rotations
+        if candidates[table.name] not in angles
     )
     full = replace(
         model,
-        terms=model.terms + terms,
-        angles=tuple(kept),
-        constraints=model.constraints + table_datum([angle.table for angle in kept]),
+        terms=(*model.terms, *kept),
+        angles=angles,
+        constraints=model.constraints + table_datum(angles),
         left_out=left_out,
     )
     return _without_loose_slopes(full, model)
@@ -325,18 +336,12 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
     open_ones = vt[s > _SHARE]
     if not len(open_ones):
         return full
-    labels = [label for angle in full.angles for label in angle.table.labels]
+    labels = [label for table in full.angles for label in table.labels]
     constraints = tuple(
         Constraint({label: float(w) for label, w in zip(labels, row, strict=True)}) for row in open_ones
     )
-    sharing, first = [], 0
-    for angle in full.angles:
-        size = len(angle.table.labels)
-        if np.abs(open_ones[:, first : first + size]).max() > _SHARE:
-            sharing.append(angle.table.name)
-        first += size
-    lost = NotDetermined(
-        f"{len(open_ones)} slopes of {', '.join(sharing)}",
-        say("undetermined.slopes"),
-    )
+    ends = np.cumsum([len(table.labels) for table in full.angles])[:-1]
+    shares = np.split(np.abs(open_ones).max(axis=0), ends)
+    sharing = [table.name for table, share in zip(full.angles, shares, strict=True) if share.max() > _SHARE]
+    lost = NotDetermined(f"{len(open_ones)} slopes of {', '.join(sharing)}", say("undetermined.slopes"))
     return replace(full, constraints=full.constraints + constraints, left_out=(*full.left_out, lost))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -23,9 +22,8 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
     mean_shape,
     normal_posterior,
 )
-from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, motion_value, weight_row
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.words import say, together
@@ -40,11 +38,13 @@ class Spread:
     """Angular errors as small random functions.
 
     Attributes:
-        angles: the nine angular error motions.
+        tables: the nine angular error motions.
+        terms: with unknowns of the session's own.
         posterior: what the readings say of them; None before the model is settled.
     """
 
-    angles: tuple[Angle, ...]
+    tables: tuple[MachineTable, ...]
+    terms: tuple[Term, ...]
     posterior: AngularPosterior | None = None
 
     @property
@@ -55,27 +55,12 @@ class Spread:
     @property
     def nodes(self) -> tuple[tuple[Array, int], ...]:
         """For each its nodes, m, and the index of the one at which it is zero."""
-        return tuple((angle.table.nodes, 0) for angle in self.angles)
+        return tuple((table.nodes, 0) for table in self.tables)
 
     @property
     def names(self) -> list[list[str]]:
         """Names of their unknowns."""
         return [[parameter.name for parameter in term.parameters] for term in self.terms]
-
-    @cached_property
-    def terms(self) -> tuple[Term, ...]:
-        """Their terms."""
-        return tuple(
-            Term(
-                f"angle.{angle.table.name}",
-                tuple(
-                    motion_value(angle.table.name, node, "rad", shared=False, prefix="angle.")
-                    for node in angle.table.nodes
-                ),
-                angle.columns,
-            )
-            for angle in self.angles
-        )
 
 
 @dataclass(frozen=True)
@@ -95,7 +80,7 @@ class StepDiagonalModel(MethodModel):
     runs: tuple[Run, ...]
     blocks: tuple[Array, Array, Array]
     tables: tuple[MachineTable, ...]
-    angles: tuple[Angle, ...]
+    angles: tuple[MachineTable, ...]
     spread: Spread | None
     nominal: Array
     offsets: tuple[Parameter, ...]
@@ -128,12 +113,10 @@ class StepDiagonalModel(MethodModel):
         place = {parameter.name: k for k, parameter in enumerate(plain.parameters)}
         rows = [weight_row(place, constraint.weights, len(place)) for constraint in self.constraints]
         offsets = (self.observations.run == np.arange(len(self.offsets))[:, None]).astype(float)
-        columns = (
-            np.concatenate([offsets, plain.dense(), *(angle.columns for angle in self.spread.angles)]) / self.sigma
-        )
+        columns = np.concatenate([offsets, plain.dense(), *(term.columns for term in self.spread.terms)]) / self.sigma
         right = columns @ ((self.observations.readings.displacement - self.nominal) / self.sigma)
         posterior = normal_posterior(self.spread.nodes, columns @ columns.T, right, np.array(rows))
-        spread = Spread(self.spread.angles, posterior)
+        spread = replace(self.spread, posterior=posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
     def expecting(self, size: float) -> Self:
@@ -154,10 +137,10 @@ class StepDiagonalModel(MethodModel):
 
     def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
         """Error motions that make up the position errors, and the names of their unknowns."""
-        tables = [*self.tables, *(angle.table for angle in self.angles)]
+        tables = [*self.tables, *self.angles]
         names = [label for table in tables for label in table.labels]
         if self.spread is not None:
-            tables += [angle.table for angle in self.spread.angles]
+            tables += self.spread.tables
             names += [label for labels in self.spread.names for label in labels]
         return tuple(tables), names
 
@@ -281,12 +264,12 @@ def _angular(model: StepDiagonalModel, fit: Fit) -> dict[str, Any]:
     for axis, letter in enumerate("xyz"):
         nodes = model.blocks[axis]
         value, uncertainty = np.full((len(nodes), 3), np.nan), np.full((len(nodes), 3), np.nan)
-        for angle in model.angles:
-            motion = parse_motion(angle.table.name)
-            at = [place[label] for label in angle.table.labels]
+        for table in model.angles:
+            motion = parse_motion(table.name)
+            at = [place[label] for label in table.labels]
             if motion.axis != letter.upper() or not fit.determined[at].all():
                 continue
-            weights = interpolation(angle.table.nodes, nodes)
+            weights = interpolation(table.nodes, nodes)
             column = "ABC".index(motion.component)
             value[:, column] = weights.T @ fit.theta[at]
             uncertainty[:, column] = np.sqrt(

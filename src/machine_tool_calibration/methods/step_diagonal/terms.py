@@ -14,7 +14,6 @@ displacement E x arm that the same rotation gives the functional point.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,31 +25,9 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.words import say
 
-__all__ = ["Angle", "sensed_tables", "tilt_terms"]
+__all__ = ["sensed_tables", "tilt_terms"]
 
 _SENSED = 1e-6
-
-
-@dataclass(frozen=True)
-class Angle:
-    """An angular error motion with its table.
-
-    Attributes:
-        table: the motion's table.
-        columns: (k, n) change of each reading per unit of each node's value.
-    """
-
-    table: MachineTable
-    columns: Array
-
-    @classmethod
-    def of(cls, table: MachineTable, observations: Observations) -> Angle:
-        """What the motion displaces and turns in these readings."""
-        motion, position = parse_motion(table.name), observations.position
-        turned = observations.rotation_direction
-        assert turned is not None
-        along = table.scalar(position, observations.direction) + turned[:, "ABC".index(motion.component)]
-        return cls(table, table.weights(position) * along)
 
 
 def sensed_tables(
