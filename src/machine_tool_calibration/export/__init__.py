@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export import etalon, fanuc, isg, linuxcnc, siemens, table_csv, table_json
+from machine_tool_calibration.export import fanuc, linuxcnc, si_tables, siemens, twincat
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["FORMATS", "read_tables", "write_tables"]
@@ -20,11 +20,11 @@ _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "linuxcnc-trims": (partial(linuxcnc.write, kind=1), partial(linuxcnc.read, kind=1)),
     "siemens": (siemens.write, siemens.read),
     "fanuc": (fanuc.write, fanuc.read),
-    "isg": (isg.write, isg.read),
-    "etalon": (etalon.write, etalon.read),
+    "isg": (twincat.write_isg, twincat.read_isg),
+    "etalon": (twincat.write_etalon, twincat.read_etalon),
     # No controller reads these: whoever enters the values takes them as they are.
-    "csv": (table_csv.write, lambda files, tables: tables),
-    "json": (table_json.write, lambda files, tables: tables),
+    "csv": (si_tables.write_csv_table, lambda files, tables: tables),
+    "json": (si_tables.write_json_table, lambda files, tables: tables),
 }
 FORMATS = tuple(_FORMATS)
 
