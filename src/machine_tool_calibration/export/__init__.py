@@ -32,27 +32,16 @@ FORMATS = tuple(_FORMATS)
 def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
     """The texts of the files by their names.
 
-    Args:
-        form: one of FORMATS.
-        tables: what is compensated.
-        source: which measurement it is, for the files' heads; in further lines, what else is known of it.
-
-    Raises:
-        CalibrationError: no such format, or one that cannot hold these tables.
+    `source` says for their heads which measurement it is; in further lines, what else is known of it. A
+    CalibrationError says that there is no such format, or that it cannot hold these tables.
     """
     return _format(form)[0](tables, source)
 
 
 def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """What a controller understands from files that were written for it: deviations that it takes away.
+    """What a controller understands from files (texts by name) written for it: deviations that it takes away.
 
-    Args:
-        form: one of FORMATS.
-        files: texts by name, as from `write_tables`.
-        tables: for the chain and the words, which no controller reads from these files.
-
-    Raises:
-        CalibrationError: no such format.
+    `tables` give the chain and the words, which no controller reads. A CalibrationError if there is no such format.
     """
     return _format(form)[1](files, tables)
 

@@ -67,14 +67,7 @@ class Compensation:
     complete: bool = False
 
     def exported(self, form: str) -> Exported:
-        """The files of a controller, read back as it does.
-
-        Args:
-            form: one of `export.FORMATS`.
-
-        Raises:
-            CalibrationError: no such format, or one that cannot hold these tables.
-        """
+        """The files of a controller, read back as it does; a CalibrationError if it cannot hold these tables."""
         told = (f"{name}: {value}" for name, value in self.origin.lines() if name != "model")  # in every head already
         files = write_tables(form, self.tables, "\n".join([self.source, *told]))
         held = read_tables(form, files, self.tables)
@@ -83,13 +76,7 @@ class Compensation:
 
 
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
-    """What can be compensated of the errors that were identified.
-
-    Args:
-        result: of one session or several, by a model with tables.
-        source: what it is called in the files' heads.
-        own: the user's own effects.
-    """
+    """What can be compensated of the errors that were identified; `source` is its name in the files' heads."""
     states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
     return Compensation(axis_tables(result), states, source, result.provenance, result.variance_added is not None)
 

@@ -61,17 +61,11 @@ class _TablePlace(Place):
 
 
 def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | None = None) -> Imported:
-    """Read a foreign table, or several of the same form, as a session.
+    """Read a foreign table, or several of the same form (each with setups of its own), as a session.
 
-    Args:
-        path: a text file of rows and columns; of several, each has setups of its own.
-        mapping: what the columns mean, and what the session says beside them.
-        name: id of the setup, where no column names it; by default the file's name without its ending.
-
-    Raises:
-        SessionError: one line that says what is wrong, with file and line; also what cannot be right or is not enough
-            for the method.
-        ModelError: a machine error that is none of the machine's.
+    `name` is the id of the setup where no column names it; by default the file's name without its ending. A
+    SessionError says what is wrong, with file and line, also what cannot be right or is not enough for the method;
+    a ModelError names a machine error that is none of the machine's.
     """
     paths = [path] if isinstance(path, Path) else list(path)
     read = [Columns(read_text_table(file, mapping.file), mapping) for file in paths]
@@ -165,7 +159,6 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
 
 
 def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
-    """The content of session.yaml: what the table gives, and over it what the user says."""
     given = dict(mapping.session)
     content: dict[str, Any] = {"format": "mtcal-session/1", **rows.description}
     wanted = content.get("method", given.get("method"))
@@ -192,7 +185,6 @@ def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
 
 
 def _merged(found: Any, own: Any, source: str) -> list[dict[str, Any]]:
-    """Setups of the table with what the user says of them, by id."""
     if not isinstance(own, list) or not all(isinstance(entry, dict) and "id" in entry for entry in own):
         raise SessionError(f"{source}: setups must be a list of entries with an id")
     said = {str(entry["id"]): entry for entry in own}

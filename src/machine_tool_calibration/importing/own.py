@@ -28,14 +28,9 @@ _OF_ANY_TOPIC = "frame_id"
 def read_own_table(file: Path, description: Description, described: str, form: FileForm) -> Session:
     """A session from a table with the columns of `observations.csv`, or of a recording's topic `reading`; unchecked.
 
-    Args:
-        file: CSV, or Parquet where its name ends so; in SI units.
-        description: of the measurement.
-        described: the file that the description comes from.
-        form: separator, decimal mark and encoding of a CSV.
-
-    Raises:
-        SessionError: one line with file and line: not such a table, or it does not belong to the description.
+    CSV of a form, or Parquet where the file's name ends so; in SI units. `described` is the file that the
+    description comes from. A SessionError says with file and line that it is no such table or does not belong to
+    the description.
     """
     if file.suffix.lower() == ".parquet":
         numbers, labels, place = _parquet(file, described)

@@ -66,7 +66,6 @@ Series = tuple[Array, Array, np.ndarray, Array, np.ndarray]
 
 
 def _wide(columns: Columns) -> Series:
-    """A column for each run, or a row for each."""
     table, mapping = columns.table, columns.mapping
     position = _header(columns) if mapping.transposed else _positions(columns)
     known = {rule.column for rule in (*mapping.columns.values(), *mapping.extras.values())}
@@ -138,7 +137,6 @@ def _named(table: TextTable, names: list[str]) -> tuple[Run, ...]:
 
 
 def _long(columns: Columns) -> Series:
-    """A row for each reading, in the file's order."""
     table = columns.table
     columns.need(("position", "direction"), "a row for each reading")
     position = columns.filled("position", columns.number("position"))

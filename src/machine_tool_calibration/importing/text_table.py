@@ -133,15 +133,7 @@ class TextTable:
         return f"{self.source} line {self.lines[row]}"
 
     def index(self, column: str, what: str) -> int:
-        """Place of a column.
-
-        Args:
-            column: its name, or its number from 1 in a file without header.
-            what: what it is wanted for.
-
-        Raises:
-            SessionError: not there, or twice.
-        """
+        """Place of a column by its name, or number from 1 without header; a SessionError if not there, or twice."""
         places = [j for j, name in enumerate(self.names) if name == column.strip()]
         if len(places) == 1:
             return places[0]
@@ -160,11 +152,7 @@ class TextTable:
         return np.asarray(self.cells[:, self.index(column, what)], dtype=np.str_)
 
     def numbers(self, column: str, what: str, unit: str = "1") -> Array:
-        """(rows,) the numbers of a column in SI units, NaN where a cell is empty.
-
-        Raises:
-            SessionError: no such column, or a cell that is not a finite number, with its line.
-        """
+        """(rows,) the numbers of a column in SI units, NaN where empty; a SessionError with line if one is none."""
         return self.parsed(self.text(column, what), f"column {column!r}", unit)
 
     def parsed(self, cells: np.ndarray, what: str, unit: str, lines: Sequence[int] | None = None) -> Array:
@@ -187,10 +175,7 @@ class TextTable:
     def stamps(self, column: str, what: str) -> Array | None:
         """(rows,) seconds of a column of time stamps, NaN where a cell is empty; None where it holds numbers.
 
-        Times of day go on past midnight.
-
-        Raises:
-            SessionError: no such column, or a cell that is no time stamp, with its line.
+        Times of day go on past midnight. A SessionError names the line of a cell that is no time stamp.
         """
         cells = self.text(column, what)
         if self.form.time_format is None and not any(":" in cell for cell in cells[:1000]):
@@ -343,7 +328,6 @@ def _split(source: str, lines: list[tuple[int, str]], form: FileForm) -> tuple[n
 
 
 def _cells(text: str, separator: str) -> list[str]:
-    """The cells of a line."""
     if separator == _SEPARATORS["space"]:
         text, separator = " ".join(text.split()), " "
     return next(csv.reader([text], delimiter=separator, strict=True)) if '"' in text else text.split(separator)

@@ -162,14 +162,9 @@ class FittedSessions:
 
 
 def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = ()) -> FittedSessions:
-    """Fit one session by itself, or several of one machine together.
+    """Fit one session by itself, or several of one machine together; `built` has the models of all, if made before.
 
-    Args:
-        subject: what, and by which model.
-        built: see `FitRequest`; of every session or none, made here where it was not before.
-
-    Raises:
-        ModelError: as for `joint_models`; an effect is unknown or cannot act; or there are too few readings.
+    A ModelError as for `joint_models`; also an effect that is unknown or cannot act, or too few readings.
     """
     chosen = FitRequest.of(subject)
     if len(chosen.sessions) == 1:
@@ -184,13 +179,8 @@ def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = 
 def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:
     """The models of several sessions of one machine, with the same unknowns of the machine.
 
-    Args:
-        chosen: several sessions; without a variant theirs are those with tables of the machine's errors.
-        built: as for `fit_sessions`.
-
-    Raises:
-        ModelError: labels that are missing or repeat, a model that no session has, different machines, or an effect
-            that acts in none.
+    Without a variant theirs are those with tables of the machine's errors. A ModelError says that labels are
+    missing or repeat, no session has the model, the machines differ, or an effect acts in none.
     """
     effects, labels = chosen.present, chosen.labels or ()
     if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):

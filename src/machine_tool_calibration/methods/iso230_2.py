@@ -81,14 +81,9 @@ FIGURES = tuple(field.name for field in fields(Positioning) if field.type == "fl
 
 
 def positioning(position: Array, direction: Array, deviation: Array) -> Positioning:
-    """The figures of ISO 230-2:2014 from the readings of one axis.
+    """The figures of ISO 230-2:2014 from target positions, senses of approach (+1, -1) and deviations (n,), m.
 
     A figure that takes the worst of all positions is given only where every position has what it needs.
-
-    Args:
-        position: (n,) target position of each reading, m; readings of one position hold the same number.
-        direction: (n,) +1 approached in the positive direction, -1 in the negative one.
-        deviation: (n,) actual minus target position, m.
     """
     target, index = np.unique(position, return_inverse=True)
     m = len(target)
@@ -315,7 +310,6 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
 
 
 def _single(position: Array) -> bool:
-    """Whether no position was read twice."""
     return bool(np.unique(position, return_counts=True)[1].max() < 2)
 
 

@@ -130,17 +130,10 @@ def compare_maps(
 ) -> MapComparison:
     """Take the common motion out, and give what is left with its uncertainty.
 
-    Args:
-        points: (n, 3) m.
-        first: (n, 3) position errors by one map, m; NaN in a direction that it does not have.
-        second: (n, 3) by the other.
-        roots: for each map (k, n, 3) rows of a root of the covariance of its errors: the product of the transposed
-            root with itself is the covariance. Both have the same k, and are independent row by row.
-        draws: number of random draws that the roots were made of; None where they are exact.
-        labels: names of the maps.
-
-    Raises:
-        ModelError: nothing to compare.
+    Position errors (n, 3) at points (n, 3) by two maps, m, NaN in a direction that one does not have; for each (k,
+    n, 3) rows of a root of the covariance of its errors (the product of the transposed root with itself), both with
+    the same k and independent row by row; and of how many random draws the roots were made, None where they are
+    exact. A ModelError says that there is nothing to compare.
     """
     there = np.isfinite(first) & np.isfinite(second)
     if not there.any():
@@ -246,18 +239,10 @@ def compare_fits(
     seed: int = 1,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> MapComparison:
-    """Compare the maps of two measurements of one machine at the points that both have.
+    """Compare the maps of two independent measurements of one machine at the points that both have.
 
-    Args:
-        first: one measurement.
-        second: the other, independent of it.
-        labels: their names.
-        draws: by which the uncertainties are carried over to the common datum; each is told to 1 / sqrt(2 draws).
-        seed: of the draws.
-        progress: is told what is done and which share of it.
-
-    Raises:
-        ModelError: no point, or no direction at any, is in both maps.
+    The uncertainties are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
+    ModelError says that no point, or no direction at any, is in both maps.
     """
     pairs = common_points(first.error_map.points, second.error_map.points)
     if not len(pairs[0]):

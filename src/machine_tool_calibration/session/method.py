@@ -116,17 +116,10 @@ class MethodSpec:
         return self.remounted
 
     def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
-        """Refuse a session of which no model of the method can make anything.
+        """Refuse (SessionError) a session of which no model of the method can make anything.
 
-        Some setup must have readings enough; what was lost in others is named by the estimator.
-
-        Args:
-            session: the measurement.
-            measured: (n,) which of its readings are there.
-            place: names for messages.
-
-        Raises:
-            SessionError: fewer than two readings, or no setup has as many as needed.
+        Some setup must have readings enough of those that are `measured` (n,); what was lost in others is named
+        by the estimator.
         """
         good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
         if good.sum() < 2:
@@ -159,12 +152,7 @@ class MethodSpec:
 
 @cache
 def load(where: str) -> Any:
-    """What a text `module` or `module:name` stands for.
-
-    Raises:
-        ImportError: no such module.
-        AttributeError: the module has no such name.
-    """
+    """What a text `module` or `module:name` stands for."""
     module, _, name = where.partition(":")
     found = import_module(module)
     return getattr(found, name) if name else found

@@ -20,31 +20,16 @@ FORMAT = "mtcal-session/1"
 
 
 def parse_description(text: str, source: str) -> Description:
-    """The description that a `session.yaml` holds.
+    """The description that the text of a `session.yaml` holds.
 
-    Args:
-        text: the file's content.
-        source: the file's name, for messages.
-
-    Raises:
-        SessionError: one line with file, line and key of the first defect.
+    A SessionError says in one line file (`source`), line and key of the first defect.
     """
     document = _mapping(text, source, FORMAT)
     return describe(document.value, source, document)
 
 
 def parse_record(text: str, source: str, record: type[AnyRecord], form: str) -> AnyRecord:
-    """A record of another kind that a YAML text holds.
-
-    Args:
-        text: the file's content.
-        source: the file's name, for messages.
-        record: what it holds.
-        form: what its key `format` says.
-
-    Raises:
-        SessionError: one line with file, line and key of the first defect.
-    """
+    """A record of another kind that a YAML text holds, with that `format`; errors as for `parse_description`."""
     document = _mapping(text, source, form)
     return validated(record, document.value, source, document)
 

@@ -134,11 +134,8 @@ def provenance(
 ) -> Provenance:
     """The record that every result carries.
 
-    Args:
-        sessions: that were evaluated; whatever was left out of them, their hash is that of what was recorded.
-        labels: names of several.
-        model: variant of the method's model; of several sessions each one once.
-        effects: ids of the effects in it.
+    The hash is of what was recorded, whatever was left out; of several sessions, `labels` are their names and
+    `model` each variant once.
     """
     named = labels if labels is not None and len(sessions) > 1 else [""] * len(sessions)
     origins = tuple(

@@ -199,7 +199,6 @@ def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
 
 
 def _are_same(first: Readings, second: Readings) -> bool:
-    """Whether readings and all that both have recorded of them are the same."""
     if len(first) != len(second) or not np.array_equal(first.displacement, second.displacement, equal_nan=True):
         return False
     both = first.columns.keys() & second.columns.keys()
@@ -207,13 +206,9 @@ def _are_same(first: Readings, second: Readings) -> bool:
 
 
 def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
-    """Positions that are equal to the nanometre (angles to the nanoradian) are one place.
+    """(k,) first reading at each of the k places of (n, d) positions, in order, and (n,) the place of each reading.
 
-    Args:
-        position: (n, d) commanded positions, d at most 3.
-
-    Returns:
-        (k,) the first reading at each of the k places, in order, and (n,) the place of each reading.
+    Positions that are equal to the nanometre (angles to the nanoradian) are one place; d is at most 3.
     """
     keys = np.round(position * 1e9).astype(np.int64)
     # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
@@ -251,16 +246,9 @@ def _first(place: IntArray) -> IntArray:
 def assemble(
     description: Description, numbers: Mapping[str, Array], labels: Mapping[str, np.ndarray], place: Place
 ) -> Readings:
-    """The readings from their columns.
+    """The readings from their numeric columns and labels, each (n,), with `displacement` and `setup` among them.
 
-    Args:
-        description: gives the setups, targets and points that the labels name.
-        numbers: numeric columns, each (n,), `displacement` among them.
-        labels: text columns, each (n,), `setup` among them.
-        place: how messages name a row.
-
-    Raises:
-        SessionError: an unknown setup, target or point, or a repeat that is no whole number; with its row.
+    A SessionError names the row of an unknown setup, target or point, or of a repeat that is no whole number.
     """
     columns, texts = dict(numbers), dict(labels)
     setup = _known_places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)

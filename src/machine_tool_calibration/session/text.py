@@ -30,11 +30,7 @@ def reject_foreign_encoding(head: bytes, source: str, *, table: bool = False) ->
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The content of a file of at most so many bytes.
-
-    Raises:
-        SessionError: not there, not a file, or too large.
-    """
+    """The content of a file of at most so many bytes; a SessionError if it is none, or larger."""
     try:
         if not path.is_file():
             raise SessionError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
@@ -48,15 +44,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 
 def read_text(path: Path, limit: int = LARGEST) -> str:
-    """The text of a small file, without a byte order mark.
-
-    Args:
-        path: the file.
-        limit: largest size that is accepted, bytes.
-
-    Raises:
-        SessionError: not there, not a file, too large, not UTF-8, or with NUL bytes.
-    """
+    """The text of a small file, without byte order mark; a SessionError if too large, not UTF-8, or with NUL."""
     source, data = str(path), read_bytes(path, limit)
     reject_foreign_encoding(data, source)
     if b"\0" in data:

@@ -165,16 +165,10 @@ def _resolve(text: str, truth: bool) -> Any:
 
 
 def load_yaml(text: str, source: str, *, truth: bool = True) -> Document:
-    """The value of a YAML text.
+    """The value of a YAML text of one document; without `truth`, `true` and `false` are text.
 
-    Args:
-        text: one YAML document.
-        source: name of the file, for messages.
-        truth: whether `true` and `false` are truth values; else they are text.
-
-    Raises:
-        SessionError: not YAML, more than one document, a tag, a key that stands twice or is not text, nested or
-            repeated (by aliases) without measure. One line, with the line in the file.
+    A SessionError says in one line, with the line in the file: not YAML, more than one document, a tag, a key that
+    stands twice or is not text, nested or repeated (by aliases) without measure.
     """
     reader = _Reader(text, source, truth)
     try:

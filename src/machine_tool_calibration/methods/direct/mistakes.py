@@ -84,7 +84,6 @@ def _along(session: Session) -> Array:
 
 
 def _read(session: Session) -> Iterator[Supposition]:
-    """Positions in the place of deviations."""
     for factor, name in (
         (1.0, "the actual position"),
         (-1.0, "commanded minus actual position"),

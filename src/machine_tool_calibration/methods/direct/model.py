@@ -129,15 +129,10 @@ class DirectModel(MethodModel):
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
-    """The model of a session of direct deviations.
+    """The model of a session of direct deviations: the machine errors that it names in `terms`.
 
-    Args:
-        session: the measurement.
-        model: `rigid_body`, the only one: the machine errors named in `terms`.
-
-    Raises:
-        ModelError: an unknown error, an axis that the machine does not have, no reading, or readings that contradict
-            the model in a way that a common mistake explains.
+    A ModelError says what is wrong: an unknown error, an axis that the machine does not have, no reading, or
+    readings that contradict the model in a way that a common mistake explains.
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
@@ -343,7 +338,6 @@ def _states(position: Array, field: Array) -> IntArray:
 
 
 def _tables(tables: Sequence[MachineTable], fit: Fit, first: int) -> dict[str, Any]:
-    """Nodes, values and uncertainties of each error motion; value and uncertainty of a squareness."""
     sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
     theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
     return tables_content(tables, theta[first:], sigma[first:])

@@ -110,14 +110,7 @@ class _Candidate:
 
 
 def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spread: float) -> Agreement:
-    """Compare the sessions of a joint fit.
-
-    Args:
-        joint: the fit.
-        common: its models.
-        labels: of the sessions.
-        spread: reduced chi-square of the sessions fitted one by one, all together.
-    """
+    """Compare the sessions of a joint fit; `spread` is the reduced chi-square of their fits one by one."""
     candidates = _candidates(common.models)
     if not candidates:
         return Agreement(0, None, 1.0, (), say("agreement.nothing_shared"))

@@ -179,7 +179,6 @@ def _read(common: CommonModels) -> dict[str, Array]:
 
 
 def _points(joint: JointFit, common: CommonModels) -> Array:
-    """Distinct places of the functional point of the sessions that have linear axes' errors."""
     every = [m.observations.position for m in joint.assembly.models if getattr(m, "tables", None)]
     if not every or not common.tables:
         return np.zeros((0, 3))
@@ -196,7 +195,6 @@ def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) ->
 
 
 def _rotary(joint: JointFit) -> dict[str, Any]:
-    """Error motions of rotary axes, where a session measured them."""
     out: dict[str, Any] = {}
     good = joint.published.determined
     sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))

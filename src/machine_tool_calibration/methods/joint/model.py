@@ -119,7 +119,6 @@ def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
 
 
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
-    """Every motion that a session has, on the nodes of all that sense it."""
     every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
     names = list(dict.fromkeys([*(table.name for table in every), *_determined_together(models, chain)]))
     random = {table.name for model in models for table in angles_of(model)}
@@ -351,7 +350,6 @@ def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
 
 
 def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...]) -> list[MethodModel]:
-    """The models, knowing that the nonlinear coefficients are held."""
     entries = tuple(
         NotDetermined(
             f"{effect.id}.{c.name}",

@@ -99,20 +99,14 @@ def features(
 ) -> Features:
     """The features of the workpiece of a probing session.
 
-    Args:
-        fit: of the session.
-        named: ids of the points of features that the session's points do not name.
-        centres: further features, each the circle or line through the centres of several; names, or patterns such as
-            `pin*`.
-        frame: the feature, a circle, that has no error; and the one that gives the direction: a circle has no error in
-            Y (none in X, where the two lie rather along Y), a line does not turn.
-        distances: pairs of features: centres, a centre and a line, or two parallel lines (from the first one to the
-            middle of the points of the second).
-        angles: pairs of lines, or three circles: at the second one, at most half a turn.
-
-    Raises:
-        CalibrationError: there are no features, or those that are asked for do not exist or do not fit together.
-        ModelError: no probing session.
+    `named` has the ids of the points of features that the session's points do not name; `centres` further features,
+    each the circle or line through the centres of several (names, or patterns such as `pin*`). Of the `frame`, the
+    first feature, a circle, has no error, and the second gives the direction: a circle has no error in Y (none in
+    X, where the two lie rather along Y), a line does not turn. `distances` are between centres, a centre and a
+    line, or two parallel lines (from the first one to the middle of the points of the second); `angles` between
+    lines, or at the second of three circles, at most half a turn. A CalibrationError says that there are no
+    features, or that those that are asked for do not exist or do not fit together; a ModelError, that it is no
+    probing session.
     """
     model = fit.model
     if not isinstance(model, ProbingModel):
@@ -168,7 +162,6 @@ def _round(known: Mapping[str, Element], name: str, patterns: Sequence[str]) -> 
 
 
 def _own(one: Element) -> list[Quantity]:
-    """The quantities of a feature by itself, in the workpiece's frame."""
     if isinstance(one, Circle):
         nominal = (*one.place, one.radius)
         what, units = ("x", "y", "radius"), "mmm"

@@ -207,7 +207,6 @@ def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
 
 
 def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[NotDetermined, ...]]:
-    """Errors of the workpiece's points, as they are in the datum and without the motion of the whole."""
     points = model.description.workpiece
     found = responses(fit, model.touches.point, len(points))
     errors = workpiece_errors(found)
@@ -245,7 +244,6 @@ def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[A
 
 
 def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
-    """EXC, EYC and ECC at every index."""
     names = [parameter.name for parameter in fit.model.parameters]
     value = np.where(fit.determined, fit.theta, np.nan)
     uncertainty = np.where(fit.determined, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), np.nan)

@@ -120,16 +120,7 @@ class ProbingModel(MethodModel):
 
 
 def build(session: Session, model: str = "rigid_body") -> ProbingModel:
-    """The model of a probing session.
-
-    Args:
-        session: the measurement.
-        model: `rigid_body`, the only one.
-
-    Raises:
-        ModelError: the machine has no X or Y axis, a measured length is not one of X or Y, or the displacements are in
-            another unit.
-    """
+    """The model of a probing session; a ModelError if X or Y, their known lengths or the unit are wrong."""
     if not session.description.trust_units:
         _refuse_mistakes(session)
     return _build(session)
@@ -155,7 +146,6 @@ def _build(session: Session) -> ProbingModel:
 
 
 def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
-    """Displacement and turn of the table at each index, Eq. (13)."""
     index = (setup == np.arange(len(session.setup_ids))[:, None]).astype(float)
     senses = {"EXC": where.normal[:, 0], "EYC": where.normal[:, 1], "ECC": where.lever}
     return [
@@ -172,7 +162,6 @@ def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
 
 
 def _with_datum(model: ProbingModel) -> ProbingModel:
-    """The model with the eleven conditions, where these touches can carry them."""
     description = model.description
     names = [parameter.name for parameter in model.parameters]
     null = null_space(names, model.dense(), model.touches.point, len(description.workpiece))
@@ -196,7 +185,6 @@ def _with_datum(model: ProbingModel) -> ProbingModel:
 
 
 def _measured(model: ProbingModel, null: NullSpace, put: Sequence[Place]) -> tuple[list[Prior], list[str]]:
-    """The measured lengths that touches reach, and the names of those that they do not."""
     rows = np.array([null.weights(place.weights) for place in put]).reshape(-1, len(null.names))
     by_name = {table.name: table for table in model.tables}
     good, bad = [], []

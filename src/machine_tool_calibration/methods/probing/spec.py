@@ -158,7 +158,6 @@ def _turned_part(session: Session, key: str) -> Array:
 
 
 def _declared(description: Description) -> Array:
-    """(setups,) angles of C, rad."""
     return np.array([setup.c for setup in description.as_a(Probing).setups])
 
 

@@ -171,7 +171,6 @@ class RotaryAxisModel(MethodModel):
         return unseen_names(self.loose, self._labels(), self.observations.session.sigma)
 
     def _labels(self) -> list[list[str]]:
-        """(6, K) names of the tables' values."""
         return [[parameter.name for parameter in term.parameters] for term in self.terms[:6]]
 
     def why_not_determined(self, name: str) -> str | None:
@@ -213,14 +212,9 @@ def _fill(columns: Array, table: TableReadings, g: Array, arm: Array, tilt: Arra
 
 
 def build(session: Session, model: str = "free") -> RotaryAxisModel:
-    """The model of a rotary axis's session.
+    """The model of a rotary axis's session: every angle has its own six errors.
 
-    Args:
-        session: the measurement.
-        model: `free`: every angle has its own six errors.
-
-    Raises:
-        ModelError: the readings contradict the geometry in a way that a common mistake explains.
+    A ModelError says that the readings contradict the geometry in a way that a common mistake explains.
     """
     table = table_readings(session)
     description = session.description.as_a(RotaryAxis)
@@ -281,7 +275,6 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
 
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
-    """Stations and targets where a fit puts them."""
     theta = robust_start(assemble([model]).problem).theta
     s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
     targets = theta[first : first + start.targets.size].reshape(-1, 3)
@@ -289,7 +282,6 @@ def _moved(start: Start, model: RotaryAxisModel) -> Start:
 
 
 def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisModel:
-    """The model, linearised at first estimates."""
     description = session.description.as_a(RotaryAxis)
     arm = table.turned(start.targets)
     away = arm - start.stations[table.readings.setup]

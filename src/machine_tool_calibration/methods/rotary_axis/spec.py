@@ -124,7 +124,6 @@ def turning_mistakes(session: Session) -> Iterator[Supposition]:
 
 
 def _off_table(session: Session) -> Array:
-    """Displacements against the change of distance between station and turning target."""
     readings = session.readings
     path = np.linalg.norm(lines_of_sight(session, on_table(session, readings)), axis=1)
     return relative_misfit(session, path, groups(readings.setup, readings.repeat, readings.labels["target"]))

@@ -92,7 +92,6 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
 
 
 def _from_tilted(table: TableReadings, stations: Array, targets: Array, start: Start) -> Start:
-    """The best of a start and those from a tilted axis."""
     turned = [_turned(stations, table.axis, tilt) for tilt in _tilts()]
     rough = [_misfit(table, places, targets) for places in turned]
     posed = [_posed(table, turned[k], targets) for k in np.argsort(rough)[:_TRIES]]
@@ -124,7 +123,6 @@ def _tilts() -> list[tuple[float, float]]:
 
 
 def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
-    """Stations seen from an axis that is tilted by a rotation vector across it."""
     along = "ABC".index(axis)
     vector = np.zeros(3)
     vector[(along + 1) % 3], vector[(along + 2) % 3] = tilt
@@ -132,7 +130,6 @@ def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
 
 
 def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
-    """Median absolute difference between readings and places as they are, m."""
     return float(np.median(np.abs(_off(table, stations, targets))))
 
 

@@ -86,13 +86,8 @@ _RANDOM = say("datum.random_map", p=f"{NONE:g}", low=f"{1e6 * SMALLEST:g}", high
 def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     """The model of a step diagonal's session (Ibaraki and Hata 2010), by weighted least squares over all readings.
 
-    Args:
-        session: diagonals and linear runs, in any number, orders and repeats; what they do not determine is found by
-            the solver.
-        model: a variant of `SPEC.models`.
-
-    Raises:
-        ModelError: an unknown model, no readings, or a machine without the axes that move.
+    Diagonals and linear runs in any number, orders and repeats; what they do not determine is found by the solver.
+    A ModelError says that there are no readings, or a machine without the axes that move.
     """
     description = step_diagonal_of(session)
     runs = runs_of(description)
@@ -153,7 +148,6 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
 
 
 def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
-    """For each run, in the order of their numbers."""
     pairs = np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
     named = ((session.setup_ids[setup], int(repeat)) for setup, repeat in pairs)
     return tuple(
@@ -224,7 +218,6 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
 
 
 def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
-    """(runs, 3) tilt of each setup's mirror across its beam."""
     value = dict(zip([p.name for p in model.parameters], theta, strict=True))
     out = np.zeros((len(model.runs), 3))
     for k, run in enumerate(model.runs):
@@ -241,7 +234,6 @@ def _as_own(table: MachineTable, term: Term) -> Term:
 
 
 def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
-    """The model with all angular errors as small random functions."""
     coarse = (replace(t, nodes=coarse_nodes(base.blocks["XYZ".index(t.name[2])])) for t in rotations)
     told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)

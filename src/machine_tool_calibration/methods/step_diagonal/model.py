@@ -295,5 +295,4 @@ def _why(model: StepDiagonalModel, measured: Array, determined: Array) -> str:
 
 
 def _paired(values: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Each `name` with its `name_u`."""
     return {key: v for name, (value, u) in values.items() for key, v in ((name, value), (f"{name}_u", u))}

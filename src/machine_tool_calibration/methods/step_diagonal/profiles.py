@@ -65,7 +65,6 @@ class Profiles:
 
     @cached_property
     def _known(self) -> Array:
-        """(M,) the errors; NaN where not determined."""
         return np.where(is_open(np.eye(len(self.value)), self.loose), np.nan, self.value)
 
     @cached_property
@@ -117,7 +116,6 @@ class Profiles:
         return found if np.isfinite(found.value) else self._figure(name, kind, row(self._known))
 
     def _places(self, component: int, axis: int) -> IntArray:
-        """Places, among all values, of those of an error along its axis."""
         first = 3 * sum(len(blocks) for blocks in self.blocks[:axis])
         return np.asarray(first + 3 * np.arange(len(self.blocks[axis])) + component, dtype=np.int64)
 

@@ -164,7 +164,6 @@ def _shapes(nodes: tuple[float, ...], zero: int) -> tuple[tuple[Array, Array], .
 
 @lru_cache(maxsize=16)
 def _roots(places: tuple[tuple[tuple[float, ...], int], ...]) -> tuple[Array, ...]:
-    """For every shape, the root of the covariance of the angles of all places."""
     return tuple(block_diag(*(_shapes(*place)[j][1] for place in places)) for j in range(len(_SHAPES)))
 
 

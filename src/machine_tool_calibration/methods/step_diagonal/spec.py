@@ -122,7 +122,6 @@ SPEC = DiagonalSpec()
 
 
 def _off_diagonal(session: Session) -> Array:
-    """Displacements and positions against the runs' nominal lines."""
     path, _, outside = _along_run(session)
     group = groups(session.readings.setup, session.readings.repeat)
     return np.asarray(

@@ -187,12 +187,7 @@ def _linearised(
 
 
 def build(session: Session, model: str = "free") -> TrackingModel:
-    """The model of a tracking interferometer's session.
-
-    Args:
-        session: the measurement.
-        model: `free` or `rigid_body`.
-    """
+    """The model of a tracking interferometer's session, with free targets or the machine's tables."""
     description = session.description.as_a(TrackingInterferometer)
     d = description.dimension
     # A target whose readings were all lost is a target all the same: it keeps its place in the map.
@@ -301,7 +296,6 @@ def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
 
 
 def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
-    """Every target's position error, from its own unknowns."""
     d, own = model.dimension, fit.places[: len(model.own)]
     stated = fit.joint.marginal
     local, theta = stated.solution.local[fit.index], stated.solution.theta
@@ -330,7 +324,6 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
 
 
 def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
-    """What keeps a target from being determined."""
     if fit.solution.local_determined[fit.index][:, target].all():
         count = len(np.unique(model.observations.readings.setup))
         if count <= model.dimension:
@@ -346,7 +339,6 @@ def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
 
 
 def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
-    """Every target's position error from the machine's error motions."""
     d, n = model.dimension, len(model.targets)
     field = map_field(tables, model.targets)[:, :, :d]
     first = len(model.own)
@@ -380,7 +372,6 @@ def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...])
 
 
 def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
-    """The contract's arrays; NaN where not determined."""
     d, good = model.dimension, network.good
     error = np.where(good[:, None], network.error, np.nan)
     covariance = np.where(good[:, None, None], network.covariance, np.nan)

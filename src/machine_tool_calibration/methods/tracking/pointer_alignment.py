@@ -91,22 +91,14 @@ def rotation_centre(
     machine: float = 0.0,
     zero: ZeroAngle | None = None,
 ) -> Centre:
-    """The rotation centre from the path over the azimuth, the retroreflector standing still near the axis.
+    """The rotation centre from the path (n,) over the azimuth (n,), the retroreflector standing still near the axis.
 
     The radial error motion is a sum of waves of random size, all orders alike; how large it is, and how much the
     readings scatter, follow from the readings (restricted likelihood), and that it is not known well is in the
-    uncertainty.
-
-    Args:
-        azimuth: (n,) commanded, rad.
-        displacement: (n,) m, larger where the path is longer.
-        place: (2,) commanded x and y of the retroreflector, m.
-        run: (n,) readings of one run count from a common zero; one run if absent.
-        machine: standard uncertainty of the machine's position along x and along y, m.
-        zero: of the pointer, if it is known: the eccentricity is turned by it.
-
-    Raises:
-        ModelError: the beam turns by less than half a turn, or there are too few azimuths or readings.
+    uncertainty. Metres and radians, the path growing with its length; `place` (2,) is the commanded one of the
+    retroreflector; readings of one run (n,) count from a common zero; `machine` is the standard uncertainty of the
+    machine's position along x and along y; the eccentricity is turned by the pointer's zero, if it is known. A
+    ModelError says that the beam turns by less than half a turn, or that there are too few azimuths or readings.
     """
     angle = azimuth if zero is None else azimuth + zero.offset
     own = _constants(np.zeros(len(angle), dtype=np.int64) if run is None else run)
@@ -204,16 +196,10 @@ class _Mixed:
 
 
 def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | None = None) -> ZeroAngle:
-    """The zero angle from the path over y, the beam being held.
+    """The zero angle from the path (n,) over commanded y (n,), m, the beam being held at azimuths (n,), rad.
 
-    Args:
-        y: (n,) commanded, m; x stands still.
-        displacement: (n,) m, larger where the path is longer.
-        azimuth: (n,) commanded direction of the beam, rad.
-        run: (n,) readings of one run count from a common zero; those of one azimuth if absent.
-
-    Raises:
-        ModelError: Y does not move in a run, the beam runs along Y, or there are too few readings.
+    Readings of one run count from a common zero; those of one azimuth if no run is given. A ModelError says that Y
+    does not move in a run, the beam runs along Y, or there are too few readings.
     """
     same = groups(np.round(azimuth / _NOTHING).astype(np.int64))
     run = same if run is None else groups(same, run)

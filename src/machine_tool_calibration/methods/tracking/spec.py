@@ -167,7 +167,6 @@ def _unknown_of_axes(points: Array) -> int:
 
 
 def _off_beam(session: Session) -> Array:
-    """Commanded beam against the direction from the station to the target, rad."""
     description, readings = session.description.as_a(TrackingInterferometer), session.readings
     upright = 0.0 if description.dimension == 2 else 1.0
     elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
@@ -191,7 +190,6 @@ def _beam_mistakes(session: Session, dimension: int) -> Iterator[Supposition]:
 
 
 def _off_path(session: Session) -> Array:
-    """Displacements against the change of distance between station and target."""
     dimension = session.description.as_a(TrackingInterferometer).dimension
     line = lines_of_sight(session, session.readings.position())[:, :dimension]
     return relative_misfit(session, np.linalg.norm(line, axis=1), session.readings.setup)

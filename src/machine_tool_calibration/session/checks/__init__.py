@@ -20,19 +20,13 @@ _TOLD_BY_TIME = 0.4
 
 
 def check_session(session: Session, place: Place | None = None) -> None:
-    """Refuse a session that cannot be right or is not enough for its method.
+    """Refuse (SessionError) a session that cannot be right or is not enough for its method.
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
     times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
     targets and readings that the method needs (`MethodSpec.enough`); readings that contradict the nominal geometry
-    while a common mistake would explain them (`check_consistency`), or by more than can be (`refuse_contradictions`).
-
-    Args:
-        session: the measurement.
-        place: how messages name its parts; by default all is named by the session's source.
-
-    Raises:
-        SessionError: one line that names the place and the defect, or the suspicion.
+    while a common mistake would explain them (`check_consistency`), or by more than can be
+    (`refuse_contradictions`).
     """
     place = place or Place(session.source, session.source)
     _check_missing(session, place)

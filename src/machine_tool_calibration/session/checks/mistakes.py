@@ -200,7 +200,6 @@ def _refuse(session: Session, place: Place, expected: Expected) -> None:
 
 
 def _contradicted(session: Session, held: Held) -> bool:
-    """Whether more of a group's readings contradict than single gross errors do."""
     _, share, bad = _shares(session, held)
     return bool(((share > held.share) & ((bad >= _FEWEST) | (held.share == 0.0))).any())
 
@@ -240,7 +239,6 @@ def _words(session: Session, place: Place, held: Held, likelier: str) -> str:
 
 
 def _slips(session: Session) -> Iterator[Supposition]:
-    """Columns that were shifted, multiplied or exchanged."""
     readings = session.readings
     values = {n: readings.columns[n] for n in (*"xyzabc", "azimuth", "elevation") if n in readings.columns}
     values["displacement"] = readings.displacement

@@ -72,10 +72,8 @@ def allowed(session: Session, stated: float | None) -> float:
 def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]:
     """Places off by more than their uncertainties make likely, the farthest off first.
 
-    Args:
-        session: states them.
-        found: `stations` and `targets`, each (k, 3) in the order of the description, m, with their standard
-            uncertainties `stations_u`, `targets_u`; NaN of what is not determined. Those that it lacks are not judged.
+    `found` has `stations` and `targets`, each (k, 3) in the order of the description, m, with standard
+    uncertainties `stations_u`, `targets_u`; NaN of what is not determined. Those that it lacks are not judged.
     """
     out = []
     for key, name, word in (("stations", "setups", "station"), ("targets", "targets", "target")):
