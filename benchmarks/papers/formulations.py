@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The formulations of Ibaraki and Hata 2010, conventional and new, and position errors by all (Table 1, Figs. 7-9).
 
-Formulas take R, (..., D, d, N): displacements of the single moves for the diagonals ppp, npp, pnp (in a plane pp, np),
+Formulas take R, (..., D, d, N): displacements of the single moves for the diagonals ppp, npp, pnp,
 the axis of the move and the block counted along the increasing axis, m; and give increments of the position errors,
 (..., d, d, N): axis of the motion, component, block, m. Leading dimensions are passed through.
 """
@@ -44,7 +44,7 @@ class Increments:
     Attributes:
         axes: the machine axes of the diagonals, such as (0, 1, 2).
         step: (d,) length of a move along each of them, m.
-        diagonal: (D, d, N) R_x,ppp(k) …: diagonals ppp, npp, pnp (in a plane pp, np), axis of the move, block. Blocks
+        diagonal: (D, d, N) R_x,ppp(k) …: diagonals ppp, npp, pnp, axis of the move, block. Blocks
             are counted along the increasing axis, so that the paper's R_x,npp(N - k + 1) is at k.
         linear: (d, N) displacement of each axis's own run less the step: de_x(x(k)) ….
         weights: (D d N + d N, n) how `diagonal` and `linear` follow from the readings.
@@ -73,9 +73,9 @@ def increments(session: Session) -> Increments:
     runs = runs_of(description)
     blocks = description.blocks
     diagonals = [run for run in runs if run.diagonal]
-    axes = tuple(axis for axis in range(3) if any(run.sign[axis] for run in diagonals))
-    if len(axes) < 2 or any((run.sign[list(axes)] == 0).any() for run in diagonals):
-        raise ModelError("the paper's formulations need diagonals that all move the same two or three axes")
+    axes = (0, 1, 2)
+    if not diagonals or any((run.sign == 0).any() for run in diagonals):
+        raise ModelError("the paper's formulations need diagonals that move all three axes")
     wanted = [np.ones(len(axes))]
     for reverse in range(len(axes) - 1):
         wanted.append(np.where(np.arange(len(axes)) == reverse, -1.0, 1.0))
@@ -197,8 +197,7 @@ def new(R: Array, linear: Array, step: Array) -> Array:
     """The formulation that is immune to the mirrors' tilts, Eqs. (6)-(19), in the coordinate system of Eq. (17).
 
     A tilt adds a constant to each move of an axis; the constants of one diagonal sum up to zero. So the normal errors
-    are those of the conventional formulation but for lambda / (2 l), l the beam's direction cosine: in a plane
-    lambda_xy = -lambda_yx (Ibaraki, Hata and Matsubara 2009), and the coordinate system alone differs (Remark 1).
+    are those of the conventional formulation but for lambda / (2 l), l the beam's direction cosine.
 
     Args:
         R: (..., d, d, N), m.
@@ -215,15 +214,12 @@ def new(R: Array, linear: Array, step: Array) -> Array:
     constant = np.zeros(told.shape)
     # Under Eq. (17) the means of de_y(x), de_z(x) and de_y(z) vanish.
     constant[..., _X, 1:, :] = told[..., _X, 1:, :]
-    if len(step) == 2:
-        constant[..., _Y, _X, :] = -told[..., _X, _Y, :]
-    else:
-        constant[..., _Z, _Y, :] = told[..., _Z, _Y, :]
-        # Eq. (19)
-        own = told[..., _X, _X, :] + told[..., _Y, _Y, :] + told[..., _Z, _Z, :]
-        constant[..., _Z, _X, :] = -told[..., _X, _Z, :] - own
-        constant[..., _Y, _X, :] = -constant[..., _X, _Y, :] - constant[..., _X, _Z, :] - constant[..., _Z, _X, :]
-        constant[..., _Y, _Z, :] = -constant[..., _X, _Y, :] - constant[..., _Z, _Y, :] - constant[..., _Y, _X, :]
+    constant[..., _Z, _Y, :] = told[..., _Z, _Y, :]
+    # Eq. (19)
+    own = told[..., _X, _X, :] + told[..., _Y, _Y, :] + told[..., _Z, _Z, :]
+    constant[..., _Z, _X, :] = -told[..., _X, _Z, :] - own
+    constant[..., _Y, _X, :] = -constant[..., _X, _Y, :] - constant[..., _X, _Z, :] - constant[..., _Z, _X, :]
+    constant[..., _Y, _Z, :] = -constant[..., _X, _Y, :] - constant[..., _Z, _Y, :] - constant[..., _Y, _X, :]
     out -= constant / twice[:, None]
     for axis in range(len(step)):
         out[..., axis, axis, :] = linear[..., axis, :]
