@@ -50,21 +50,13 @@ class Exported:
 
 @dataclass(frozen=True)
 class Compensation:
-    """What can be compensated of a machine's errors.
+    """What can be compensated of a machine's errors."""
 
-    Attributes:
-        tables: it.
-        states: the errors at the points of the map, with what effects do in each direction of approach.
-        source: which measurement it is from.
-        origin: what it was made from.
-        complete: whether the uncertainties are those of a budget.
-    """
-
-    tables: AxisTables
-    states: ErrorStates
-    source: str
-    origin: Provenance
-    complete: bool = False
+    tables: AxisTables  # it
+    states: ErrorStates  # the errors at the points of the map, with what effects do in each direction of approach
+    source: str  # which measurement it is from
+    origin: Provenance  # what it was made from
+    complete: bool = False  # whether the uncertainties are those of a budget
 
     def exported(self, form: str) -> Exported:
         """The files of a controller, read back as it does; a CalibrationError if it cannot hold these tables."""

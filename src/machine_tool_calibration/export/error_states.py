@@ -30,17 +30,11 @@ _PLACE = 1e-7
 
 @dataclass(frozen=True)
 class ErrorStates:
-    """Position errors, one row for each state of the machine at each point of a map.
+    """Position errors, one row for each state of the machine at each point of a map."""
 
-    Attributes:
-        error_map: points, errors and uncertainties; a point stands in it once for every state.
-        directions: (n, 3) signs of the last moves of x, y, z; 0 where they were not recorded.
-        effects: ids of the effects in the model that displace the functional point.
-    """
-
-    error_map: ErrorMap
-    directions: Array
-    effects: tuple[str, ...]
+    error_map: ErrorMap  # points, errors and uncertainties; a point stands in it once for every state
+    directions: Array  # (n, 3) signs of the last moves of x, y, z; 0 where they were not recorded
+    effects: tuple[str, ...]  # ids of the effects in the model that displace the functional point
 
 
 def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Effect]) -> ErrorStates:

@@ -32,19 +32,12 @@ _LABELS = tuple(role for role, kind in ROLES["readings"].items() if kind == "tex
 
 @dataclass(frozen=True)
 class Imported:
-    """A session made from a table.
+    """A session made from a table."""
 
-    Attributes:
-        session: the measurement.
-        columns: what was read, by quantity: the column's name and its unit.
-        rows: number of rows in the table.
-        notes: what was done that the user should know.
-    """
-
-    session: Session
-    columns: dict[str, tuple[str, str]]
-    rows: int
-    notes: tuple[str, ...]
+    session: Session  # the measurement
+    columns: dict[str, tuple[str, str]]  # what was read, by quantity: the column's name and its unit
+    rows: int  # number of rows in the table
+    notes: tuple[str, ...]  # what was done that the user should know
 
 
 @dataclass(frozen=True)

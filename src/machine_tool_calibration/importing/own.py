@@ -89,19 +89,12 @@ _STILL = 1e-7
 
 @dataclass(frozen=True)
 class Alignment:
-    """A search for the rotation centre or the zero angle.
+    """A search for the rotation centre or the zero angle."""
 
-    Attributes:
-        azimuth: (n,) commanded, rad.
-        displacement: (n,) m.
-        place: (n, 2) commanded x and y of the retroreflector, m.
-        run: (n,) number of the run.
-    """
-
-    azimuth: Array
-    displacement: Array
-    place: Array
-    run: IntArray
+    azimuth: Array  # (n,) commanded, rad
+    displacement: Array  # (n,) m
+    place: Array  # (n, 2) commanded x and y of the retroreflector, m
+    run: IntArray  # (n,) number of the run
 
     @property
     def turns(self) -> bool:

@@ -109,17 +109,11 @@ class FitRequest:
 
 @dataclass(frozen=True)
 class WithoutGrossErrors:
-    """A session without the readings that do not belong to the rest.
+    """A session without the readings that do not belong to the rest."""
 
-    Attributes:
-        outliers: these readings, the largest first.
-        session: it, with these as lost ones.
-        built: see `FitRequest`; None where it is yet to be made of what was left.
-    """
-
-    outliers: list[Outlier]
-    session: Session
-    built: Built | None = None
+    outliers: list[Outlier]  # these readings, the largest first
+    session: Session  # it, with these as lost ones
+    built: Built | None = None  # see `FitRequest`; None where it is yet to be made of what was left
 
 
 @dataclass(frozen=True)

@@ -28,21 +28,13 @@ _MAX_COLUMNS = 1000
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a CSV file's rows stand.
+    """Where a CSV file's rows stand."""
 
-    Attributes:
-        source: the file's name, for messages.
-        columns: names of the columns, in the file's order.
-        header_line: line of the header, from 1.
-        rows: number of data rows.
-        blank: (m,) lines after the header that hold nothing.
-    """
-
-    source: str
-    columns: tuple[str, ...]
-    header_line: int
-    rows: int
-    blank: IntArray
+    source: str  # the file's name, for messages
+    columns: tuple[str, ...]  # names of the columns, in the file's order
+    header_line: int  # line of the header, from 1
+    rows: int  # number of data rows
+    blank: IntArray  # (m,) lines after the header that hold nothing
 
     def line(self, row: int) -> int:
         """The file's line (from 1) of a data row (from 0)."""

@@ -59,23 +59,14 @@ _TURNS = ("turn_a", "turn_b", "turn_c")
 
 @dataclass(frozen=True)
 class SetupDatum:
-    """Unknowns of every setup.
+    """Unknowns of every setup."""
 
-    Attributes:
-        kind: none, offset or rigid.
-        columns: (p, n) change of each reading per unit of the p unknowns of its setup.
-        parameters: setups times p, setup after setup.
-        left_out: unknowns that no reading depends on.
-        curvature: (n,) what a finite turn adds to the linear one, m.
-        words: the datum in words.
-    """
-
-    kind: str
-    columns: Array
-    parameters: tuple[Parameter, ...]
-    left_out: tuple[NotDetermined, ...]
-    curvature: Array
-    words: str
+    kind: str  # none, offset or rigid
+    columns: Array  # (p, n) change of each reading per unit of the p unknowns of its setup
+    parameters: tuple[Parameter, ...]  # setups times p, setup after setup
+    left_out: tuple[NotDetermined, ...]  # unknowns that no reading depends on
+    curvature: Array  # (n,) what a finite turn adds to the linear one, m
+    words: str  # the datum in words
 
 
 def setup_columns(columns: Array, setup: IntArray, count: int) -> Array:

@@ -95,17 +95,11 @@ def _axes(name: str) -> str:
 
 @dataclass(frozen=True)
 class DirectModel(MethodModel):
-    """Deviations with the errors that the session names.
+    """Deviations with the errors that the session names."""
 
-    Attributes:
-        tables: the machine errors in the model, in the order of the first terms.
-        setups: what each setup leaves open.
-        fixed: (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes.
-    """
-
-    tables: tuple[MachineTable, ...]
-    setups: SetupDatum
-    fixed: Array
+    tables: tuple[MachineTable, ...]  # the machine errors in the model, in the order of the first terms
+    setups: SetupDatum  # what each setup leaves open
+    fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
 
     @property
     def own(self) -> tuple[Parameter, ...]:

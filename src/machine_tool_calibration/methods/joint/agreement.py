@@ -56,47 +56,29 @@ _ABSORBED = 1e-6
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A session that sees an error motion otherwise than the others.
+    """A session that sees an error motion otherwise than the others."""
 
-    Attributes:
-        session: its label.
-        others: labels of the sessions that see the same motion.
-        motion: the error motion or effect.
-        alike: other motions with which this contradiction could be explained nearly as well.
-        difference: session minus others, where it is largest and more than three standard uncertainties, of all
-            positions that both have read, m or rad.
-        difference_u: its standard uncertainty.
-        unit: m, rad or that of the effect's coefficient.
-        p_value: of the chi-square, times the number of comparisons (Bonferroni).
-    """
-
-    session: str
-    others: tuple[str, ...]
-    motion: str
-    alike: tuple[str, ...]
+    session: str  # its label
+    others: tuple[str, ...]  # labels of the sessions that see the same motion
+    motion: str  # the error motion or effect
+    alike: tuple[str, ...]  # other motions with which this contradiction could be explained nearly as well
+    # session minus others, where it is largest and more than three standard uncertainties, of all positions that both
+    # have read, m or rad
     difference: float
-    difference_u: float
-    unit: str
-    p_value: float
+    difference_u: float  # its standard uncertainty
+    unit: str  # m, rad or that of the effect's coefficient
+    p_value: float  # of the chi-square, times the number of comparisons (Bonferroni)
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether sessions agree.
+    """Whether sessions agree."""
 
-    Attributes:
-        comparisons: number of pairs of session and motion that could be compared.
-        p_value: smallest, times the number of comparisons; None where nothing is shared.
-        spread: factor by which the readings of the sessions scatter more than declared, 1 at least.
-        contradictions: the largest first.
-        statement: in one sentence each.
-    """
-
-    comparisons: int
-    p_value: float | None
-    spread: float
-    contradictions: tuple[Contradiction, ...]
-    statement: str
+    comparisons: int  # number of pairs of session and motion that could be compared
+    p_value: float | None  # smallest, times the number of comparisons; None where nothing is shared
+    spread: float  # factor by which the readings of the sessions scatter more than declared, 1 at least
+    contradictions: tuple[Contradiction, ...]  # the largest first
+    statement: str  # in one sentence each
 
 
 @dataclass(frozen=True)
@@ -248,19 +230,12 @@ def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Ar
 
 @dataclass(frozen=True)
 class _Scores:
-    """All differences with the joint model projected off, weighted by the declared uncertainty.
+    """All differences with the joint model projected off, weighted by the declared uncertainty."""
 
-    Attributes:
-        gram: (k, k) their inner products.
-        right: (k,) with the residuals.
-        squares: (k,) squared norms before anything was projected off.
-        start: (differences + 1,) first column of each.
-    """
-
-    gram: Array
-    right: Array
-    squares: Array
-    start: IntArray
+    gram: Array  # (k, k) their inner products
+    right: Array  # (k,) with the residuals
+    squares: Array  # (k,) squared norms before anything was projected off
+    start: IntArray  # (differences + 1,) first column of each
 
     def _own(self, k: int) -> slice:
         return slice(int(self.start[k]), int(self.start[k + 1]))

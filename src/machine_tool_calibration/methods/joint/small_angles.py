@@ -41,17 +41,11 @@ _LIKELY = 0.5
 
 @dataclass(frozen=True)
 class StatedAngles:
-    """Angular errors of all sessions as they are published: the mean over all their sizes and shapes.
+    """Angular errors of all sessions as they are published: the mean over all their sizes and shapes."""
 
-    Attributes:
-        size: root mean square of the angular errors over all that is possible, rad.
-        probability: that they are not zero.
-        untold: those of which the readings say little more than the size.
-    """
-
-    size: float
-    probability: float
-    untold: tuple[NotDetermined, ...]
+    size: float  # root mean square of the angular errors over all that is possible, rad
+    probability: float  # that they are not zero
+    untold: tuple[NotDetermined, ...]  # those of which the readings say little more than the size
 
     def hiding(self, statement: str) -> str:
         """An agreement of sessions, with what it does not mean where angular errors explain as much.

@@ -43,24 +43,17 @@ class NullSpace:
 
     The unknowns are the K shared ones, each in the unit that changes the readings by 1 m (rms), and then the
     workpiece's N points, m.
-
-    Attributes:
-        names: of the shared unknowns.
-        unit: (K,) of each shared unknown.
-        basis: (K + N, q) orthonormal directions.
-        response: (K + N, K) what each unknown does when the shared ones change: a point follows the mean of its
-            touches.
-        half: (K, r) half @ half.T is the covariance of the shared unknowns, for touches of unit uncertainty, in the
-            datum of least norm.
-        own: (K + N,) variance that each unknown has besides: of a point, one over the number of its touches.
     """
 
-    names: tuple[str, ...]
-    unit: Array
-    basis: Array
+    names: tuple[str, ...]  # of the shared unknowns
+    unit: Array  # (K,) of each shared unknown
+    basis: Array  # (K + N, q) orthonormal directions
+    # (K + N, K) what each unknown does when the shared ones change: a point follows the mean of its touches
     response: Array
+    # (K, r) half @ half.T is the covariance of the shared unknowns, for touches of unit uncertainty, in the datum of
+    # least norm
     half: Array
-    own: Array
+    own: Array  # (K + N,) variance that each unknown has besides: of a point, one over the number of its touches
 
     @cached_property
     def _index(self) -> dict[str, int]:
@@ -147,15 +140,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition of the datum.
+    """One condition of the datum."""
 
-    Attributes:
-        places: where it may be put, in the order of preference.
-        is_far: whether it belongs far from the axis's zero, as those for a direction or the length.
-    """
-
-    places: tuple[Place, ...]
-    is_far: bool = False
+    places: tuple[Place, ...]  # where it may be put, in the order of preference
+    is_far: bool = False  # whether it belongs far from the axis's zero, as those for a direction or the length
 
 
 def choose_places(null: NullSpace, conditions: Sequence[Condition]) -> list[Place | None]:

@@ -46,19 +46,13 @@ _NO_LEVER = 1e-4
 
 @dataclass(frozen=True)
 class Touches:
-    """The touches of a session in the machine frame.
+    """The touches of a session in the machine frame."""
 
-    Attributes:
-        point: (n,) place of the touched point in the workpiece's list.
-        contact: (n, 3) nominal contact, m; its origin is the centre line of C.
-        normal: (n, 3) outward normal of the surface, unit vectors.
-        lever: (n,) displacement of the surface along its normal per radian that the table turns counter-clockwise
-            seen from +Z, m/rad: n . (R(90 deg) p) of Eq. (13).
-    """
-
-    point: IntArray
-    contact: Array
-    normal: Array
+    point: IntArray  # (n,) place of the touched point in the workpiece's list
+    contact: Array  # (n, 3) nominal contact, m; its origin is the centre line of C
+    normal: Array  # (n, 3) outward normal of the surface, unit vectors
+    # (n,) displacement of the surface along its normal per radian that the table turns counter-clockwise seen from +Z,
+    # m/rad: n . (R(90 deg) p) of Eq. (13)
     lever: Array
 
 
@@ -155,19 +149,12 @@ _RANK = 1e-4
 
 @dataclass(frozen=True)
 class Element:
-    """A feature as the drawing has it, and what it does when its points are off.
+    """A feature as the drawing has it, and what it does when its points are off."""
 
-    Attributes:
-        name: of the feature.
-        index: (m,) its points' places in the workpiece's list.
-        place: (2,) centre of a circle, middle of a line's points, m.
-        rows: (k, N) change of each of its quantities by the points' errors along their outward normals.
-    """
-
-    name: str
-    index: IntArray
-    place: Array
-    rows: Array
+    name: str  # of the feature
+    index: IntArray  # (m,) its points' places in the workpiece's list
+    place: Array  # (2,) centre of a circle, middle of a line's points, m
+    rows: Array  # (k, N) change of each of its quantities by the points' errors along their outward normals
 
 
 @dataclass(frozen=True)

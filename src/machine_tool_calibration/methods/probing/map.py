@@ -63,36 +63,22 @@ class Errors:
 
 @dataclass(frozen=True)
 class Combined:
-    """Sums over the points of the workpiece, each with weights of its own.
+    """Sums over the points of the workpiece, each with weights of its own."""
 
-    Attributes:
-        value: (q,) NaN where the touches do not determine it.
-        covariance: (q, q) of them all; NaN where the touches do not determine one.
-    """
-
-    value: Array
-    covariance: Array
+    value: Array  # (q,) NaN where the touches do not determine it
+    covariance: Array  # (q, q) of them all; NaN where the touches do not determine one
 
 
 @dataclass(frozen=True)
 class Responses:
-    """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open.
+    """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open."""
 
-    Attributes:
-        value: (N,) error of each point, m.
-        own: (N,) variance from the noise of its own touches, m^2.
-        half: (N, K) half @ half.T is the covariance from the shared unknowns, m^2.
-        loose: (N, k) change of the points with what is not determined.
-        scale: (N,) size of that change if nothing of it cancelled.
-        touched: (N,) whether the point was touched.
-    """
-
-    value: Array
-    own: Array
-    half: Array
-    loose: Array
-    scale: Array
-    touched: BoolArray
+    value: Array  # (N,) error of each point, m
+    own: Array  # (N,) variance from the noise of its own touches, m^2
+    half: Array  # (N, K) half @ half.T is the covariance from the shared unknowns, m^2
+    loose: Array  # (N, k) change of the points with what is not determined
+    scale: Array  # (N,) size of that change if nothing of it cancelled
+    touched: BoolArray  # (N,) whether the point was touched
 
     @property
     def steady(self) -> BoolArray:
@@ -265,21 +251,14 @@ _AT_ONCE = 1000
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """What the draws say of some quantities.
+    """What the draws say of some quantities."""
 
-    Attributes:
-        draws: how many.
-        distribution: of the touches' errors.
-        uncertainty: (q,) standard uncertainty; NaN where a quantity is not determined.
-        low: (q,) lower end of the probabilistically symmetric interval of the coverage probability, from the estimate.
-        high: (q,) its upper end.
-    """
-
-    draws: int
-    distribution: Distribution
-    uncertainty: Array
+    draws: int  # how many
+    distribution: Distribution  # of the touches' errors
+    uncertainty: Array  # (q,) standard uncertainty; NaN where a quantity is not determined
+    # (q,) lower end of the probabilistically symmetric interval of the coverage probability, from the estimate
     low: Array
-    high: Array
+    high: Array  # (q,) its upper end
 
 
 @single_blas()

@@ -75,19 +75,12 @@ def _refuse_mistakes(session: Session) -> None:
 
 @dataclass(frozen=True)
 class ProbingModel(MethodModel):
-    """A workpiece touched at several angles of C.
+    """A workpiece touched at several angles of C."""
 
-    Attributes:
-        touches: where each touch was.
-        tables: error motions of the linear axes, with their nodes.
-        grid: declared nodes of the tables of X and of Y, m: where the error map is given.
-        length_known: whether a measured length fixes the scale.
-    """
-
-    touches: Touches
-    tables: tuple[MachineTable, ...]
-    grid: tuple[Array, Array]
-    length_known: bool
+    touches: Touches  # where each touch was
+    tables: tuple[MachineTable, ...]  # error motions of the linear axes, with their nodes
+    grid: tuple[Array, Array]  # declared nodes of the tables of X and of Y, m: where the error map is given
+    length_known: bool  # whether a measured length fixes the scale
 
     @property
     def description(self) -> Probing:

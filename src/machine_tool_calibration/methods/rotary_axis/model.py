@@ -72,21 +72,13 @@ _LARGE_TURN = 1.9
 
 @dataclass(frozen=True)
 class RotaryAxisModel(MethodModel):
-    """Targets on a rotary table read from stations.
+    """Targets on a rotary table read from stations."""
 
-    Attributes:
-        table: the readings sorted by angle, target and run.
-        stations: (S, 3) first estimates, in the frame of the axis, m.
-        targets: (T, 3) first estimates, table frame at zero, m.
-        loose: (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`.
-        size: length by which rotations were compared with translations there, m.
-    """
-
-    table: TableReadings
-    stations: Array
-    targets: Array
-    loose: Array
-    size: float
+    table: TableReadings  # the readings sorted by angle, target and run
+    stations: Array  # (S, 3) first estimates, in the frame of the axis, m
+    targets: Array  # (T, 3) first estimates, table frame at zero, m
+    loose: Array  # (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`
+    size: float  # length by which rotations were compared with translations there, m
 
     @property
     def description(self) -> RotaryAxis:

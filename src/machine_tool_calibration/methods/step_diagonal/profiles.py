@@ -44,24 +44,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class Profiles:
-    """Position errors at the block positions of each axis.
+    """Position errors at the block positions of each axis."""
 
-    Attributes:
-        method: how they were estimated.
-        blocks: block positions of x, y, z, m.
-        value: (M,) errors, axis after axis, position after position, component after component, m; NaN where nothing
-            was measured.
-        covariance: (M, M) of these, m^2.
-        loose: (M, k) directions in which the errors may change without any reading changing.
-        oriented: in words, where the errors are zero instead of at the last block positions; usually empty.
-    """
-
-    method: str
-    blocks: tuple[Array, Array, Array]
+    method: str  # how they were estimated
+    blocks: tuple[Array, Array, Array]  # block positions of x, y, z, m
+    # (M,) errors, axis after axis, position after position, component after component, m; NaN where nothing was
+    # measured
     value: Array
-    covariance: Array
-    loose: Array
-    oriented: str = ""
+    covariance: Array  # (M, M) of these, m^2
+    loose: Array  # (M, k) directions in which the errors may change without any reading changing
+    oriented: str = ""  # in words, where the errors are zero instead of at the last block positions; usually empty
 
     @cached_property
     def _known(self) -> Array:

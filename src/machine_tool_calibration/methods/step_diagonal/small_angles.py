@@ -79,26 +79,18 @@ _FLOOR = 1e-6
 
 @dataclass(frozen=True)
 class AngularPosterior(RandomPosterior):
-    """What the readings say of the angular errors.
+    """What the readings say of the angular errors."""
 
-    Attributes:
-        priors: for each error (k, k): the covariance of the random function, its mean over all that is possible, rad^2.
-    """
-
+    # for each error (k, k): the covariance of the random function, its mean over all that is possible, rad^2
     priors: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
 class SmallAngles:
-    """Angular errors as unknowns that are random functions, for what is published of a fit.
+    """Angular errors as unknowns that are random functions, for what is published of a fit."""
 
-    Attributes:
-        names: of their unknowns, error after error.
-        nodes: for each error its nodes, m, and the index of the one at which it is zero.
-    """
-
-    names: tuple[str, ...]
-    nodes: tuple[tuple[Array, int], ...]
+    names: tuple[str, ...]  # of their unknowns, error after error
+    nodes: tuple[tuple[Array, int], ...]  # for each error its nodes, m, and the index of the one at which it is zero
 
     @property
     def root(self) -> Array:

@@ -65,25 +65,15 @@ _INVOLVED = 0.03
 
 @dataclass(frozen=True)
 class TrackingModel(MethodModel):
-    """Targets read from stations.
+    """Targets read from stations."""
 
-    Attributes:
-        targets: (N, 3) distinct commanded positions, m.
-        point: (n,) which of them each reading belongs to.
-        stations: (S, 3) first estimates of the rotation centres, m.
-        path: (S,) first estimates of the path at the datum reading (dead path), m.
-        sight: how well each station's own readings place it.
-        carried: (S,) stations that the network holds.
-        tables: the machine's error motions in the model; None where every target is free.
-    """
-
-    targets: Array
-    point: IntArray
-    stations: Array
-    path: Array
-    sight: OwnSight
-    carried: BoolArray
-    tables: tuple[MachineTable, ...] | None
+    targets: Array  # (N, 3) distinct commanded positions, m
+    point: IntArray  # (n,) which of them each reading belongs to
+    stations: Array  # (S, 3) first estimates of the rotation centres, m
+    path: Array  # (S,) first estimates of the path at the datum reading (dead path), m
+    sight: OwnSight  # how well each station's own readings place it
+    carried: BoolArray  # (S,) stations that the network holds
+    tables: tuple[MachineTable, ...] | None  # the machine's error motions in the model; None where every target is free
 
     @property
     def description(self) -> TrackingInterferometer:
@@ -271,23 +261,14 @@ _FLAT = 0.05
 
 @dataclass(frozen=True)
 class _Network:
-    """Targets and stations in the map's datum.
+    """Targets and stations in the map's datum."""
 
-    Attributes:
-        error: (n, d) position error of the targets.
-        covariance: (n, d, d).
-        good: (n,) whether a target is determined.
-        own: (S (d + 1),) the stations' unknowns.
-        own_u: their standard uncertainties.
-        why: reason for each target that is not determined.
-    """
-
-    error: Array
-    covariance: Array
-    good: BoolArray
-    own: Array
-    own_u: Array
-    why: Mapping[int, str]
+    error: Array  # (n, d) position error of the targets
+    covariance: Array  # (n, d, d)
+    good: BoolArray  # (n,) whether a target is determined
+    own: Array  # (S (d + 1),) the stations' unknowns
+    own_u: Array  # their standard uncertainties
+    why: Mapping[int, str]  # reason for each target that is not determined
 
 
 def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:

@@ -67,19 +67,12 @@ class Centre:
 
 @dataclass(frozen=True)
 class ZeroAngle:
-    """The zero angle of a pointer.
+    """The zero angle of a pointer."""
 
-    Attributes:
-        offset: azimuth of the beam less the commanded one, rad; from the normal of Y, positive from +X towards +Y.
-        u: its standard uncertainty, rad.
-        scatter: standard deviation of a reading, m: straightness of Y across it included.
-        residuals: (n,) what straight lines leave of the readings, m.
-    """
-
-    offset: float
-    u: float
-    scatter: float
-    residuals: Array
+    offset: float  # azimuth of the beam less the commanded one, rad; from the normal of Y, positive from +X towards +Y
+    u: float  # its standard uncertainty, rad
+    scatter: float  # standard deviation of a reading, m: straightness of Y across it included
+    residuals: Array  # (n,) what straight lines leave of the readings, m
 
 
 def rotation_centre(
@@ -143,21 +136,13 @@ def rotation_centre(
 
 @dataclass(frozen=True)
 class _Mixed:
-    """Fixed unknowns, random ones of a common variance, and scatter, in the space that both span.
+    """Fixed unknowns, random ones of a common variance, and scatter, in the space that both span."""
 
-    Attributes:
-        fixed: (m, p).
-        random: (m, q).
-        inner: (m,) the readings there.
-        outside: sum of squares of what is beside it.
-        count: number of readings.
-    """
-
-    fixed: Array
-    random: Array
-    inner: Array
-    outside: float
-    count: int
+    fixed: Array  # (m, p)
+    random: Array  # (m, q)
+    inner: Array  # (m,) the readings there
+    outside: float  # sum of squares of what is beside it
+    count: int  # number of readings
 
     def at(self, ratio: float) -> tuple[Array, float, float]:
         """(p, m) best linear unbiased estimator, variance of a reading, logarithm of the restricted likelihood."""

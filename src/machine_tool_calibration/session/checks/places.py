@@ -31,23 +31,14 @@ _FRAME = 3
 
 @dataclass(frozen=True)
 class Misplaced:
-    """A station or target that is not found where it is stated to be.
+    """A station or target that is not found where it is stated to be."""
 
-    Attributes:
-        what: it is, `station` or `target`.
-        id: its own.
-        off: how far, m.
-        along: on which axis the most.
-        uncertainty: standard uncertainty of that distance, the stated one within, m.
-        stated: standard uncertainty that is stated; None where none is.
-    """
-
-    what: str
-    id: str
-    off: float
-    along: str
-    uncertainty: float
-    stated: float | None
+    what: str  # it is, `station` or `target`
+    id: str  # its own
+    off: float  # how far, m
+    along: str  # on which axis the most
+    uncertainty: float  # standard uncertainty of that distance, the stated one within, m
+    stated: float | None  # standard uncertainty that is stated; None where none is
 
     @property
     def words(self) -> str:
