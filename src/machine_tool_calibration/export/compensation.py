@@ -21,21 +21,14 @@ __all__ = ["Compensation", "Exported", "compensation"]
 
 @dataclass(frozen=True)
 class Exported:
-    """What a controller is given.
+    """What a controller is given."""
 
-    Attributes:
-        files: texts by name.
-        errors: at the points of the map before and after, as the controller reads the files.
-        left: figures of them.
-        absent: what is in the model, displaces the tool, and is not in the files: effects first, then error motions.
-        complete: whether the uncertainties are those of a budget.
-    """
-
-    files: dict[str, str]
-    errors: ResidualErrors
-    left: tuple[ResidualError, ...]
+    files: dict[str, str]  # texts by name
+    errors: ResidualErrors  # at the points of the map before and after, as the controller reads the files
+    left: tuple[ResidualError, ...]  # figures of them
+    # what is in the model, displaces the tool, and is not in the files: effects first, then error motions
     absent: list[str]
-    complete: bool = False
+    complete: bool = False  # whether the uncertainties are those of a budget
 
     @property
     def worse(self) -> bool:

@@ -78,52 +78,30 @@ _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space":
 
 
 class FileForm(Record):
-    """How the text is written; separator, decimal mark and UTF-16 are recognised where they are not said.
+    """How the text is written; separator, decimal mark and UTF-16 are recognised where they are not said."""
 
-    Attributes:
-        separator: one character, or its name: comma, semicolon, tab, bar, space (one or more).
-        decimal: point or comma of the numbers.
-        encoding: of the text, such as utf-8 or latin-1.
-        skip: lines before the header.
-        skip_after_header: lines between the header and the numbers, such as one of units.
-        header: whether a line names the columns; otherwise they are called 1, 2, 3 …
-        comment: lines that begin with this are left out.
-        missing: texts that stand for no value, beside the empty cell and nan.
-        time_format: of time stamps, as for `datetime.strptime`, where they say it not by themselves.
-    """
-
-    separator: str = "comma"
-    decimal: str = Field(default=".", pattern=r"^[.,]$")
-    encoding: str = "utf-8"
-    skip: int = Field(default=0, ge=0)
-    skip_after_header: int = Field(default=0, ge=0)
-    header: bool = True
-    comment: str | None = Field(default=None, min_length=1)
-    missing: tuple[str, ...] = ()
-    time_format: str | None = None
+    separator: str = "comma"  # one character, or its name: comma, semicolon, tab, bar, space (one or more)
+    decimal: str = Field(default=".", pattern=r"^[.,]$")  # point or comma of the numbers
+    encoding: str = "utf-8"  # of the text, such as utf-8 or latin-1
+    skip: int = Field(default=0, ge=0)  # lines before the header
+    skip_after_header: int = Field(default=0, ge=0)  # lines between the header and the numbers, such as one of units
+    header: bool = True  # whether a line names the columns; otherwise they are called 1, 2, 3 …
+    comment: str | None = Field(default=None, min_length=1)  # lines that begin with this are left out
+    missing: tuple[str, ...] = ()  # texts that stand for no value, beside the empty cell and nan
+    time_format: str | None = None  # of time stamps, as for `datetime.strptime`, where they say it not by themselves
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """The cells of a file.
+    """The cells of a file."""
 
-    Attributes:
-        source: the file's name, for messages.
-        names: of the columns, in the file's order; they may repeat.
-        cells: (rows, columns) text without spaces at its ends.
-        lines: (rows,) line of each row in the file, from 1.
-        header_line: of the header; of the first row where there is none.
-        form: how numbers are written.
-        notes: lines that were left out and look like rows.
-    """
-
-    source: str
-    names: tuple[str, ...]
-    cells: np.ndarray
-    lines: tuple[int, ...]
-    header_line: int
-    form: FileForm
-    notes: tuple[str, ...] = ()
+    source: str  # the file's name, for messages
+    names: tuple[str, ...]  # of the columns, in the file's order; they may repeat
+    cells: np.ndarray  # (rows, columns) text without spaces at its ends
+    lines: tuple[int, ...]  # (rows,) line of each row in the file, from 1
+    header_line: int  # of the header; of the first row where there is none
+    form: FileForm  # how numbers are written
+    notes: tuple[str, ...] = ()  # lines that were left out and look like rows
 
     def __len__(self) -> int:
         return len(self.cells)

@@ -44,19 +44,12 @@ _IN_PROFILES = (
 
 @dataclass(frozen=True)
 class AxisTable:
-    """One error motion of a linear axis.
+    """One error motion of a linear axis."""
 
-    Attributes:
-        name: EXX, ECY, …, as in ISO 230-1.
-        nodes: (k,) increasing positions of the axis, m; k is 2 or more.
-        value: (k,) deviation, actual minus commanded, m or rad; straight lines between the nodes.
-        uncertainty: (k,) standard uncertainty; NaN if it is not known.
-    """
-
-    name: str
-    nodes: Array
-    value: Array
-    uncertainty: Array
+    name: str  # EXX, ECY, …, as in ISO 230-1
+    nodes: Array  # (k,) increasing positions of the axis, m; k is 2 or more
+    value: Array  # (k,) deviation, actual minus commanded, m or rad; straight lines between the nodes
+    uncertainty: Array  # (k,) standard uncertainty; NaN if it is not known
 
     @property
     def axis(self) -> str:
@@ -76,27 +69,17 @@ class AxisTable:
 
 @dataclass(frozen=True)
 class AxisTables:
-    """The machine's errors by axis; deviations, actual minus commanded.
+    """The machine's errors by axis; deviations, actual minus commanded."""
 
-    Attributes:
-        chain: decides the lever arms of angles.
-        tables: error motions that are determined at all their nodes.
-        squareness: value and standard uncertainty, rad, of A0Z, B0Z, C0Y.
-        backlash: half the reversal error b of an axis (position -b dir) and its standard uncertainty, m.
-        left_out: what the result does not determine, or determines at a part of its nodes only.
-        datum: in words: where every table is zero.
-        squareness_words: the convention of squareness in words.
-        model: which one the tables come from, with its effects.
-    """
-
-    chain: Chain
-    tables: tuple[AxisTable, ...]
-    squareness: Mapping[str, tuple[float, float]]
+    chain: Chain  # decides the lever arms of angles
+    tables: tuple[AxisTable, ...]  # error motions that are determined at all their nodes
+    squareness: Mapping[str, tuple[float, float]]  # value and standard uncertainty, rad, of A0Z, B0Z, C0Y
+    # half the reversal error b of an axis (position -b dir) and its standard uncertainty, m
     backlash: Mapping[str, tuple[float, float]]
-    left_out: tuple[NotDetermined, ...]
-    datum: str
-    squareness_words: str
-    model: str
+    left_out: tuple[NotDetermined, ...]  # what the result does not determine, or determines at a part of its nodes only
+    datum: str  # in words: where every table is zero
+    squareness_words: str  # the convention of squareness in words
+    model: str  # which one the tables come from, with its effects
 
     def field(self, points: Array, directions: Array | None = None) -> Array:
         """(n, 3) position error that the tables stand for at commanded points (n, 3), actual minus commanded, m.

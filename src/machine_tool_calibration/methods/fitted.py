@@ -46,22 +46,16 @@ Built = tuple[MethodModel, str]
 
 @dataclass(frozen=True)
 class FitRequest:
-    """One session, or several of one machine, and the model to fit to them.
+    """One session, or several of one machine, and the model to fit to them."""
 
-    Attributes:
-        sessions: the measurements.
-        labels: names of several, all different; None for a single one, whose name is dropped.
-        model: variant of the methods that have it, which for one session its method must; the default if None.
-        effects: ids of physical effects in the model, in every session in which they can act.
-        own: the user's own effects, beside the catalogue.
-        keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
-    """
-
-    sessions: tuple[Session, ...]
+    sessions: tuple[Session, ...]  # the measurements
+    # names of several, all different; None for a single one, whose name is dropped
     labels: tuple[str, ...] | None = None
+    # variant of the methods that have it, which for one session its method must; the default if None
     model: str | None = None
-    effects: tuple[str, ...] = ()
-    own: tuple[Effect, ...] = ()
+    effects: tuple[str, ...] = ()  # ids of physical effects in the model, in every session in which they can act
+    own: tuple[Effect, ...] = ()  # the user's own effects, beside the catalogue
+    # use all readings; otherwise those that stand out of all others of their session are set aside
     keep_all: bool = False
 
     def __post_init__(self) -> None:
@@ -118,19 +112,12 @@ class WithoutGrossErrors:
 
 @dataclass(frozen=True)
 class FittedSessions:
-    """Models of one or several sessions, fitted.
+    """Models of one or several sessions, fitted."""
 
-    Attributes:
-        joint: the fit, with a member for each session.
-        common: what the models of several sessions share; None for one.
-        model_names: variant of each session's model.
-        effects: ids of the effects that were added.
-    """
-
-    joint: JointFit
-    common: CommonModels | None
-    model_names: tuple[str, ...]
-    effects: tuple[str, ...]
+    joint: JointFit  # the fit, with a member for each session
+    common: CommonModels | None  # what the models of several sessions share; None for one
+    model_names: tuple[str, ...]  # variant of each session's model
+    effects: tuple[str, ...]  # ids of the effects that were added
 
     @property
     def model_name(self) -> str:

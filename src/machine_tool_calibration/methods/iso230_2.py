@@ -37,41 +37,27 @@ _STILL, _SAME, _OFF = 1e-6, 1e-5, 1e-5
 
 @dataclass(frozen=True)
 class Positioning:
-    """Figures of one axis; NaN where the readings do not give them (a direction or repeats missing).
+    """Figures of one axis; NaN where the readings do not give them (a direction or repeats missing)."""
 
-    Attributes:
-        position: (m,) target positions, m.
-        mean_up, mean_down: (m,) mean unidirectional deviations, 3.10.
-        s_up, s_down: (m,) estimators of the unidirectional repeatability (standard deviation with n - 1), 3.13.
-        count_up, count_down: (m,) readings in each direction.
-        reversal: (m,) mean_up - mean_down, 3.11.
-        repeatability: (m,) R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down), 3.15.
-        B, B_mean: largest absolute, and mean reversal of the axis, 3.11, 3.12.
-        R_up, R_down, R: uni- and bidirectional repeatability of the axis, 3.14, 3.15.
-        E_up, E_down, E: uni- and bidirectional systematic positioning deviation, 3.16, 3.17.
-        M: range of the mean bidirectional positioning deviation, 3.18.
-        A_up, A_down, A: uni- and bidirectional positioning accuracy (two standard deviations), 3.19, 3.20.
-    """
-
-    position: Array
-    mean_up: Array
+    position: Array  # (m,) target positions, m
+    mean_up: Array  # (m,) mean unidirectional deviations, 3.10
     mean_down: Array
-    s_up: Array
+    s_up: Array  # (m,) estimators of the unidirectional repeatability (standard deviation with n - 1), 3.13
     s_down: Array
-    count_up: IntArray
+    count_up: IntArray  # (m,) readings in each direction
     count_down: IntArray
-    reversal: Array
-    repeatability: Array
-    B: float
+    reversal: Array  # (m,) mean_up - mean_down, 3.11
+    repeatability: Array  # (m,) R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down), 3.15
+    B: float  # largest absolute, and mean reversal of the axis, 3.11, 3.12
     B_mean: float
-    R_up: float
+    R_up: float  # uni- and bidirectional repeatability of the axis, 3.14, 3.15
     R_down: float
     R: float
-    E_up: float
+    E_up: float  # uni- and bidirectional systematic positioning deviation, 3.16, 3.17
     E_down: float
     E: float
-    M: float
-    A_up: float
+    M: float  # range of the mean bidirectional positioning deviation, 3.18
+    A_up: float  # uni- and bidirectional positioning accuracy (two standard deviations), 3.19, 3.20
     A_down: float
     A: float
 

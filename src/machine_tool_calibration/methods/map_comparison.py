@@ -48,19 +48,12 @@ _MOTIONS = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "tu
 
 @dataclass(frozen=True)
 class Motion:
-    """A part of the common motion by which the first map differs from the second.
+    """A part of the common motion by which the first map differs from the second."""
 
-    Attributes:
-        name: `shift x` … (m), `turn about z` … (rad), about the middle of the common points.
-        value: NaN where the common points do not tell it.
-        u: standard uncertainty.
-        unit: m or rad.
-    """
-
-    name: str
-    value: float
-    u: float
-    unit: str
+    name: str  # `shift x` … (m), `turn about z` … (rad), about the middle of the common points
+    value: float  # NaN where the common points do not tell it
+    u: float  # standard uncertainty
+    unit: str  # m or rad
 
 
 @dataclass(frozen=True)

@@ -121,15 +121,10 @@ class Collector:
 
 @dataclass(frozen=True)
 class Reading:
-    """One `reading` message.
+    """One `reading` message."""
 
-    Attributes:
-        names: `name`.
-        values: `position`.
-    """
-
-    names: Sequence[str]
-    values: Sequence[float]
+    names: Sequence[str]  # `name`
+    values: Sequence[float]  # `position`
 
 
 def _is_same(one: Reading, other: Reading) -> bool:

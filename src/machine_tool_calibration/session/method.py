@@ -26,68 +26,49 @@ __all__ = ["MethodSpec", "load"]
 
 
 class MethodSpec:
-    """A measuring method: a method's folder says what differs from this.
+    """A measuring method: a method's folder says what differs from this."""
 
-    Attributes:
-        description: record of what session.yaml says.
-        any_axis: whether some column of an axis's position is needed, of whichever axis.
-        always: columns that observations.csv must have, where they do not depend on the description.
-        needed: readings that some setup must have.
-        remounted: what is mounted again between setups, where that does not depend on the description.
-        model: module with `build(session, variant)`, which gives the model.
-        map: module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent.
-        models: names of the model's variants, the default first; for each when it is the right one.
-        tables: variant with tables of the machine's error motions, which other sessions can share; the default if
-            absent.
-        by_axes: variants in which nothing but the axes' errors moves the tool point.
-        no_tables: why a model has no tables of error motions, and what to do.
-
-        turned_part: what may be turned by orienting the spindle, and the effects that turn with it.
-
-        reads_deviations: whether a reading is a small deviation rather than a path.
-        reads_machine: whether a reading is the machine's deviation itself along a given direction: what does not
-            reproduce is then the machine's or the part's own, of which the declared uncertainty knows nothing, and the
-            error map holds the displacements by the effects, reading by reading.
-        probes_surface: whether readings sense a workpiece's surface along its normal, which turns with the table.
-        turns_one_axis: whether a run turns one rotary axis, angle after angle.
-        states_runs: whether a setup states a run, move after move: their order matters even where the directions of
-            approach do not, and a procedure's targets follow from the session.
-        counts_from_run: whether readings count from the first one of their run rather than of their setup.
-        free_order: whether targets may be visited in any order.
-
-        steps: of a procedure, its steps one reading each.
-        planned: of a procedure, its steps and the setup of each, what a perfect machine would show.
-        further_places: of a session and its description, further setups that could be measured, as options.
-        pictures: module with `figures` of a result; those of its map and tables if absent.
-        optics: of a site and a description, the simulated instrument's beam.
-    """
-
-    description: ClassVar[type[Description]]
-    model: ClassVar[str]
+    description: ClassVar[type[Description]]  # record of what session.yaml says
+    model: ClassVar[str]  # module with `build(session, variant)`, which gives the model
+    # names of the model's variants, the default first; for each when it is the right one
     models: ClassVar[Mapping[str, str]]
+    # module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent
     map: ClassVar[str | None] = None
-    any_axis: ClassVar[bool] = False
+    any_axis: ClassVar[bool] = False  # whether some column of an axis's position is needed, of whichever axis
+    # columns that observations.csv must have, where they do not depend on the description
     always: ClassVar[tuple[str, ...]] = ()
-    needed: ClassVar[int] = 1
+    needed: ClassVar[int] = 1  # readings that some setup must have
+    # what is mounted again between setups, where that does not depend on the description
     remounted: ClassVar[str] = "the instrument"
+    # variant with tables of the machine's error motions, which other sessions can share; the default if absent
     tables: ClassVar[str | None] = None
-    by_axes: ClassVar[tuple[str, ...]] = ()
-    no_tables: ClassVar[str] = ""
+    by_axes: ClassVar[tuple[str, ...]] = ()  # variants in which nothing but the axes' errors moves the tool point
+    no_tables: ClassVar[str] = ""  # why a model has no tables of error motions, and what to do
+    # what may be turned by orienting the spindle, and the effects that turn with it
     turned_part: ClassVar[tuple[str, tuple[str, ...]]] = ("", ())
 
-    reads_deviations: ClassVar[bool] = False
+    reads_deviations: ClassVar[bool] = False  # whether a reading is a small deviation rather than a path
+    # whether a reading is the machine's deviation itself along a given direction: what does not reproduce is then the
+    # machine's or the part's own, of which the declared uncertainty knows nothing, and the error map holds the
+    # displacements by the effects, reading by reading
     reads_machine: ClassVar[bool] = False
+    # whether readings sense a workpiece's surface along its normal, which turns with the table
     probes_surface: ClassVar[bool] = False
-    turns_one_axis: ClassVar[bool] = False
+    turns_one_axis: ClassVar[bool] = False  # whether a run turns one rotary axis, angle after angle
+    # whether a setup states a run, move after move: their order matters even where the directions of approach do not,
+    # and a procedure's targets follow from the session
     states_runs: ClassVar[bool] = False
+    # whether readings count from the first one of their run rather than of their setup
     counts_from_run: ClassVar[bool] = False
-    free_order: ClassVar[bool] = False
+    free_order: ClassVar[bool] = False  # whether targets may be visited in any order
 
-    steps: ClassVar[str | None] = None
+    steps: ClassVar[str | None] = None  # of a procedure, its steps one reading each
+    # of a procedure, its steps and the setup of each, what a perfect machine would show
     planned: ClassVar[str | None] = None
+    # of a session and its description, further setups that could be measured, as options
     further_places: ClassVar[str | None] = None
-    pictures: ClassVar[str | None] = None
-    optics: ClassVar[str | None] = None
+    pictures: ClassVar[str | None] = None  # module with `figures` of a result; those of its map and tables if absent
+    optics: ClassVar[str | None] = None  # of a site and a description, the simulated instrument's beam
 
     @property
     def name(self) -> str:

@@ -28,40 +28,24 @@ _SHORT = 12
 
 @dataclass(frozen=True)
 class Origin:
-    """One measurement that a result was made from.
+    """One measurement that a result was made from."""
 
-    Attributes:
-        label: its name among several; empty for a single one.
-        about: descriptive data as `session.yaml` gives them.
-        measured: when, as `date` in `about` says; None where it does not.
-        sha256: of its data (`data_hash`).
-    """
-
-    label: str
-    about: Mapping[str, Any]
-    measured: str | None
-    sha256: str
+    label: str  # its name among several; empty for a single one
+    about: Mapping[str, Any]  # descriptive data as `session.yaml` gives them
+    measured: str | None  # when, as `date` in `about` says; None where it does not
+    sha256: str  # of its data (`data_hash`)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a result was made from, by what, and when.
+    """What a result was made from, by what, and when."""
 
-    Attributes:
-        evaluated: when, ISO 8601.
-        software: name and version.
-        model: variant of the method's model.
-        effects: ids of the physical effects in it.
-        sha256: of all data; that of the measurement where there is one, whatever the order where there are several.
-        sessions: the measurements.
-    """
-
-    evaluated: str
-    software: str
-    model: str
-    effects: tuple[str, ...]
-    sha256: str
-    sessions: tuple[Origin, ...]
+    evaluated: str  # when, ISO 8601
+    software: str  # name and version
+    model: str  # variant of the method's model
+    effects: tuple[str, ...]  # ids of the physical effects in it
+    sha256: str  # of all data; that of the measurement where there is one, whatever the order where there are several
+    sessions: tuple[Origin, ...]  # the measurements
 
     def document(self) -> dict[str, Any]:
         """As part of a document."""

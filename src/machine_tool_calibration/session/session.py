@@ -34,24 +34,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Readings:
-    """The captured readings, in the order of time; a missing displacement is NaN.
+    """The captured readings, in the order of time; a missing displacement is NaN."""
 
-    Attributes:
-        setup: (n,) index of the setup in the description.
-        repeat: (n,) repetition of that setup, from 0.
-        displacement: (n,) the reading, m.
-        columns: every other numeric column by name, each (n,): time, x, y, z, c, dir_x, azimuth,
-            temperature_air and covariates of the user's own. NaN where missing.
-        labels: text columns by name, each (n,): target, point.
-        row: (n,) number of the reading in the recording, from 0; survives a selection.
-    """
-
-    setup: IntArray
-    repeat: IntArray
-    displacement: Array
+    setup: IntArray  # (n,) index of the setup in the description
+    repeat: IntArray  # (n,) repetition of that setup, from 0
+    displacement: Array  # (n,) the reading, m
+    # every other numeric column by name, each (n,): time, x, y, z, c, dir_x, azimuth, temperature_air and covariates
+    # of the user's own. NaN where missing
     columns: Mapping[str, Array]
-    labels: Mapping[str, np.ndarray]
-    row: IntArray
+    labels: Mapping[str, np.ndarray]  # text columns by name, each (n,): target, point
+    row: IntArray  # (n,) number of the reading in the recording, from 0; survives a selection
 
     def __len__(self) -> int:
         return len(self.displacement)
@@ -99,20 +91,14 @@ def joined(parts: Sequence[Readings]) -> Readings:
 
 @dataclass(frozen=True)
 class Session:
-    """A whole measurement: what was set up, and what was read.
+    """A whole measurement: what was set up, and what was read."""
 
-    Attributes:
-        description: the content of `session.yaml`.
-        readings: the content of `observations.csv`.
-        source: where it came from, for messages.
-        sound: rows of readings that are known to be sound: none of them is set aside, however far it stands out.
-        recorded: the measurement before any reading was left out; None where none was.
-    """
-
-    description: Description
-    readings: Readings
-    source: str = "session"
+    description: Description  # the content of `session.yaml`
+    readings: Readings  # the content of `observations.csv`
+    source: str = "session"  # where it came from, for messages
+    # rows of readings that are known to be sound: none of them is set aside, however far it stands out
     sound: frozenset[int] = frozenset()
+    # the measurement before any reading was left out; None where none was
     recorded: Session | None = field(default=None, repr=False, compare=False)
 
     @property

@@ -203,17 +203,11 @@ _MANY = 20_000
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of a CSV file.
+    """The columns of a CSV file."""
 
-    Attributes:
-        layout: names and places, for messages.
-        numbers: numeric columns by name, each (n,), NaN where missing.
-        labels: text columns by name, each (n,), empty where missing.
-    """
-
-    layout: Layout
-    numbers: Mapping[str, Array]
-    labels: Mapping[str, np.ndarray]
+    layout: Layout  # names and places, for messages
+    numbers: Mapping[str, Array]  # numeric columns by name, each (n,), NaN where missing
+    labels: Mapping[str, np.ndarray]  # text columns by name, each (n,), empty where missing
 
 
 def read_table(path: Path) -> Table:

@@ -42,15 +42,10 @@ Path = tuple[str | int, ...]
 
 @dataclass
 class Document:
-    """A YAML text's value and where each part of it stands.
+    """A YAML text's value and where each part of it stands."""
 
-    Attributes:
-        value: numbers, text, lists and mappings.
-        lines: line (from 1) of each value by its path of keys and indices.
-    """
-
-    value: Any
-    lines: dict[Path, int]
+    value: Any  # numbers, text, lists and mappings
+    lines: dict[Path, int]  # line (from 1) of each value by its path of keys and indices
 
     def line(self, path: Path) -> int | None:
         """The line of the value at a path, or of the nearest one that holds it; None for the whole."""

@@ -53,22 +53,14 @@ _SENSED = 1e-9
 
 @dataclass(frozen=True)
 class CommonModels:
-    """Models with the same machine.
+    """Models with the same machine."""
 
-    Attributes:
-        models: one for each session, with the datum that all together need.
-        tables: of the machine's linear axes, those that some session senses.
-        fixed: by name of an unknown of the tables, (q,) how it takes part in what all readings leave open and the
-            datum fixes.
-        datum: in words.
-        angles: those of the tables that are expected to be small smooth random functions.
-    """
-
-    models: tuple[MethodModel, ...]
-    tables: tuple[MachineTable, ...]
+    models: tuple[MethodModel, ...]  # one for each session, with the datum that all together need
+    tables: tuple[MachineTable, ...]  # of the machine's linear axes, those that some session senses
+    # by name of an unknown of the tables, (q,) how it takes part in what all readings leave open and the datum fixes
     fixed: Mapping[str, Array]
-    datum: str
-    angles: tuple[MachineTable, ...] = ()
+    datum: str  # in words
+    angles: tuple[MachineTable, ...] = ()  # those of the tables that are expected to be small smooth random functions
 
 
 def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> CommonModels:

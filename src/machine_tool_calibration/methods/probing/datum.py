@@ -123,19 +123,12 @@ _WORSE = 3.0
 
 @dataclass(frozen=True)
 class Place:
-    """Where a condition may be put: the weighted sum of unknowns that gets a value.
+    """Where a condition may be put: the weighted sum of unknowns that gets a value."""
 
-    Attributes:
-        weights: by the unknown's name.
-        value: of the sum, m or rad.
-        words: for the datum's description, such as `EYX(0.11) = 0`.
-        is_measured: whether the value is a measurement, so that it is not to be moved for convenience.
-    """
-
-    weights: Mapping[str, float]
-    value: float
-    words: str
-    is_measured: bool = False
+    weights: Mapping[str, float]  # by the unknown's name
+    value: float  # of the sum, m or rad
+    words: str  # for the datum's description, such as `EYX(0.11) = 0`
+    is_measured: bool = False  # whether the value is a measurement, so that it is not to be moved for convenience
 
 
 @dataclass(frozen=True)

@@ -34,21 +34,13 @@ _APART = 1e-6
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is asked of one feature or of several, as the drawing has it.
+    """What is asked of one feature or of several, as the drawing has it."""
 
-    Attributes:
-        of: names of the features.
-        what: x, y, radius, offset, direction, distance, angle.
-        unit: m or rad.
-        nominal: in the unit.
-        rows: (N,) its change by the errors of the workpiece's points.
-    """
-
-    of: tuple[str, ...]
-    what: str
-    unit: str
-    nominal: float
-    rows: Array
+    of: tuple[str, ...]  # names of the features
+    what: str  # x, y, radius, offset, direction, distance, angle
+    unit: str  # m or rad
+    nominal: float  # in the unit
+    rows: Array  # (N,) its change by the errors of the workpiece's points
 
     @property
     def name(self) -> str:
@@ -58,23 +50,14 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Features:
-    """Features of a workpiece with their joint uncertainty.
+    """Features of a workpiece with their joint uncertainty."""
 
-    Attributes:
-        elements: the features.
-        quantities: of them, in the frame: q.
-        deviation: (q,) actual minus nominal; NaN where the touches do not determine it.
-        uncertainty_matrix: (q, q) their joint covariance.
-        datum: the frame, and what else was laid down, in words.
-        left_out: names of points' features that are neither circle nor line, and why.
-    """
-
-    elements: tuple[Element, ...]
-    quantities: tuple[Quantity, ...]
-    deviation: Array
-    uncertainty_matrix: Array
-    datum: str
-    left_out: Mapping[str, str]
+    elements: tuple[Element, ...]  # the features
+    quantities: tuple[Quantity, ...]  # of them, in the frame: q
+    deviation: Array  # (q,) actual minus nominal; NaN where the touches do not determine it
+    uncertainty_matrix: Array  # (q, q) their joint covariance
+    datum: str  # the frame, and what else was laid down, in words
+    left_out: Mapping[str, str]  # names of points' features that are neither circle nor line, and why
 
     @property
     def uncertainty(self) -> Array:

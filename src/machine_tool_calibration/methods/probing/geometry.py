@@ -159,28 +159,18 @@ class Element:
 
 @dataclass(frozen=True)
 class Circle(Element):
-    """A pin, disc, sphere on its equator or hole; its quantities are x, y and radius.
+    """A pin, disc, sphere on its equator or hole; its quantities are x, y and radius."""
 
-    Attributes:
-        radius: nominal, m.
-        hole: whether the material is outside.
-    """
-
-    radius: float
-    hole: bool
+    radius: float  # nominal, m
+    hole: bool  # whether the material is outside
 
 
 @dataclass(frozen=True)
 class Line(Element):
-    """A straight wall; its quantities are the offset along its normal at `place`, and its turn.
+    """A straight wall; its quantities are the offset along its normal at `place`, and its turn."""
 
-    Attributes:
-        normal: (2,) outward unit vector.
-        reach: how far its nominal points lie to either side of `place`, m.
-    """
-
-    normal: Array
-    reach: float
+    normal: Array  # (2,) outward unit vector
+    reach: float  # how far its nominal points lie to either side of `place`, m
 
     @property
     def along(self) -> Array:

@@ -50,15 +50,10 @@ _SHARE = 1e-6
 
 @dataclass(frozen=True)
 class Errors:
-    """One number per point of the workpiece; NaN where the touches do not determine it.
+    """One number per point of the workpiece; NaN where the touches do not determine it."""
 
-    Attributes:
-        value: (N,) error along the outward normal, m.
-        uncertainty: (N,) standard uncertainty, m.
-    """
-
-    value: Array
-    uncertainty: Array
+    value: Array  # (N,) error along the outward normal, m
+    uncertainty: Array  # (N,) standard uncertainty, m
 
 
 @dataclass(frozen=True)

@@ -52,17 +52,11 @@ _REWEIGHTED = 15
 
 @dataclass(frozen=True)
 class Start:
-    """First estimates.
+    """First estimates."""
 
-    Attributes:
-        stations: (S, 3) m, in the frame of the axis; the nominal one where a station read nothing.
-        targets: (T, 3) m, table frame.
-        misfit: median absolute residual of the readings, m.
-    """
-
-    stations: Array
-    targets: Array
-    misfit: float
+    stations: Array  # (S, 3) m, in the frame of the axis; the nominal one where a station read nothing
+    targets: Array  # (T, 3) m, table frame
+    misfit: float  # median absolute residual of the readings, m
 
 
 def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted: bool = False) -> Start:

@@ -35,17 +35,11 @@ DATUM = say("datum.step_diagonal")
 
 @dataclass(frozen=True)
 class Spread:
-    """Angular errors as small random functions.
+    """Angular errors as small random functions."""
 
-    Attributes:
-        tables: the nine angular error motions.
-        terms: with unknowns of the session's own.
-        posterior: what the readings say of them; None before the model is settled.
-    """
-
-    tables: tuple[MachineTable, ...]
-    terms: tuple[Term, ...]
-    posterior: AngularPosterior | None = None
+    tables: tuple[MachineTable, ...]  # the nine angular error motions
+    terms: tuple[Term, ...]  # with unknowns of the session's own
+    posterior: AngularPosterior | None = None  # what the readings say of them; None before the model is settled
 
     @property
     def size(self) -> float:
@@ -65,24 +59,16 @@ class Spread:
 
 @dataclass(frozen=True)
 class StepDiagonalModel(MethodModel):
-    """Readings of a flat mirror's displacement along a few diagonals and axes.
+    """Readings of a flat mirror's displacement along a few diagonals and axes."""
 
-    Attributes:
-        runs: the setups.
-        blocks: block positions of x, y, z, m.
-        tables: position errors of the axes and squareness, the first terms of the model.
-        angles: angular errors that are free unknowns.
-        spread: angular errors as small random functions; None where the model takes them to be zero or free.
-        nominal: (n,) reading with all unknowns zero, m.
-        offsets: the zero of every run (setup and repeat): its first reading, from which it counts, has an error too.
-    """
-
-    runs: tuple[Run, ...]
-    blocks: tuple[Array, Array, Array]
-    tables: tuple[MachineTable, ...]
-    angles: tuple[MachineTable, ...]
+    runs: tuple[Run, ...]  # the setups
+    blocks: tuple[Array, Array, Array]  # block positions of x, y, z, m
+    tables: tuple[MachineTable, ...]  # position errors of the axes and squareness, the first terms of the model
+    angles: tuple[MachineTable, ...]  # angular errors that are free unknowns
+    # angular errors as small random functions; None where the model takes them to be zero or free
     spread: Spread | None
-    nominal: Array
+    nominal: Array  # (n,) reading with all unknowns zero, m
+    # the zero of every run (setup and repeat): its first reading, from which it counts, has an error too
     offsets: tuple[Parameter, ...]
 
     @property

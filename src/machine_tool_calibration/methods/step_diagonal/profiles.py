@@ -27,19 +27,12 @@ _LOOSE = 1e-6
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the paper's Table 1.
+    """A figure of the paper's Table 1."""
 
-    Attributes:
-        name: EXX … (position error at the last block position), EYX … (straightness), C0Y, B0Z, A0Z.
-        kind: positioning, straightness or squareness.
-        value: m; rad for a squareness. NaN where it is not determined.
-        uncertainty: standard uncertainty, k = 1.
-    """
-
-    name: str
-    kind: str
-    value: float
-    uncertainty: float
+    name: str  # EXX … (position error at the last block position), EYX … (straightness), C0Y, B0Z, A0Z
+    kind: str  # positioning, straightness or squareness
+    value: float  # m; rad for a squareness. NaN where it is not determined
+    uncertainty: float  # standard uncertainty, k = 1
 
 
 @dataclass(frozen=True)

@@ -39,25 +39,15 @@ _DONE = 1e-13
 
 @dataclass(frozen=True)
 class Centre:
-    """The rotation centre of a pointer.
+    """The rotation centre of a pointer."""
 
-    Attributes:
-        centre: (2,) x and y of the axis average line, machine frame, m.
-        offset: (2,) of the retroreflector from it, m: where the axes say that it stands, less the centre.
-        covariance: (2, 2) of the centre, m^2.
-        contributions: by name, (2,) standard uncertainties of x and y, m; they add in squares.
-        radial: RMS of the radial error motion of two waves a turn and more, m.
-        scatter: standard deviation of a reading, m.
-        residuals: (n,) what eccentricity leaves of the readings, m: radial error motion and scatter.
-    """
-
-    centre: Array
-    offset: Array
-    covariance: Array
-    contributions: Mapping[str, Array]
-    radial: float
-    scatter: float
-    residuals: Array
+    centre: Array  # (2,) x and y of the axis average line, machine frame, m
+    offset: Array  # (2,) of the retroreflector from it, m: where the axes say that it stands, less the centre
+    covariance: Array  # (2, 2) of the centre, m^2
+    contributions: Mapping[str, Array]  # by name, (2,) standard uncertainties of x and y, m; they add in squares
+    radial: float  # RMS of the radial error motion of two waves a turn and more, m
+    scatter: float  # standard deviation of a reading, m
+    residuals: Array  # (n,) what eccentricity leaves of the readings, m: radial error motion and scatter
 
     @property
     def u(self) -> Array:
