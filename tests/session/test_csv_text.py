@@ -71,14 +71,6 @@ def test_the_fields_of_pandas() -> None:
     assert same_fields(frame)
 
 
-def test_numbers_come_back_to_the_last_bit() -> None:
-    frame = pd.DataFrame(numbers(30_000, 2)).drop(columns="whole")
-    rows = [line.split(",") for line in written(frame, header=False).splitlines()]
-    for name, fields in zip(frame, zip(*rows, strict=True), strict=True):
-        back = np.array([float(field or "nan") for field in fields])
-        assert back.tobytes() == frame[name].to_numpy().tobytes(), name
-
-
 def test_small_tables() -> None:
     for frame in (
         pd.DataFrame({"a": [], "b": []}),
