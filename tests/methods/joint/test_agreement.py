@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.methods.joint.agreement import (
@@ -18,6 +20,7 @@ from machine_tool_calibration.methods.joint.agreement import (
     _Scores,
     _sentence,
 )
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -168,3 +171,26 @@ def test_a_difference_has_the_value_and_uncertainty_of_its_least_squares() -> No
 ])  # fmt: skip
 def test_a_contradiction_names_who_and_what_else(others: tuple[str, ...], alike: tuple[str, ...], text: str) -> None:
     assert _sentence(Contradiction("a", others, "EXX", alike, 3e-6, 5e-7, "m", 1e-9)) == text
+
+
+def _with(session: Session, **said: object) -> Session:
+    return replace(session, description=session.description.model_copy(update=said))
+
+
+def test_a_station_stated_wrong_by_centimetres(several: SimpleNamespace) -> None:
+    tracker, run = (several.measured(name, 1, several.machine(1)).session for name in ("tracker", "run"))
+    first, *rest = tracker.description.setups
+    wrong = first.model_copy(update={"position": tuple(np.add(first.position, (0.05, 0.0, 0.0)))})
+    moved = _with(tracker, setups=[wrong, *rest])
+    with pytest.raises(ModelError, match=f"station '{first.id}' is found 50 mm off") as caught:
+        identify_sessions(FitRequest([moved, run], ["tracker", "run"], keep_all=True))
+    assert "trust_units: true" in str(caught.value)
+    identify_sessions(FitRequest([_with(moved, trust_units=True), run], ["tracker", "run"], keep_all=True))
+
+
+def test_positions_that_are_a_tenth_too_large(several: SimpleNamespace) -> None:
+    tracker, run = (several.measured(name, 1, several.machine(1)).session for name in ("tracker", "run"))
+    columns = {**tracker.readings.columns, "x": 1.1 * tracker.readings.columns["x"]}
+    stretched = tracker.with_readings(replace(tracker.readings, columns=columns))
+    with pytest.raises(ModelError, match=r"tracker, run: the position error along x .* which no machine has"):
+        identify_sessions(FitRequest([stretched, run], ["tracker", "run"], keep_all=True))
