@@ -248,7 +248,7 @@ def identify_by_formulation(session: Session, name: str) -> Profiles:
     step_diagonal_of(session)
     if name in _MODELS:
         model = build(session, _MODELS[name])
-        return model.profiles(fit_models([model]).fits[0], name)
+        return model.profiles(fit_models([model]).fits[0])
     if name not in FORMULATIONS:
         raise ModelError(f"no formulation {name!r}; known are {', '.join(FORMULATIONS)}")
     moves = increments(session)
@@ -284,7 +284,7 @@ def _propagated(name: str, moves: Increments, sigma: float) -> Profiles:
     covariance = sigma**2 * on_readings @ on_readings.T
     places = np.concatenate([np.full(3 * len(b), len(b) > 1) for b in blocks])
     known = np.where((sensed.ravel() > 0) & places, value, np.nan)
-    return Profiles(name, blocks, known, covariance, np.zeros((len(value), 0)))
+    return Profiles(blocks, known, covariance, np.zeros((len(value), 0)))
 
 
 def _blocks(moves: Increments) -> tuple[Array, Array, Array]:

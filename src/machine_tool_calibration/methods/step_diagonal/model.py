@@ -189,7 +189,7 @@ class StepDiagonalModel(MethodModel):
             out.append(there.ravel())
         return np.concatenate(out)
 
-    def profiles(self, fit: Fit, method: str = "least_squares") -> Profiles:
+    def profiles(self, fit: Fit) -> Profiles:
         """Position errors at the block positions in the coordinate system of Eq. (17), with their covariance."""
         error, mine = self._map_rows()
         rows, oriented = self._oriented(error, fit.undetermined[mine])
@@ -197,7 +197,7 @@ class StepDiagonalModel(MethodModel):
         loose = rows @ fit.undetermined[mine]
         value = rows @ fit.theta[mine] * self._there()
         covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
-        return Profiles(method, self.blocks, value, covariance, loose, oriented)
+        return Profiles(self.blocks, value, covariance, loose, oriented)
 
 
 def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:

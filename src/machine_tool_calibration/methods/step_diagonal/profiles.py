@@ -39,7 +39,6 @@ class Figure:
 class Profiles:
     """Position errors at the block positions of each axis."""
 
-    method: str  # how they were estimated
     blocks: tuple[Array, Array, Array]  # block positions of x, y, z, m
     # (M,) errors, axis after axis, position after position, component after component, m; NaN where nothing was
     # measured
