@@ -88,7 +88,11 @@ FILE_DEFECTS: list[tuple[str, Callable[[bytes], bytes], str]] = [
         lambda data: data.replace(b"A,0", b"\xb5,0", 1),
         "observations.csv line 2: byte 0xb5 is not UTF-8; save the file as UTF-8",
     ),
-    (C, lambda data: data.replace(b"4.0,A", b"4.0,\0", 1), "observations.csv line 3: NUL byte; the file is damaged"),
+    (
+        C,
+        lambda data: data.replace(b"4.0,A", b"4.0,\0", 1),
+        "observations.csv line 3: NUL byte; the file is not text or is damaged",
+    ),
     (
         C,
         lambda data: data.replace(b",", b";"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.text import reject_foreign_encoding
+from machine_tool_calibration.session.text import decoded, reject_foreign_encoding
 
 __all__ = ["LABEL_COLUMNS", "NUMERIC_COLUMNS", "Layout", "Table", "read_table", "scan_csv"]
 
@@ -124,15 +124,7 @@ def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
 
 
 def _check_bytes(source: str, block: bytes, line: int) -> None:
-    if (at := block.find(b"\0")) >= 0:
-        where = line + block.count(b"\n", 0, at) + 1
-        raise SessionError(f"{source} line {where}: NUL byte; the file is damaged")
-    try:
-        block.decode("utf-8")
-    except UnicodeDecodeError as error:
-        where = line + block.count(b"\n", 0, error.start) + 1
-        byte = block[error.start]
-        raise SessionError(f"{source} line {where}: byte 0x{byte:02x} is not UTF-8; save the file as UTF-8") from None
+    decoded(block, source, line)
     if match := re.search(rb"\r(?!\n)", block):
         where = line + block.count(b"\n", 0, match.start()) + 1
         raise SessionError(f"{source} line {where}: a bare carriage return; end lines with a line feed")
