@@ -135,8 +135,7 @@ def run_mtcal(data: Data) -> Answer:
     from machine_tool_calibration.estimation.points import points_in_inner_datum
     from machine_tool_calibration.estimation.problem import Problem, group_points
     from machine_tool_calibration.estimation.solve import solve
-    from machine_tool_calibration.methods.tracking.datum import NetworkMotion
-    from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
+    from machine_tool_calibration.methods.tracking.datum import MultilaterationPart, NetworkMotion
 
     k, blocks = len(data.dense), np.arange(16).reshape(4, 4)
     beams = data.beams()

@@ -14,8 +14,7 @@ import time
 import numpy as np
 from papers.study_probing import fit_first_case
 
-from machine_tool_calibration.methods.probing.map import responses
-from machine_tool_calibration.methods.probing.propagation import monte_carlo
+from machine_tool_calibration.methods.probing.map import monte_carlo, responses
 
 
 def main() -> None:

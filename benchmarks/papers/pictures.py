@@ -11,20 +11,20 @@ import numpy as np
 
 from machine_tool_calibration.budget.propagate import Budget
 from machine_tool_calibration.methods.map_comparison import MapComparison
-from machine_tool_calibration.methods.step_diagonal.compare import FormulationComparison
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.plots.rotary_axis import draw_motions
-from machine_tool_calibration.plots.step_diagonal import draw_comparison
-from machine_tool_calibration.plots.style import COLORS, MARKERS, new_figure, save
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.plots.style import COLORS, MARKERS, mark_lost, new_figure, save
+from machine_tool_calibration.reports.quantities import micrometres, quantity
+from papers.formulations import FormulationComparison
 from papers.record import Study
 from papers.study_probing import ColouredPoints, PinPositions
 from papers.study_rotary_axis import Repeated
 from papers.study_tracking import Profiles, TargetUncertainty
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["draw", "save_pictures"]
@@ -65,6 +65,79 @@ def _draw_target_uncertainty(shown: TargetUncertainty) -> Figure:
     return figure
 
 
+_STYLE = {
+    "conventional": ("tab:red", "o"),
+    "new": ("tab:blue", "s"),
+    "least_squares": ("tab:green", "^"),
+    "small_angles": ("black", "v"),
+}
+_LABELS = {
+    "conventional": "conventional, Eq. (2)",
+    "new": "new, Eqs. (6)-(19)",
+    "least_squares": "least squares",
+    "small_angles": "least squares, small angles",
+}
+_MARGIN = 0.2
+_ASIDE = 0.006
+
+
+def _draw_comparison(comparison: FormulationComparison) -> Figure:
+    """Panels: error in X, Y, Z (columns) with the motion of X, Y, Z (rows), um against mm; of the axes that moved.
+
+    Marks are the errors, bars their expanded uncertainty (k = 2). The scale is that of the formulations that the
+    mirrors' tilts do not disturb; where the conventional one leaves the panel, its largest value is written.
+    """
+    moved = next(iter(comparison.profiles.values())).moved
+    count = len(moved)
+    figure = new_figure(4.3 * count, 3.3 * count)
+    axes = figure.subplots(count, count)
+    for row, motion in enumerate(moved):
+        for column, component in enumerate(moved):
+            _panel(axes[row, column], comparison, motion, component)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    for panel in axes.flat:
+        if len(panel.get_legend_handles_labels()[0]) > len(handles):
+            handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _panel(panel: Axes, comparison: FormulationComparison, motion: int, component: int) -> None:
+    along, letter = "xyz"[component], "XYZ"[motion]
+    low, high = 0.0, 0.0
+    drawn = False
+    for number, (name, profiles) in enumerate(comparison.profiles.items()):
+        at = 1e3 * profiles.blocks[motion]
+        value = 1e6 * profiles.error[motion][:, component]
+        if not np.isfinite(value).any() or len(at) < 2:
+            continue
+        drawn = True
+        color, mark = _STYLE[name]
+        # Side by side, so that equal values do not hide each other.
+        at = at + _ASIDE * (number - 2) * (at[-1] - at[0])
+        bar = 2e6 * np.nan_to_num(profiles.uncertainty[motion][:, component])
+        panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=_LABELS[name])
+        if name != "conventional":  # which may be a hundred times larger
+            low, high = min(low, float(np.nanmin(value - bar))), max(high, float(np.nanmax(value + bar)))
+    panel.set_title(f"$e_{along}({letter.lower()})$: error in {along.upper()}, motion of {letter}", fontsize=10)
+    panel.set_xlabel(f"{letter}, mm")
+    panel.set_ylabel("error, µm")
+    panel.grid(alpha=0.3)
+    if not drawn:
+        mark_lost(panel)
+        return
+    conventional = comparison.profiles.get("conventional")
+    if high > low and conventional is not None:
+        value = 1e6 * conventional.error[motion][:, component]
+        margin = _MARGIN * (high - low)
+        if np.isfinite(value).any() and (np.nanmin(value) < low - margin or np.nanmax(value) > high + margin):
+            worst = float(value[int(np.nanargmax(np.abs(value)))])
+            panel.set_ylim(low - margin, high + margin)
+            where = (0.97, 0.92 if worst > 0 else 0.04)
+            text = f"conventional: {micrometres(1e-6 * worst, signed=True)} µm"
+            panel.annotate(text, where, xycoords="axes fraction", color="tab:red", fontsize=9, ha="right")
+
+
 @singledispatch
 def draw(record: Any) -> Figure:
     """The picture of a record.
@@ -75,7 +148,7 @@ def draw(record: Any) -> Figure:
     raise TypeError(f"nothing draws {type(record).__name__}")
 
 
-draw.register(FormulationComparison, draw_comparison)
+draw.register(FormulationComparison, _draw_comparison)
 draw.register(Budget, draw_budget)
 draw.register(MapComparison, draw_map_comparison)
 draw.register(Profiles, _draw_profiles)

@@ -14,16 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.methods.step_diagonal.compare import (
-    FormulationComparison,
-    compare_formulations,
-    identify_by_formulation,
-)
 from machine_tool_calibration.methods.step_diagonal.geometry import step_diagonal_of
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import MachineSpec, SimulationSpec, TableSpec, simulate
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
+from papers.formulations import FormulationComparison, compare_formulations, identify_by_formulation
 from papers.record import Printed, Study
 
 __all__ = ["AngularUncertainty", "paper_angular_uncertainty", "study"]

@@ -133,7 +133,6 @@ def test_names_that_are_none(verb: Verb, option: str, value: str, message: str) 
     "words",
     [
         ["features", "probing_cross"],
-        ["compare-formulations", "step_diagonal"],
         ["compare-maps", "tracking_2d", "tracking_2d"],
         ["budget", "tracking_2d"],
     ],

@@ -323,15 +323,6 @@ def test_units() -> None:
         quantity("3deg", "length", "a")
 
 
-def test_thousands_of_rows(tmp_path: Path) -> None:
-    x = np.arange(10_000) % 401
-    rows = "\n".join(f"{v};{v + 0.001}".replace(".", ",") for v in x.tolist())
-    form = {"separator": ";", "decimal": ","}
-    imported = points(tmp_path, f"X;M\n{rows}\n", file=form)
-    assert len(imported.session.readings) == 10_000
-    assert imported.session.readings.displacement == pytest.approx(np.full(10_000, 1e-6), abs=1e-15)
-
-
 CONFIG = Path(__file__).parents[2] / "config" / "mappings"
 
 

@@ -10,8 +10,15 @@ from typing import Any
 import pytest
 import yaml
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.budget.contributor import read_budget
+from machine_tool_calibration.effects.formula import read_effects
+from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.importing.text_table import parse_form
+from machine_tool_calibration.nodes.site import read_site
+from machine_tool_calibration.reports.history_file import read_history
 from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.simulation.machine_file import read_machine
+from machine_tool_calibration.simulation.options import read_spec, spec_from
 
 Y, C = "session.yaml", "observations.csv"
 
@@ -81,7 +88,11 @@ FILE_DEFECTS: list[tuple[str, Callable[[bytes], bytes], str]] = [
         lambda data: data.replace(b"A,0", b"\xb5,0", 1),
         "observations.csv line 2: byte 0xb5 is not UTF-8; save the file as UTF-8",
     ),
-    (C, lambda data: data.replace(b"4.0,A", b"4.0,\0", 1), "observations.csv line 3: NUL byte; the file is damaged"),
+    (
+        C,
+        lambda data: data.replace(b"4.0,A", b"4.0,\0", 1),
+        "observations.csv line 3: NUL byte; the file is not text or is damaged",
+    ),
     (
         C,
         lambda data: data.replace(b",", b";"),
@@ -169,3 +180,37 @@ def test_a_measured_column_with_one_word_is_not_taken_for_text(session_folder) -
     folder.write_lines([lines[0] + ",load", *[f"{line},{i}" for i, line in enumerate(lines[1:])]])
     folder.set_field(11, "load", "12 N")
     assert folder.refusal() == "observations.csv row 11 (line 13): load is '12 N', not a number"
+
+
+EFFECT = "effects:\n- {{id: creep, enters: reading, formula: r * time, coefficients: {{r: {{unit: m/s, {} 1e-9}}}}}}\n"
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "said"),
+    [
+        (read_effects, EFFECT.format("low: many, high:"), "low must be a finite number, not 'many'"),
+        (read_effects, EFFECT.format("low: -1e-9, hihg:"), "(did you mean 'high'?)"),
+        (read_spec, "plan: {method: direct}\nnoise: -1\n", "line 2: noise must be greater than 0, not -1"),
+        (read_spec, "plan: {method: direct}\nnoize: 1e-7\n", "line 2: unknown key 'noize' (did you mean 'noise'?)"),
+        (read_spec, "plan: {method: direct}\ndirect: 1\n", "line 2: unknown key 'direct'"),
+        (read_machine, "probing: 1\n", "line 1: unknown key 'probing'"),
+        (lambda path: read_site(str(path)), "seed: -1\n", "line 1: seed must be at least 0, not -1"),
+        (lambda path: read_site(str(path)), "sead: 1\n", "line 1: unknown key 'sead' (did you mean 'seed'?)"),
+        (read_history, "format: mtcal-history/1\nmodels: 3\n", "line 2: models must be a list, not 3; mend the file"),
+        (read_budget, "format: mtcal-budget/1\ncontributors: []\n", "line 2: contributors has 0 entries"),
+    ],
+)
+def test_one_line_names_place_and_key(read, text, said, tmp_path: Path) -> None:
+    file = tmp_path / "file.yaml"
+    file.write_text(text)
+    with pytest.raises(CalibrationError) as caught:
+        read(file)
+    message = str(caught.value)
+    assert said in message and message.startswith(str(file)) and "\n" not in message
+
+
+def test_what_comes_from_no_file_has_no_place() -> None:
+    with pytest.raises(CalibrationError, match=r"^noise must be greater than 0, not -1\.0$"):
+        spec_from(None, method="direct", fields={"noise": -1.0})
+    with pytest.raises(CalibrationError, match=r"^skip must be at least 0, not -1$"):
+        parse_form({"skip": -1})

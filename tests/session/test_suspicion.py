@@ -105,17 +105,6 @@ def test_every_verb_that_fits_says_it(capsys: pytest.CaptureFixture[str], tmp_pa
                 assert f"suspicious: {says}" in out
 
 
-def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    session = simulate(SimulationSpec(plan=PLANS["step_diagonal"](), seed=3)).session
-    five = session.description.model_copy(update={"repeats": 5})
-    write_session(replace(session, description=five), tmp_path / "s")
-    says = "repeats is 5 in session.yaml, and the readings are of 2: repeat 0, 1"
-    for more in ([], ["--json"]):
-        assert run(["compare-formulations", str(tmp_path / "s"), *more]) == 0
-        out = capsys.readouterr().out
-        assert json.loads(out)["suspicious"] == [says] if more else f"suspicious: {says}" in " ".join(out.split())
-
-
 def turned(session: Session) -> Session:
     columns = {**session.readings.columns, "azimuth": session.readings.columns["azimuth"] + 0.01}
     return session.with_readings(replace(session.readings, columns=columns))

@@ -30,7 +30,7 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
     mtcal align-pointer turn.csv along_y.csv --setup B
     mtcal run pointer_centre --no-identify && mtcal align-pointer mtcal_output/pointer_centre/session
     """
-    from machine_tool_calibration.importing.alignment import read_alignment
+    from machine_tool_calibration.importing.own import read_alignment
     from machine_tool_calibration.importing.units import quantity
     from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle
     from machine_tool_calibration.reports.pointer_alignment import alignment_document, show_alignment

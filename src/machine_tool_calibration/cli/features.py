@@ -120,7 +120,7 @@ def command(
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
     from machine_tool_calibration.cli.export import bad_fit
-    from machine_tool_calibration.session.feature_points import read_feature_points
+    from machine_tool_calibration.session.parse import read_feature_points
 
     named = None if listed is None else read_feature_points(listed)
     with progress_bar() as progress:

@@ -36,7 +36,7 @@ PLUGIN_GROUP = "machine_tool_calibration.commands"
 ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "diagnostic_msgs")
 SECTIONS = {
     "Measure": ("demo", "workpiece", "plan", "align-pointer", "run", "simulate"),
-    "Identify": ("info", "identify", "report", "features", "budget", "conformity", "enough", "compare-formulations"),
+    "Identify": ("info", "identify", "report", "features", "budget", "conformity", "enough"),
     "One machine over months": ("logbook", "check", "trend"),
     "Find what the model lacks": ("compare", "compare-maps", "diagnose", "improve", "history", "workbench", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),

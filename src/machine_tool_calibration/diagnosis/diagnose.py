@@ -23,8 +23,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import suspicious_fits
-from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
-from machine_tool_calibration.methods.impossible import refuse_impossible
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions, refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.refits import changed, declared

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export import etalon, fanuc, isg, linuxcnc, siemens, table_csv, table_json
+from machine_tool_calibration.export import fanuc, linuxcnc, si_tables, siemens, twincat
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["FORMATS", "read_tables", "write_tables"]
@@ -20,11 +20,11 @@ _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "linuxcnc-trims": (partial(linuxcnc.write, kind=1), partial(linuxcnc.read, kind=1)),
     "siemens": (siemens.write, siemens.read),
     "fanuc": (fanuc.write, fanuc.read),
-    "isg": (isg.write, isg.read),
-    "etalon": (etalon.write, etalon.read),
+    "isg": (twincat.write_isg, twincat.read_isg),
+    "etalon": (twincat.write_etalon, twincat.read_etalon),
     # No controller reads these: whoever enters the values takes them as they are.
-    "csv": (table_csv.write, lambda files, tables: tables),
-    "json": (table_json.write, lambda files, tables: tables),
+    "csv": (si_tables.write_csv_table, lambda files, tables: tables),
+    "json": (si_tables.write_json_table, lambda files, tables: tables),
 }
 FORMATS = tuple(_FORMATS)
 
@@ -32,27 +32,16 @@ FORMATS = tuple(_FORMATS)
 def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
     """The texts of the files by their names.
 
-    Args:
-        form: one of FORMATS.
-        tables: what is compensated.
-        source: which measurement it is, for the files' heads; in further lines, what else is known of it.
-
-    Raises:
-        CalibrationError: no such format, or one that cannot hold these tables.
+    `source` says for their heads which measurement it is; in further lines, what else is known of it. A
+    CalibrationError says that there is no such format, or that it cannot hold these tables.
     """
     return _format(form)[0](tables, source)
 
 
 def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """What a controller understands from files that were written for it: deviations that it takes away.
+    """What a controller understands from files (texts by name) written for it: deviations that it takes away.
 
-    Args:
-        form: one of FORMATS.
-        files: texts by name, as from `write_tables`.
-        tables: for the chain and the words, which no controller reads from these files.
-
-    Raises:
-        CalibrationError: no such format.
+    `tables` give the chain and the words, which no controller reads. A CalibrationError if there is no such format.
     """
     return _format(form)[1](files, tables)
 

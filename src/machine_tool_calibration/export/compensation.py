@@ -21,21 +21,14 @@ __all__ = ["Compensation", "Exported", "compensation"]
 
 @dataclass(frozen=True)
 class Exported:
-    """What a controller is given.
+    """What a controller is given."""
 
-    Attributes:
-        files: texts by name.
-        errors: at the points of the map before and after, as the controller reads the files.
-        left: figures of them.
-        absent: what is in the model, displaces the tool, and is not in the files: effects first, then error motions.
-        complete: whether the uncertainties are those of a budget.
-    """
-
-    files: dict[str, str]
-    errors: ResidualErrors
-    left: tuple[ResidualError, ...]
+    files: dict[str, str]  # texts by name
+    errors: ResidualErrors  # at the points of the map before and after, as the controller reads the files
+    left: tuple[ResidualError, ...]  # figures of them
+    # what is in the model, displaces the tool, and is not in the files: effects first, then error motions
     absent: list[str]
-    complete: bool = False
+    complete: bool = False  # whether the uncertainties are those of a budget
 
     @property
     def worse(self) -> bool:
@@ -50,31 +43,16 @@ class Exported:
 
 @dataclass(frozen=True)
 class Compensation:
-    """What can be compensated of a machine's errors.
+    """What can be compensated of a machine's errors."""
 
-    Attributes:
-        tables: it.
-        states: the errors at the points of the map, with what effects do in each direction of approach.
-        source: which measurement it is from.
-        origin: what it was made from.
-        complete: whether the uncertainties are those of a budget.
-    """
-
-    tables: AxisTables
-    states: ErrorStates
-    source: str
-    origin: Provenance
-    complete: bool = False
+    tables: AxisTables  # it
+    states: ErrorStates  # the errors at the points of the map, with what effects do in each direction of approach
+    source: str  # which measurement it is from
+    origin: Provenance  # what it was made from
+    complete: bool = False  # whether the uncertainties are those of a budget
 
     def exported(self, form: str) -> Exported:
-        """The files of a controller, read back as it does.
-
-        Args:
-            form: one of `export.FORMATS`.
-
-        Raises:
-            CalibrationError: no such format, or one that cannot hold these tables.
-        """
+        """The files of a controller, read back as it does; a CalibrationError if it cannot hold these tables."""
         told = (f"{name}: {value}" for name, value in self.origin.lines() if name != "model")  # in every head already
         files = write_tables(form, self.tables, "\n".join([self.source, *told]))
         held = read_tables(form, files, self.tables)
@@ -83,13 +61,7 @@ class Compensation:
 
 
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
-    """What can be compensated of the errors that were identified.
-
-    Args:
-        result: of one session or several, by a model with tables.
-        source: what it is called in the files' heads.
-        own: the user's own effects.
-    """
+    """What can be compensated of the errors that were identified; `source` is its name in the files' heads."""
     states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
     return Compensation(axis_tables(result), states, source, result.provenance, result.variance_added is not None)
 

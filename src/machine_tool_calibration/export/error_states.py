@@ -30,29 +30,19 @@ _PLACE = 1e-7
 
 @dataclass(frozen=True)
 class ErrorStates:
-    """Position errors, one row for each state of the machine at each point of a map.
+    """Position errors, one row for each state of the machine at each point of a map."""
 
-    Attributes:
-        error_map: points, errors and uncertainties; a point stands in it once for every state.
-        directions: (n, 3) signs of the last moves of x, y, z; 0 where they were not recorded.
-        effects: ids of the effects in the model that displace the functional point.
-    """
-
-    error_map: ErrorMap
-    directions: Array
-    effects: tuple[str, ...]
+    error_map: ErrorMap  # points, errors and uncertainties; a point stands in it once for every state
+    directions: Array  # (n, 3) signs of the last moves of x, y, z; 0 where they were not recorded
+    effects: tuple[str, ...]  # ids of the effects in the model that displace the functional point
 
 
 def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Effect]) -> ErrorStates:
     """Errors of the map with those of the effects, as in the readings that are nearest to each of its points.
 
-    Where the direction of approach matters, each point has the nearest readings of every direction that occurred: it
-    may be reached from either side, whether it was in the measurement or not.
-
-    Args:
-        error_map: of the fits together.
-        fits: of each session.
-        effects: in the model; those on the reading itself are no errors of the machine and do not count.
+    Where the direction of approach matters, each point has the nearest readings of every direction that occurred:
+    it may be reached from either side, whether it was in the measurement or not. Effects on the reading itself are
+    no errors of the machine and do not count.
     """
     terms = {term.name for fit in fits for term in fit.model.terms}
     acting = [effect for effect in effects if effect.kind == "position" and effect.id in terms]

@@ -64,11 +64,7 @@ _POINT = re.compile(r"N(\d{5})P(-?\d+);")
 
 
 def write(tables: AxisTables, source: str) -> dict[str, str]:
-    """The data of all axes, and a text with the parameters and what has to be known.
-
-    Raises:
-        ModelError: no positioning error is determined, or one does not fit: too many points or too steep.
-    """
+    """The data of all axes, and a text with the parameters; a ModelError if nothing is determined, or does not fit."""
     own = positioning(tables, source)
     absent = [t.name for t in tables.tables if not t.is_positioning] + list(tables.squareness)
     absent += [f"backlash of {axis}" for axis in tables.backlash]
@@ -96,11 +92,7 @@ def _comment(line: str) -> str:
 
 
 def _sections(table: AxisTable) -> tuple[float, int, Array]:
-    """Interval, number of sections before the reference point, and the compensation at the ends of all sections.
-
-    Raises:
-        ModelError: too many sections.
-    """
+    """Interval, number of sections before the reference point, and the compensation at the ends of all sections."""
     interval = round(float(np.diff(table.nodes).min()), 6)
     before = int(np.ceil(max(-table.nodes[0], 0.0) / interval - 1e-6))
     after = int(np.ceil(max(table.nodes[-1], 0.0) / interval - 1e-6))
@@ -115,11 +107,7 @@ def _sections(table: AxisTable) -> tuple[float, int, Array]:
 
 
 def _whole_numbers(table: AxisTable, total: Array) -> tuple[Array, int]:
-    """Values of the sections with the smallest magnification with which they fit.
-
-    Raises:
-        ModelError: there is none.
-    """
+    """Values of the sections with the smallest magnification with which they fit; a ModelError if none does."""
     for times in range(1, _MOST_TIMES + 1):
         # sums are rounded, not values, so that rounding does not add up
         value = np.diff(np.round(total / (times * _UNIT)).astype(int))

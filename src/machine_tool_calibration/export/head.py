@@ -26,15 +26,7 @@ _REFERENCE = (
 
 
 def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collection[str] = ()) -> list[str]:
-    """Lines of text, without the mark of a comment.
-
-    Args:
-        tables: what is written.
-        source: which measurement it is; in further lines, what else is known of it.
-        sign: meaning of the numbers.
-        units: of the numbers.
-        absent: what the format cannot hold.
-    """
+    """Lines of text, without the mark of a comment: sign and units of the numbers, and what the format cannot hold."""
     largest = {"m": 0.0, "rad": 0.0}
     for table in tables.tables:
         if table.name not in absent:
@@ -78,11 +70,7 @@ def rebuilt(
 
 
 def positioning(tables: AxisTables, source: str) -> list[AxisTable]:
-    """The positioning errors, for a format that holds these alone.
-
-    Raises:
-        ModelError: none is determined.
-    """
+    """The positioning errors, for a format that holds these alone; a ModelError if none is determined."""
     own = [table for table in (tables.along(axis, axis) for axis in "XYZ") if table is not None]
     if not own:
         why = "; ".join(f"{entry.name}: {entry.why}" for entry in tables.left_out if entry.name[1:2] == entry.name[2:3])

@@ -38,11 +38,7 @@ _SIGN = (
 
 
 def write(tables: AxisTables, source: str, kind: Literal[0, 1] = 0) -> dict[str, str]:
-    """One `.comp` of that type for each positioning error, and the INI lines.
-
-    Raises:
-        ModelError: no positioning error is determined.
-    """
+    """One `.comp` of that type for each positioning error, and the INI lines; a ModelError if none is determined."""
     own = positioning(tables, source)
     absent = [t.name for t in tables.tables if not t.is_positioning] + list(tables.squareness)
     lines = head(tables, source, _SIGN[kind], "mm: [TRAJ]LINEAR_UNITS or [JOINT_n]UNITS must be mm", absent)

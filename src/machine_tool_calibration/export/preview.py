@@ -20,27 +20,17 @@ _SAME = 1.002
 
 @dataclass(frozen=True)
 class ResidualError:
-    """The position error in one direction, or its length, over the points of the error map, m.
+    """The position error in one direction, or its length, over the points of the error map, m."""
 
-    Attributes:
-        name: x, y, z, or `length`.
-        rms_before: root mean square as measured.
-        rms_after: with the compensation.
-        largest_before: as measured.
-        largest_after: with the compensation.
-        uncertainty: root mean square standard uncertainty of the measured error.
-        rms_left: expected of the machine: what the files leave of the measured error, and what that is uncertain by.
-        largest_left: at any point at most, with 95 %: what the files leave there, and its U (k = 2).
-    """
-
-    name: str
-    rms_before: float
-    rms_after: float
-    largest_before: float
-    largest_after: float
-    uncertainty: float
+    name: str  # x, y, z, or `length`
+    rms_before: float  # root mean square as measured
+    rms_after: float  # with the compensation
+    largest_before: float  # as measured
+    largest_after: float  # with the compensation
+    uncertainty: float  # root mean square standard uncertainty of the measured error
+    # expected of the machine: what the files leave of the measured error, and what that is uncertain by
     rms_left: float
-    largest_left: float
+    largest_left: float  # at any point at most, with 95 %: what the files leave there, and its U (k = 2)
 
     @property
     def worse(self) -> bool:
@@ -53,31 +43,17 @@ class ResidualErrors:
     """Position errors at the points of a map without what a shift and a turn of the whole would explain.
 
     The workpiece's origin and direction are set on the machine, and the data of most methods leave them open.
-
-    Attributes:
-        points: (n, 3) commanded, m.
-        before: (n, 3) as measured, m; zero where it is not known.
-        after: (n, 3) with the compensation, m; zero where it is not known.
-        uncertainty: (n, 3) standard uncertainty of the measured errors, m.
-        known: (n, 3) whether the error was determined.
     """
 
-    points: Array
-    before: Array
-    after: Array
-    uncertainty: Array
-    known: BoolArray
+    points: Array  # (n, 3) commanded, m
+    before: Array  # (n, 3) as measured, m; zero where it is not known
+    after: Array  # (n, 3) with the compensation, m; zero where it is not known
+    uncertainty: Array  # (n, 3) standard uncertainty of the measured errors, m
+    known: BoolArray  # (n, 3) whether the error was determined
 
 
 def residual_errors(error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None) -> ResidualErrors:
-    """Errors before and after compensation.
-
-    Args:
-        error_map: the measured errors.
-        compensation: the deviations that the controller takes away, read back from the files.
-        directions: (n, 3) signs of the last moves at the map's points, for what the files say of backlash; without
-            them the errors are the mean of both directions.
-    """
+    """Errors before and after what the files take away, the latter with backlash where directions (n, 3) are given."""
     known = np.isfinite(error_map.error)
     predicted = compensation.field(error_map.points, directions)
     before = _without_motion(error_map.points, np.where(known, error_map.error, 0.0), known)

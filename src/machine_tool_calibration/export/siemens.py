@@ -57,11 +57,7 @@ _LINE = re.compile(r"\$(AA_ENC_COMP|AN_CEC)(_[A-Z_]+)?\[([^]]*)\]\s*=\s*(\S+)")
 
 
 def write(tables: AxisTables, source: str) -> dict[str, str]:
-    """A file for positioning errors, and one for straightness with squareness, as far as they are determined.
-
-    Raises:
-        ModelError: neither is.
-    """
+    """A file for positioning errors, one for straightness with squareness; a ModelError if neither is determined."""
     screws = [table for axis in "XYZ" if (table := tables.along(axis, axis)) is not None]
     sags = [table for pair in permutations("XYZ", 2) if (table := tables.along(*pair)) is not None]
     if not screws and not sags:

@@ -14,9 +14,8 @@ from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import ROLES, Mapping
-from machine_tool_calibration.importing.points import point_rows
+from machine_tool_calibration.importing.points import point_rows, range_rows
 from machine_tool_calibration.importing.positioning import positioning_rows
-from machine_tool_calibration.importing.ranges import range_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
 from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.direct.model import asked_tables
@@ -33,19 +32,12 @@ _LABELS = tuple(role for role, kind in ROLES["readings"].items() if kind == "tex
 
 @dataclass(frozen=True)
 class Imported:
-    """A session made from a table.
+    """A session made from a table."""
 
-    Attributes:
-        session: the measurement.
-        columns: what was read, by quantity: the column's name and its unit.
-        rows: number of rows in the table.
-        notes: what was done that the user should know.
-    """
-
-    session: Session
-    columns: dict[str, tuple[str, str]]
-    rows: int
-    notes: tuple[str, ...]
+    session: Session  # the measurement
+    columns: dict[str, tuple[str, str]]  # what was read, by quantity: the column's name and its unit
+    rows: int  # number of rows in the table
+    notes: tuple[str, ...]  # what was done that the user should know
 
 
 @dataclass(frozen=True)
@@ -62,17 +54,11 @@ class _TablePlace(Place):
 
 
 def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | None = None) -> Imported:
-    """Read a foreign table, or several of the same form, as a session.
+    """Read a foreign table, or several of the same form (each with setups of its own), as a session.
 
-    Args:
-        path: a text file of rows and columns; of several, each has setups of its own.
-        mapping: what the columns mean, and what the session says beside them.
-        name: id of the setup, where no column names it; by default the file's name without its ending.
-
-    Raises:
-        SessionError: one line that says what is wrong, with file and line; also what cannot be right or is not enough
-            for the method.
-        ModelError: a machine error that is none of the machine's.
+    `name` is the id of the setup where no column names it; by default the file's name without its ending. A
+    SessionError says what is wrong, with file and line, also what cannot be right or is not enough for the method;
+    a ModelError names a machine error that is none of the machine's.
     """
     paths = [path] if isinstance(path, Path) else list(path)
     read = [Columns(read_text_table(file, mapping.file), mapping) for file in paths]
@@ -102,15 +88,7 @@ def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | N
 
 
 def _reading_rows(columns: Columns, name: str) -> Rows:
-    """The readings of a table: its columns named as quantities, and others that the mapping names.
-
-    Args:
-        columns: the table.
-        name: of the one setup, where no column names it and the session has no setups.
-
-    Raises:
-        SessionError: no reading, a cell that is no number, a unit that is not given, or no setup.
-    """
+    """The readings of a table: its columns named as quantities, and others that the mapping names."""
     columns.take_namesakes()
     columns.need(["displacement"], "the reading")
     setups = columns.mapping.session.get("setups")
@@ -136,11 +114,7 @@ _ROWS: dict[str, Callable[[Columns, str], Rows]] = {
 
 
 def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntArray]:
-    """The rows of several tables one below the other, in the order of time where that was stamped.
-
-    Returns:
-        The rows, and (n, 2) the table and the row in it that each comes from.
-    """
+    """The rows of several tables, in the order of time where that was stamped, and (n, 2) table and row of each."""
     lengths = [len(part.row) for part in parts]
     origin = np.column_stack([np.repeat(np.arange(len(parts)), lengths), np.concatenate([part.row for part in parts])])
     numbers = {
@@ -178,7 +152,6 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
 
 
 def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
-    """The content of session.yaml: what the table gives, and over it what the user says."""
     given = dict(mapping.session)
     content: dict[str, Any] = {"format": "mtcal-session/1", **rows.description}
     wanted = content.get("method", given.get("method"))
@@ -205,7 +178,6 @@ def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
 
 
 def _merged(found: Any, own: Any, source: str) -> list[dict[str, Any]]:
-    """Setups of the table with what the user says of them, by id."""
     if not isinstance(own, list) or not all(isinstance(entry, dict) and "id" in entry for entry in own):
         raise SessionError(f"{source}: setups must be a list of entries with an id")
     said = {str(entry["id"]): entry for entry in own}

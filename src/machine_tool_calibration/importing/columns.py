@@ -22,37 +22,24 @@ _NEED_NO_UNIT = {"time": "s", "temperature": "degC", "number": "1"}
 
 @dataclass(frozen=True)
 class Rows:
-    """Readings made from a table.
+    """Readings made from a table."""
 
-    Attributes:
-        numbers: numeric columns of `observations.csv`, each (n,).
-        labels: text columns, each (n,), `setup` among them.
-        row: (n,) row of the table that each reading comes from.
-        description: keys of session.yaml that the table gives.
-        notes: what was done that the user should know.
-    """
-
-    numbers: Mapping[str, Array]
-    labels: Mapping[str, np.ndarray]
-    row: IntArray
-    description: Mapping[str, object]
-    notes: tuple[str, ...] = ()
+    numbers: Mapping[str, Array]  # numeric columns of `observations.csv`, each (n,)
+    labels: Mapping[str, np.ndarray]  # text columns, each (n,), `setup` among them
+    row: IntArray  # (n,) row of the table that each reading comes from
+    description: Mapping[str, object]  # keys of session.yaml that the table gives
+    notes: tuple[str, ...] = ()  # what was done that the user should know
 
 
 @dataclass
 class Columns:
-    """Access to the columns that a mapping names.
+    """Access to the columns that a mapping names."""
 
-    Attributes:
-        table: the file's cells.
-        mapping: what they mean.
-        read: what was read, for the preview: quantity, column, unit.
-        stamped: whether the times that were read are time stamps, not seconds since the start of the session.
-    """
-
-    table: TextTable
-    mapping: TableMapping
+    table: TextTable  # the file's cells
+    mapping: TableMapping  # what they mean
+    # what was read, for the preview: quantity, column, unit
     read: dict[str, tuple[str, str]] = field(default_factory=dict)
+    # whether the times that were read are time stamps, not seconds since the start of the session
     stamped: bool = False
 
     def has(self, role: str) -> bool:
@@ -78,11 +65,7 @@ class Columns:
                 )
 
     def number(self, role: str) -> Array:
-        """(rows,) the quantity in SI, NaN where the cell is empty.
-
-        Raises:
-            SessionError: no such column, a cell that is no number, no unit, or one of another dimension.
-        """
+        """(rows,) the quantity in SI, NaN where the cell is empty; a SessionError names what is wrong."""
         wanted = ROLES[self.mapping.table][role]
         if role in self.mapping.values:
             text = self.mapping.values[role]
@@ -126,11 +109,7 @@ class Columns:
         return out
 
     def filled(self, role: str, values: Array) -> Array:
-        """The values, none of which may be missing.
-
-        Raises:
-            SessionError: a cell is empty.
-        """
+        """The values, none of which may be missing: a SessionError names the empty cell."""
         self._refuse_empty(role, ~np.isfinite(values))
         return values
 

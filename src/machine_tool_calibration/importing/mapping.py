@@ -63,27 +63,18 @@ ROLES: dict[str, dict[str, str]] = {
 
 
 class ColumnRule(Record):
-    """Where a quantity stands.
+    """Where a quantity stands."""
 
-    Attributes:
-        column: the name in the header; its number where there is no header.
-        unit: of its numbers; absent, the unit in brackets at the end of the name, or that of the dimension counts.
-    """
-
-    column: str
+    column: str  # the name in the header; its number where there is no header
+    # of its numbers; absent, the unit in brackets at the end of the name, or that of the dimension counts
     unit: Annotated[str, AfterValidator(spelled)] | None = None
 
 
 class Run(Record):
-    """One run of ISO 230-2 as a column.
+    """One run of ISO 230-2 as a column."""
 
-    Attributes:
-        column: its name.
-        direction: of approach.
-    """
-
-    column: str
-    direction: Literal["up", "down"]
+    column: str  # its name
+    direction: Literal["up", "down"]  # of approach
 
 
 def _rule(value: Any) -> Any:
@@ -95,48 +86,34 @@ Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(val
 
 
 class Mapping(Record):
-    """How a foreign table becomes a session.
-
-    Attributes:
-        table: `points` (nominal and measured coordinates), `ranges` (distances from the stations of a tracker),
-            `iso230-2` (deviations at target positions in runs up and down) or `readings` (those of any method).
-        file: how the text is written.
-        columns: where each quantity stands (`ROLES`).
-        extras: covariates by the name that they get, with their column.
-        units: of each dimension (length, angle, …) or quantity (x, deviation, …).
-        values: quantities that are the same in every row, such as `z: 120mm`.
-        origin: of nominal coordinates in the machine's, by axis, such as `x: 250mm`.
-        sign: of deviations in the file.
-        align: points: shift and turn each setup's measured points onto the nominal ones first.
-        layout: iso230-2: a column for each run, or a row for each reading.
-        transposed: iso230-2: a row for each run instead of a column.
-        runs: iso230-2: the columns of the runs in order; absent, every other column, by its name (`1 up`, `1 down`).
-        axis: iso230-2: that was moved.
-        actual: iso230-2: the columns of the runs hold actual positions instead of deviations.
-        senses: iso230-2: direction that was read, if it is another (straightness).
-        stations: position of a tracker's stations, machine frame, such as `A: -350, 50, 0 mm`.
-        targets: position of targets on a rotary table, table frame at c = 0.
-        session: keys of session.yaml: machine, datum, terms, standard_uncertainty, …
-    """
+    """How a foreign table becomes a session."""
 
     format: Literal["mtcal-mapping/1"] = "mtcal-mapping/1"
+    # `points` (nominal and measured coordinates), `ranges` (distances from the stations of a tracker), `iso230-2`
+    # (deviations at target positions in runs up and down) or `readings` (those of any method)
     table: Literal["points", "ranges", "iso230-2", "readings"]
-    file: FileForm = FileForm()
-    columns: dict[str, Column] = Field(default_factory=dict)
-    extras: dict[str, Column] = Field(default_factory=dict)
+    file: FileForm = FileForm()  # how the text is written
+    columns: dict[str, Column] = Field(default_factory=dict)  # where each quantity stands (`ROLES`)
+    extras: dict[str, Column] = Field(default_factory=dict)  # covariates by the name that they get, with their column
+    # of each dimension (length, angle, …) or quantity (x, deviation, …)
     units: dict[str, Text] = Field(default_factory=dict)
+    # quantities that are the same in every row, such as `z: 120mm`
     values: dict[str, Text] = Field(default_factory=dict)
+    # of nominal coordinates in the machine's, by axis, such as `x: 250mm`
     origin: dict[Literal["x", "y", "z"], Text] = Field(default_factory=dict)
-    sign: Literal["actual-minus-nominal", "nominal-minus-actual"] = "actual-minus-nominal"
-    align: bool = False
-    layout: Literal["wide", "long"] = "wide"
-    transposed: bool = False
+    sign: Literal["actual-minus-nominal", "nominal-minus-actual"] = "actual-minus-nominal"  # of deviations in the file
+    align: bool = False  # points: shift and turn each setup's measured points onto the nominal ones first
+    layout: Literal["wide", "long"] = "wide"  # iso230-2: a column for each run, or a row for each reading
+    transposed: bool = False  # iso230-2: a row for each run instead of a column
+    # iso230-2: the columns of the runs in order; absent, every other column, by its name (`1 up`, `1 down`)
     runs: tuple[Run, ...] = ()
-    axis: Literal["x", "y", "z"] | None = None
-    actual: bool = False
-    senses: Literal["x", "y", "z"] | None = None
+    axis: Literal["x", "y", "z"] | None = None  # iso230-2: that was moved
+    actual: bool = False  # iso230-2: the columns of the runs hold actual positions instead of deviations
+    senses: Literal["x", "y", "z"] | None = None  # iso230-2: direction that was read, if it is another (straightness)
+    # position of a tracker's stations, machine frame, such as `A: -350, 50, 0 mm`
     stations: dict[str, str] = Field(default_factory=dict)
-    targets: dict[str, str] = Field(default_factory=dict)
+    targets: dict[str, str] = Field(default_factory=dict)  # position of targets on a rotary table, table frame at c = 0
+    # keys of session.yaml: machine, datum, terms, standard_uncertainty, …
     session: dict[str, Any] = Field(default_factory=dict)
 
     @property
@@ -151,11 +128,7 @@ class Mapping(Record):
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """The content of a mapping file, for `parse_mapping`.
-
-    Raises:
-        SessionError: not there, or no mapping of keys.
-    """
+    """The content of a mapping file, for `parse_mapping`; a SessionError if it is no mapping of keys."""
     document = load_yaml(read_text(path, 1 << 20), str(path))
     if not isinstance(document.value, dict):
         raise SessionError(f"{path}: must be a mapping of keys")
@@ -165,15 +138,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
-    """The mapping from its keys.
-
-    Args:
-        content: of the file, the command line, or both.
-        source: where it came from, for messages.
-
-    Raises:
-        SessionError: one line that names the key that is wrong.
-    """
+    """The mapping from the keys of the file, the command line, or both; a SessionError names the key that is wrong."""
     mapping = validated(Mapping, content, source, unnamed=("[key]",))
     roles = ROLES[mapping.table]
     for kind in ("columns", "values"):

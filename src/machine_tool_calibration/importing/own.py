@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package's own tables of readings as sessions again, also as a spreadsheet leaves them."""
+"""The package's own tables of readings as sessions again, also as a spreadsheet leaves them, or to align a pointer."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.text_table import FileForm, read_text_table
 from machine_tool_calibration.session.catalogue import require_columns
@@ -17,7 +18,8 @@ from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import LABEL_COLUMNS, NUMERIC_COLUMNS
 
-__all__ = ["read_own_table"]
+__all__ = ["Alignment", "read_alignment", "read_own_table"]
+
 
 _OF_A_TOPIC = ("log_time", "publish_time", "stamp")
 _OF_ANY_TOPIC = "frame_id"
@@ -26,14 +28,9 @@ _OF_ANY_TOPIC = "frame_id"
 def read_own_table(file: Path, description: Description, described: str, form: FileForm) -> Session:
     """A session from a table with the columns of `observations.csv`, or of a recording's topic `reading`; unchecked.
 
-    Args:
-        file: CSV, or Parquet where its name ends so; in SI units.
-        description: of the measurement.
-        described: the file that the description comes from.
-        form: separator, decimal mark and encoding of a CSV.
-
-    Raises:
-        SessionError: one line with file and line: not such a table, or it does not belong to the description.
+    CSV of a form, or Parquet where the file's name ends so; in SI units. `described` is the file that the
+    description comes from. A SessionError says with file and line that it is no such table or does not belong to
+    the description.
     """
     if file.suffix.lower() == ".parquet":
         numbers, labels, place = _parquet(file, described)
@@ -84,3 +81,52 @@ def _parquet(file: Path, described: str) -> _Columns:
         else:
             labels[str(name)] = np.asarray(values.astype(object).where(values.notna(), "").astype(str), dtype=np.str_)
     return numbers, labels, Place(described, str(file))
+
+
+# Positions and angles that are one: m and rad.
+_STILL = 1e-7
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A search for the rotation centre or the zero angle."""
+
+    azimuth: Array  # (n,) commanded, rad
+    displacement: Array  # (n,) m
+    place: Array  # (n, 2) commanded x and y of the retroreflector, m
+    run: IntArray  # (n,) number of the run
+
+    @property
+    def turns(self) -> bool:
+        """Whether the beam turns, about the centre that is looked for; else Y moves."""
+        return bool(np.ptp(self.azimuth) > _STILL)
+
+
+def read_alignment(path: Path) -> Alignment:
+    """Read a search: a CSV file in SI units, or the folder that holds it as `observations.csv`.
+
+    Its columns are `azimuth`, `displacement`, `x`, `y`, and `repeat` where there are several runs. A SessionError
+    says that it cannot be read, lacks a column, is of several stations, or both or neither of beam and
+    retroreflector move.
+    """
+    file = path / "observations.csv" if path.is_dir() else path
+    table = read_text_table(file, FileForm())
+    azimuth, displacement, x, y = (table.numbers(name, name) for name in ("azimuth", "displacement", "x", "y"))
+    setups = np.unique(table.text("setup", "setup")) if "setup" in table.names else ()
+    if len(setups) > 1:
+        raise SessionError(f"{file}: {len(setups)} setups; each station has a centre of its own: one file for each")
+    repeat = table.text("repeat", "repeat") if "repeat" in table.names else np.zeros(len(x), dtype=np.int64)
+    good = np.isfinite(displacement)
+    place = np.column_stack([x, y])
+    if not good.any() or not (np.isfinite(azimuth) & np.isfinite(place).all(axis=1)).all():
+        raise SessionError(f"{file}: no readings, or an azimuth, x or y that is missing")
+    found = Alignment(azimuth[good], displacement[good], place[good], groups(repeat[good]))
+    moves = bool(np.ptp(found.place, axis=0).max() > _STILL)
+    if found.turns == moves:
+        both = "the beam turns and the retroreflector moves" if moves else "neither beam nor retroreflector moves"
+        raise SessionError(
+            f"{file}: {both}; for the centre the beam turns and x and y stay, for the zero angle y alone moves"
+        )
+    if moves and np.ptp(found.place[:, 0]) > _STILL:
+        raise SessionError(f"{file}: x moves; for the zero angle y alone moves")
+    return found

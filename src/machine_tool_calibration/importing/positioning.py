@@ -26,16 +26,7 @@ _NAME = re.compile(
 
 
 def positioning_rows(columns: Columns, name: str) -> Rows:
-    """A reading for each deviation: runs in their order, each along the way that it went.
-
-    Args:
-        columns: of the table.
-        name: id of the setup.
-
-    Raises:
-        SessionError: no axis, a run whose direction is not said, an empty position, or a direction that is neither up
-            nor down.
-    """
+    """A reading for each deviation: runs in their order, each along the way that it went; `name` is the setup."""
     mapping = columns.mapping
     if mapping.axis is None:
         raise SessionError(f"{columns.table.source}: which axis was moved is not said, as in --axis x")
@@ -75,7 +66,6 @@ Series = tuple[Array, Array, np.ndarray, Array, np.ndarray]
 
 
 def _wide(columns: Columns) -> Series:
-    """A column for each run, or a row for each."""
     table, mapping = columns.table, columns.mapping
     position = _header(columns) if mapping.transposed else _positions(columns)
     known = {rule.column for rule in (*mapping.columns.values(), *mapping.extras.values())}
@@ -147,7 +137,6 @@ def _named(table: TextTable, names: list[str]) -> tuple[Run, ...]:
 
 
 def _long(columns: Columns) -> Series:
-    """A row for each reading, in the file's order."""
     table = columns.table
     columns.need(("position", "direction"), "a row for each reading")
     position = columns.filled("position", columns.number("position"))

@@ -39,11 +39,7 @@ def _stamp_seconds(text: str, pattern: str | None) -> float:
     """A time stamp in seconds since 1970, or since midnight where it has no date; NaN where it is none.
 
     Read are ISO 8601 (2024-05-03 10:15:00.25, with or without an offset), 3.5.2024 10:15:00 (the day first, as dots
-    say) and 10:15:00. Of 5/3/2024 nobody knows which is the day: that needs a pattern.
-
-    Args:
-        text: the cell.
-        pattern: of `datetime.strptime`, such as `%m/%d/%Y %H:%M:%S`; none of the above is tried then.
+    say) and 10:15:00. Of 5/3/2024 nobody knows which is the day: that needs a pattern of `datetime.strptime`.
     """
     try:
         if pattern is not None:
@@ -82,52 +78,30 @@ _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space":
 
 
 class FileForm(Record):
-    """How the text is written; separator, decimal mark and UTF-16 are recognised where they are not said.
+    """How the text is written; separator, decimal mark and UTF-16 are recognised where they are not said."""
 
-    Attributes:
-        separator: one character, or its name: comma, semicolon, tab, bar, space (one or more).
-        decimal: point or comma of the numbers.
-        encoding: of the text, such as utf-8 or latin-1.
-        skip: lines before the header.
-        skip_after_header: lines between the header and the numbers, such as one of units.
-        header: whether a line names the columns; otherwise they are called 1, 2, 3 …
-        comment: lines that begin with this are left out.
-        missing: texts that stand for no value, beside the empty cell and nan.
-        time_format: of time stamps, as for `datetime.strptime`, where they say it not by themselves.
-    """
-
-    separator: str = "comma"
-    decimal: str = Field(default=".", pattern=r"^[.,]$")
-    encoding: str = "utf-8"
-    skip: int = Field(default=0, ge=0)
-    skip_after_header: int = Field(default=0, ge=0)
-    header: bool = True
-    comment: str | None = Field(default=None, min_length=1)
-    missing: tuple[str, ...] = ()
-    time_format: str | None = None
+    separator: str = "comma"  # one character, or its name: comma, semicolon, tab, bar, space (one or more)
+    decimal: str = Field(default=".", pattern=r"^[.,]$")  # point or comma of the numbers
+    encoding: str = "utf-8"  # of the text, such as utf-8 or latin-1
+    skip: int = Field(default=0, ge=0)  # lines before the header
+    skip_after_header: int = Field(default=0, ge=0)  # lines between the header and the numbers, such as one of units
+    header: bool = True  # whether a line names the columns; otherwise they are called 1, 2, 3 …
+    comment: str | None = Field(default=None, min_length=1)  # lines that begin with this are left out
+    missing: tuple[str, ...] = ()  # texts that stand for no value, beside the empty cell and nan
+    time_format: str | None = None  # of time stamps, as for `datetime.strptime`, where they say it not by themselves
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """The cells of a file.
+    """The cells of a file."""
 
-    Attributes:
-        source: the file's name, for messages.
-        names: of the columns, in the file's order; they may repeat.
-        cells: (rows, columns) text without spaces at its ends.
-        lines: (rows,) line of each row in the file, from 1.
-        header_line: of the header; of the first row where there is none.
-        form: how numbers are written.
-        notes: lines that were left out and look like rows.
-    """
-
-    source: str
-    names: tuple[str, ...]
-    cells: np.ndarray
-    lines: tuple[int, ...]
-    header_line: int
-    form: FileForm
-    notes: tuple[str, ...] = ()
+    source: str  # the file's name, for messages
+    names: tuple[str, ...]  # of the columns, in the file's order; they may repeat
+    cells: np.ndarray  # (rows, columns) text without spaces at its ends
+    lines: tuple[int, ...]  # (rows,) line of each row in the file, from 1
+    header_line: int  # of the header; of the first row where there is none
+    form: FileForm  # how numbers are written
+    notes: tuple[str, ...] = ()  # lines that were left out and look like rows
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -137,15 +111,7 @@ class TextTable:
         return f"{self.source} line {self.lines[row]}"
 
     def index(self, column: str, what: str) -> int:
-        """Place of a column.
-
-        Args:
-            column: its name, or its number from 1 in a file without header.
-            what: what it is wanted for.
-
-        Raises:
-            SessionError: not there, or twice.
-        """
+        """Place of a column by its name, or number from 1 without header; a SessionError if not there, or twice."""
         places = [j for j, name in enumerate(self.names) if name == column.strip()]
         if len(places) == 1:
             return places[0]
@@ -164,22 +130,11 @@ class TextTable:
         return np.asarray(self.cells[:, self.index(column, what)], dtype=np.str_)
 
     def numbers(self, column: str, what: str, unit: str = "1") -> Array:
-        """(rows,) the numbers of a column in SI units, NaN where a cell is empty.
-
-        Raises:
-            SessionError: no such column, or a cell that is not a finite number, with its line.
-        """
+        """(rows,) the numbers of a column in SI units, NaN where empty; a SessionError with line if one is none."""
         return self.parsed(self.text(column, what), f"column {column!r}", unit)
 
     def parsed(self, cells: np.ndarray, what: str, unit: str, lines: Sequence[int] | None = None) -> Array:
-        """Numbers of cells, as for `numbers`.
-
-        Args:
-            cells: (n,) text.
-            what: for messages.
-            unit: of the cells.
-            lines: (n,) line of each cell, where they are not those of the rows.
-        """
+        """Numbers of cells (n,), as for `numbers`; with the line of each where they are not those of the rows."""
         text = pd.Series(cells, dtype=object)
         plain = text.str.replace("\N{MINUS SIGN}", "-", regex=False)
         if self.form.decimal == ",":
@@ -198,10 +153,7 @@ class TextTable:
     def stamps(self, column: str, what: str) -> Array | None:
         """(rows,) seconds of a column of time stamps, NaN where a cell is empty; None where it holds numbers.
 
-        Times of day go on past midnight.
-
-        Raises:
-            SessionError: no such column, or a cell that is no time stamp, with its line.
+        Times of day go on past midnight. A SessionError names the line of a cell that is no time stamp.
         """
         cells = self.text(column, what)
         if self.form.time_format is None and not any(":" in cell for cell in cells[:1000]):
@@ -228,21 +180,12 @@ class TextTable:
 
 
 def parse_form(content: dict[str, Any]) -> FileForm:
-    """How a text is written, from the keys of `FileForm`.
-
-    Raises:
-        SessionError: a key or value that it does not have.
-    """
+    """How a text is written, from the keys of `FileForm`; a SessionError names what it does not have."""
     return validated(FileForm, content, "")
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:
-    """The cells of a text file.
-
-    Raises:
-        SessionError: not there, too large, another encoding, no header or no rows, or a row with fewer or more cells
-            than the header has names; one line with file and line.
-    """
+    """The cells of a text file; a SessionError says what is wrong with it, in one line with file and line."""
     source = str(path)
     lines = _lines(path, form)
     numbered = [(number, text) for number, text in enumerate(lines, start=1) if number > form.skip and text.strip()]
@@ -363,7 +306,6 @@ def _split(source: str, lines: list[tuple[int, str]], form: FileForm) -> tuple[n
 
 
 def _cells(text: str, separator: str) -> list[str]:
-    """The cells of a line."""
     if separator == _SEPARATORS["space"]:
         text, separator = " ".join(text.split()), " "
     return next(csv.reader([text], delimiter=separator, strict=True)) if '"' in text else text.split(separator)

@@ -57,11 +57,7 @@ _IN_NAME = re.compile(r"(.*)[\[(]\s*([^\])]+?)\s*[\])]\s*")
 
 
 def spelled(unit: str) -> str:
-    """The unit as it is named here.
-
-    Raises:
-        SessionError: unknown.
-    """
+    """The unit as it is named here; a SessionError if it is unknown."""
     name = _SPELLINGS.get(unit.strip(), unit.strip())
     if name not in UNITS:
         raise SessionError(f"unknown unit {unit!r}; known are {', '.join(UNITS)}")
@@ -74,15 +70,7 @@ def dimension(unit: str) -> str:
 
 
 def si_values(texts: Sequence[str], unit: str) -> Array:
-    """Numbers written with a point in m, rad, s, degrees Celsius, Pa or as numbers; `nan` is NaN.
-
-    Args:
-        texts: such as `12.5` or `1e-3`.
-        unit: that they are in.
-
-    Raises:
-        SessionError: unknown unit.
-    """
+    """Numbers in a unit, written with a point, in m, rad, s, degrees Celsius, Pa or as numbers; `nan` is NaN."""
     _, power, factor = UNITS[spelled(unit)]
     values = np.array([_shifted(text, power) for text in texts], dtype=np.float64)
     return values if factor == 1.0 else values * factor
@@ -97,16 +85,7 @@ def _shifted(text: str, power: int) -> float:
 
 
 def quantity(text: str, wanted: str, what: str) -> float:
-    """A number with its unit, such as `1.5 um`, in SI.
-
-    Args:
-        text: what was written.
-        wanted: dimension.
-        what: name of the setting, for messages.
-
-    Raises:
-        SessionError: no number, no unit, or one of another dimension.
-    """
+    """A number with its unit, such as `1.5 um`, in SI; a SessionError if it is not of the wanted dimension."""
     match = _QUANTITY.fullmatch(text)
     if match is None:
         raise SessionError(f"{what}: {text!r} is not a number with a unit, as in {_example(wanted)}")

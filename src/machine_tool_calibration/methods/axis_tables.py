@@ -44,19 +44,12 @@ _IN_PROFILES = (
 
 @dataclass(frozen=True)
 class AxisTable:
-    """One error motion of a linear axis.
+    """One error motion of a linear axis."""
 
-    Attributes:
-        name: EXX, ECY, …, as in ISO 230-1.
-        nodes: (k,) increasing positions of the axis, m; k is 2 or more.
-        value: (k,) deviation, actual minus commanded, m or rad; straight lines between the nodes.
-        uncertainty: (k,) standard uncertainty; NaN if it is not known.
-    """
-
-    name: str
-    nodes: Array
-    value: Array
-    uncertainty: Array
+    name: str  # EXX, ECY, …, as in ISO 230-1
+    nodes: Array  # (k,) increasing positions of the axis, m; k is 2 or more
+    value: Array  # (k,) deviation, actual minus commanded, m or rad; straight lines between the nodes
+    uncertainty: Array  # (k,) standard uncertainty; NaN if it is not known
 
     @property
     def axis(self) -> str:
@@ -76,37 +69,23 @@ class AxisTable:
 
 @dataclass(frozen=True)
 class AxisTables:
-    """The machine's errors by axis; deviations, actual minus commanded.
+    """The machine's errors by axis; deviations, actual minus commanded."""
 
-    Attributes:
-        chain: decides the lever arms of angles.
-        tables: error motions that are determined at all their nodes.
-        squareness: value and standard uncertainty, rad, of A0Z, B0Z, C0Y.
-        backlash: half the reversal error b of an axis (position -b dir) and its standard uncertainty, m.
-        left_out: what the result does not determine, or determines at a part of its nodes only.
-        datum: in words: where every table is zero.
-        squareness_words: the convention of squareness in words.
-        model: which one the tables come from, with its effects.
-    """
-
-    chain: Chain
-    tables: tuple[AxisTable, ...]
-    squareness: Mapping[str, tuple[float, float]]
+    chain: Chain  # decides the lever arms of angles
+    tables: tuple[AxisTable, ...]  # error motions that are determined at all their nodes
+    squareness: Mapping[str, tuple[float, float]]  # value and standard uncertainty, rad, of A0Z, B0Z, C0Y
+    # half the reversal error b of an axis (position -b dir) and its standard uncertainty, m
     backlash: Mapping[str, tuple[float, float]]
-    left_out: tuple[NotDetermined, ...]
-    datum: str
-    squareness_words: str
-    model: str
+    left_out: tuple[NotDetermined, ...]  # what the result does not determine, or determines at a part of its nodes only
+    datum: str  # in words: where every table is zero
+    squareness_words: str  # the convention of squareness in words
+    model: str  # which one the tables come from, with its effects
 
     def field(self, points: Array, directions: Array | None = None) -> Array:
-        """Position error that the tables stand for.
+        """(n, 3) position error that the tables stand for at commanded points (n, 3), actual minus commanded, m.
 
-        Args:
-            points: (n, 3) commanded x, y, z, m; beyond a table's end its last interval is extended.
-            directions: (n, 3) signs of the last moves, for the backlash; without it the mean of both.
-
-        Returns:
-            (n, 3) actual minus commanded, m.
+        Beyond a table's end its last interval is extended. Directions (n, 3), signs of the last moves, are for
+        the backlash; without them it is the mean of both.
         """
         error = np.zeros_like(points)
         for table in self.tables:
@@ -130,16 +109,10 @@ class AxisTables:
     def along(self, axis: str, component: str) -> AxisTable | None:
         """An error along the line through the middle of the measured travel, as a function of one axis alone.
 
-        For a controller that corrects by the position of one axis: angles of the axis add to the error along a line
-        that is off the axis's own (Abbe), and squareness is a slope of the straightness of the later axis. So the error
-        on the line through the middle is taken, counted from the axis's zero.
-
-        Args:
-            axis: X, Y or Z: the axis that moves.
-            component: X, Y or Z: the direction of the error.
-
-        Returns:
-            The table at the nodes of the error motion; None where neither that nor a squareness is determined.
+        For a controller that corrects by the position of one axis: angles of the axis add to the error along a
+        line that is off the axis's own (Abbe), and squareness is a slope of the straightness of the later axis.
+        So the error on the line through the middle is taken, counted from the axis's zero, at the nodes of the
+        error motion; None where neither that nor a squareness is determined.
         """
         name = f"E{component}{axis}"
         own = next((table for table in self.tables if table.name == name), None)
@@ -154,14 +127,11 @@ class AxisTables:
 
 
 def axis_tables(result: Result | JointResult) -> AxisTables:
-    """The tables of the linear axes that a result of one session or of several determines.
+    """The tables of the linear axes that a result determines; a ModelError says what to do if there are none.
 
     They come from the machine's tables in the model (`rigid_body` of a tracking interferometer, `direct`,
     `probing`), of several sessions from those that they share, or from the profiles of a step diagonal, whose
     straightness holds the squareness.
-
-    Raises:
-        ModelError: the result has no table that is determined; the message says what to do.
     """
     models = [fit.model for fit in result.fits]
     sessions = [model.observations.session for model in models]
@@ -201,7 +171,6 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
 def _terms(
     estimated: Sequence[Estimate], tables: Sequence[MachineTable], left_out: list[NotDetermined]
 ) -> tuple[list[AxisTable], dict[str, tuple[float, float]]]:
-    """Tables and squareness of the model's own machine terms."""
     known = {estimate.name: estimate for estimate in estimated}
     found: list[AxisTable] = []
     squareness = {}
@@ -221,7 +190,6 @@ def _terms(
 
 
 def _profiles(content: Mapping[str, Any], left_out: list[NotDetermined]) -> list[AxisTable]:
-    """Tables from the step diagonal's position errors of each axis."""
     found: list[AxisTable] = []
     for letter in "xyz":
         nodes, error, spread = content[f"{letter}_position"], content[letter], content[f"{letter}_u"]

@@ -35,13 +35,7 @@ def model_names(method: str | None = None) -> tuple[str, ...]:
 
 
 def sharing_variant(session: Session, model: str | None) -> str | None:
-    """The variant of a session's model in a fit of several sessions.
-
-    Args:
-        session: the measurement.
-        model: what was asked for, of the methods that have it; otherwise tables of the machine's errors, which others
-            can share.
-    """
+    """The variant of a session's model in a fit of several: what was asked for, else tables that others can share."""
     return model if model in spec_of(session).models else spec_of(session).tables
 
 
@@ -72,13 +66,7 @@ def error_map(fit: Fit) -> ErrorMap:
 def suspicious_fits(
     fits: Sequence[Fit], labels: Sequence[str] | None = None, sessions: Sequence[Session] | None = None
 ) -> list[str]:
-    """What is suspicious in the sessions of fits, in words: also places that are found elsewhere than stated.
-
-    Args:
-        fits: a session each.
-        labels: names of the sessions, where there are several.
-        sessions: as they were measured, where the fits have means of repeats.
-    """
+    """What is suspicious in the sessions of fits, or as measured, in words: also places found elsewhere than stated."""
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
     found = [together((name, one.words), "") for name, fit in zip(named, fits, strict=True) for one in _elsewhere(fit)]
     return [*suspicions(sessions or [fit.model.observations.session for fit in fits], labels), *found]

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From one session, or several of one machine, to fitted models: the same for identifying, comparing and diagnosing."""
+"""From one session, or several of one machine, to fitted models: the same for identifying, comparing and diagnosing.
+
+Refused is what no machine has: errors of centimetres, and instruments that do not stand where they are stated to stand.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.errors import ModelError, did_you_mean, suspected
 from machine_tool_calibration.methods.build import build_model, error_map, sharing_variant
-from machine_tool_calibration.methods.joint.effects import with_effects
 from machine_tool_calibration.methods.joint.map import joint_map
-from machine_tool_calibration.methods.joint.model import CommonModels, common_models
+from machine_tool_calibration.methods.joint.model import CommonModels, common_models, with_effects
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, without
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.checks.places import has_stations, refuse_misplaced
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["FitRequest", "FittedSessions", "WithoutGrossErrors", "fit_sessions", "gross_errors", "joint_models"]
+__all__ = [
+    "FitRequest",
+    "FittedSessions",
+    "WithoutGrossErrors",
+    "fit_sessions",
+    "gross_errors",
+    "joint_models",
+    "refuse_impossible",
+]
+
 
 Built = tuple[MethodModel, str]
 """A session's model, and the name of its variant."""
@@ -32,22 +46,16 @@ Built = tuple[MethodModel, str]
 
 @dataclass(frozen=True)
 class FitRequest:
-    """One session, or several of one machine, and the model to fit to them.
+    """One session, or several of one machine, and the model to fit to them."""
 
-    Attributes:
-        sessions: the measurements.
-        labels: names of several, all different; None for a single one, whose name is dropped.
-        model: variant of the methods that have it, which for one session its method must; the default if None.
-        effects: ids of physical effects in the model, in every session in which they can act.
-        own: the user's own effects, beside the catalogue.
-        keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
-    """
-
-    sessions: tuple[Session, ...]
+    sessions: tuple[Session, ...]  # the measurements
+    # names of several, all different; None for a single one, whose name is dropped
     labels: tuple[str, ...] | None = None
+    # variant of the methods that have it, which for one session its method must; the default if None
     model: str | None = None
-    effects: tuple[str, ...] = ()
-    own: tuple[Effect, ...] = ()
+    effects: tuple[str, ...] = ()  # ids of physical effects in the model, in every session in which they can act
+    own: tuple[Effect, ...] = ()  # the user's own effects, beside the catalogue
+    # use all readings; otherwise those that stand out of all others of their session are set aside
     keep_all: bool = False
 
     def __post_init__(self) -> None:
@@ -95,34 +103,21 @@ class FitRequest:
 
 @dataclass(frozen=True)
 class WithoutGrossErrors:
-    """A session without the readings that do not belong to the rest.
+    """A session without the readings that do not belong to the rest."""
 
-    Attributes:
-        outliers: these readings, the largest first.
-        session: it, with these as lost ones.
-        built: see `FitRequest`; None where it is yet to be made of what was left.
-    """
-
-    outliers: list[Outlier]
-    session: Session
-    built: Built | None = None
+    outliers: list[Outlier]  # these readings, the largest first
+    session: Session  # it, with these as lost ones
+    built: Built | None = None  # see `FitRequest`; None where it is yet to be made of what was left
 
 
 @dataclass(frozen=True)
 class FittedSessions:
-    """Models of one or several sessions, fitted.
+    """Models of one or several sessions, fitted."""
 
-    Attributes:
-        joint: the fit, with a member for each session.
-        common: what the models of several sessions share; None for one.
-        model_names: variant of each session's model.
-        effects: ids of the effects that were added.
-    """
-
-    joint: JointFit
-    common: CommonModels | None
-    model_names: tuple[str, ...]
-    effects: tuple[str, ...]
+    joint: JointFit  # the fit, with a member for each session
+    common: CommonModels | None  # what the models of several sessions share; None for one
+    model_names: tuple[str, ...]  # variant of each session's model
+    effects: tuple[str, ...]  # ids of the effects that were added
 
     @property
     def model_name(self) -> str:
@@ -148,14 +143,9 @@ class FittedSessions:
 
 
 def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = ()) -> FittedSessions:
-    """Fit one session by itself, or several of one machine together.
+    """Fit one session by itself, or several of one machine together; `built` has the models of all, if made before.
 
-    Args:
-        subject: what, and by which model.
-        built: see `FitRequest`; of every session or none, made here where it was not before.
-
-    Raises:
-        ModelError: as for `joint_models`; an effect is unknown or cannot act; or there are too few readings.
+    A ModelError as for `joint_models`; also an effect that is unknown or cannot act, or too few readings.
     """
     chosen = FitRequest.of(subject)
     if len(chosen.sessions) == 1:
@@ -170,13 +160,8 @@ def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = 
 def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:
     """The models of several sessions of one machine, with the same unknowns of the machine.
 
-    Args:
-        chosen: several sessions; without a variant theirs are those with tables of the machine's errors.
-        built: as for `fit_sessions`.
-
-    Raises:
-        ModelError: labels that are missing or repeat, a model that no session has, different machines, or an effect
-            that acts in none.
+    Without a variant theirs are those with tables of the machine's errors. A ModelError says that labels are
+    missing or repeat, no session has the model, the machines differ, or an effect acts in none.
     """
     effects, labels = chosen.present, chosen.labels or ()
     if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):
@@ -215,3 +200,38 @@ def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
     )
     # Where nothing was set aside the model is that in which it was looked for.
     return WithoutGrossErrors(outliers, without(session, outliers, as_lost=True), None if outliers else built)
+
+
+# Position error that no machine tool has, m, and by how many of its uncertainties it must be known.
+_IMPOSSIBLE = 0.01
+_KNOWN = 5.0
+
+
+@suspected()
+def refuse_impossible(fitted: FittedSessions) -> None:
+    """Refuse what readings that contradict the geometry say of the machine, unless a session says `trust_units`.
+
+    A ModelError names a position error of centimetres in the map of all sessions, or a station far from where its
+    own session states it to be.
+    """
+    sessions = [fit.model.observations.session for fit in fitted.joint.fits]
+    if not any(session.description.trust_units for session in sessions):
+        labels = fitted.joint.assembly.labels
+        _refuse_errors(sessions[0].source if len(sessions) == 1 else ", ".join(labels or ()), fitted.error_map)
+    for session, fit in zip(sessions, fitted.joint.fits, strict=True):
+        if has_stations(session) and not session.description.trust_units:
+            own = fitted.error_map if len(sessions) == 1 else error_map(fit)
+            refuse_misplaced(session, own.content)
+
+
+def _refuse_errors(name: str, error_map: ErrorMap) -> None:
+    size = np.abs(error_map.error)
+    there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
+    if there.any():
+        k, j = np.argwhere(there)[int(np.argmax(size[there]))]
+        place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k])
+        raise ModelError(
+            f"{name}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
+            f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
+            "instrument stood"
+        )

@@ -21,8 +21,8 @@ from machine_tool_calibration.methods.fitted import (
     WithoutGrossErrors,
     fit_sessions,
     gross_errors,
+    refuse_impossible,
 )
-from machine_tool_calibration.methods.impossible import refuse_impossible
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
@@ -48,28 +48,18 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class JointResult(Identified):
-    """Several sessions fitted together.
+    """Several sessions fitted together."""
 
-    Attributes:
-        labels: names of the sessions.
-        fit: of all of them.
-        angles: small angular errors that a step diagonal has as random functions, and all else with the mean over
-            them; None where there are none.
-        common: the models and what they share.
-        agreement: whether the sessions agree.
-        model_names: variant of each session's model.
-        rejected: readings kept out, for each session.
-        observations: readings recorded in each session.
-    """
-
-    labels: tuple[str, ...]
-    fit: JointFit
+    labels: tuple[str, ...]  # names of the sessions
+    fit: JointFit  # of all of them
+    # small angular errors that a step diagonal has as random functions, and all else with the mean over them; None
+    # where there are none
     angles: StatedAngles | None
-    common: CommonModels
-    agreement: Agreement
-    model_names: tuple[str, ...]
-    rejected: tuple[tuple[Rejected, ...], ...]
-    observations: tuple[int, ...]
+    common: CommonModels  # the models and what they share
+    agreement: Agreement  # whether the sessions agree
+    model_names: tuple[str, ...]  # variant of each session's model
+    rejected: tuple[tuple[Rejected, ...], ...]  # readings kept out, for each session
+    observations: tuple[int, ...]  # readings recorded in each session
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:

@@ -37,41 +37,27 @@ _STILL, _SAME, _OFF = 1e-6, 1e-5, 1e-5
 
 @dataclass(frozen=True)
 class Positioning:
-    """Figures of one axis; NaN where the readings do not give them (a direction or repeats missing).
+    """Figures of one axis; NaN where the readings do not give them (a direction or repeats missing)."""
 
-    Attributes:
-        position: (m,) target positions, m.
-        mean_up, mean_down: (m,) mean unidirectional deviations, 3.10.
-        s_up, s_down: (m,) estimators of the unidirectional repeatability (standard deviation with n - 1), 3.13.
-        count_up, count_down: (m,) readings in each direction.
-        reversal: (m,) mean_up - mean_down, 3.11.
-        repeatability: (m,) R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down), 3.15.
-        B, B_mean: largest absolute, and mean reversal of the axis, 3.11, 3.12.
-        R_up, R_down, R: uni- and bidirectional repeatability of the axis, 3.14, 3.15.
-        E_up, E_down, E: uni- and bidirectional systematic positioning deviation, 3.16, 3.17.
-        M: range of the mean bidirectional positioning deviation, 3.18.
-        A_up, A_down, A: uni- and bidirectional positioning accuracy (two standard deviations), 3.19, 3.20.
-    """
-
-    position: Array
-    mean_up: Array
+    position: Array  # (m,) target positions, m
+    mean_up: Array  # (m,) mean unidirectional deviations, 3.10
     mean_down: Array
-    s_up: Array
+    s_up: Array  # (m,) estimators of the unidirectional repeatability (standard deviation with n - 1), 3.13
     s_down: Array
-    count_up: IntArray
+    count_up: IntArray  # (m,) readings in each direction
     count_down: IntArray
-    reversal: Array
-    repeatability: Array
-    B: float
+    reversal: Array  # (m,) mean_up - mean_down, 3.11
+    repeatability: Array  # (m,) R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down), 3.15
+    B: float  # largest absolute, and mean reversal of the axis, 3.11, 3.12
     B_mean: float
-    R_up: float
+    R_up: float  # uni- and bidirectional repeatability of the axis, 3.14, 3.15
     R_down: float
     R: float
-    E_up: float
+    E_up: float  # uni- and bidirectional systematic positioning deviation, 3.16, 3.17
     E_down: float
     E: float
-    M: float
-    A_up: float
+    M: float  # range of the mean bidirectional positioning deviation, 3.18
+    A_up: float  # uni- and bidirectional positioning accuracy (two standard deviations), 3.19, 3.20
     A_down: float
     A: float
 
@@ -81,14 +67,9 @@ FIGURES = tuple(field.name for field in fields(Positioning) if field.type == "fl
 
 
 def positioning(position: Array, direction: Array, deviation: Array) -> Positioning:
-    """The figures of ISO 230-2:2014 from the readings of one axis.
+    """The figures of ISO 230-2:2014 from target positions, senses of approach (+1, -1) and deviations (n,), m.
 
     A figure that takes the worst of all positions is given only where every position has what it needs.
-
-    Args:
-        position: (n,) target position of each reading, m; readings of one position hold the same number.
-        direction: (n,) +1 approached in the positive direction, -1 in the negative one.
-        deviation: (n,) actual minus target position, m.
     """
     target, index = np.unique(position, return_inverse=True)
     m = len(target)
@@ -154,18 +135,12 @@ def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> t
 
 
 def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
-    """Expanded uncertainty (k = 2) of the figures from the repeatability that they were found with.
+    """Expanded uncertainty (k = 2) by figure, from the repeatability that the figures were found with.
 
     As of repeated tests: every figure is worked out again for runs that are drawn about the means with the standard
     deviation found, of each direction over all positions; twice the standard deviation of what comes out. The
-    uncertainty of the instrument and of its alignment and temperature (the standard's Annex A, from certificates that a
-    session does not hold) is not in it.
-
-    Args:
-        figures: of one axis, with at least two runs in each direction in which it was measured.
-
-    Returns:
-        By figure (`FIGURES`); those that the readings do not give are left out.
+    uncertainty of the instrument and of its alignment and temperature (the standard's Annex A, from certificates
+    that a session does not hold) is not in it; figures that the readings do not give are left out.
     """
     rng = np.random.default_rng(1)
     position, direction, centre, spread = [], [], [], []
@@ -198,16 +173,10 @@ def positioning_runs(
 ) -> list[dict[str, Any]]:
     """Figures of every setup in which a line was read along itself, in both directions or repeatedly.
 
-    Args:
-        observations: the readings.
-        diagonals: whether those along diagonals are wanted, instead of those along a linear axis.
-        uncertain: whether the uncertainties of the figures are wanted, which take most of the time.
-
-    Returns:
-        For each such setup its id, the `axis` (X; of a diagonal the signs of its motion along X, Y, Z: `NPP`, `NP0`),
-        the fields of `Positioning`, the single runs `runs_up` and `runs_down` (runs, m), m, and the expanded
-        uncertainties (k = 2) of the figures, `B_U` and so on, as far as the runs determine them. The positions of a
-        diagonal count from its end.
+    For each its id, the `axis` (X; of a diagonal, if `diagonals` are wanted, the signs of its motion along X, Y, Z:
+    `NPP`, `NP0`), the fields of `Positioning`, the single runs `runs_up` and `runs_down` (runs, m), m, and, if
+    wanted (they take most of the time), the expanded uncertainties (k = 2) of the figures, `B_U` and so on, as far
+    as the runs determine them. The positions of a diagonal count from its end.
     """
     out = []
     for index, name in enumerate(observations.session.setup_ids):
@@ -277,10 +246,7 @@ def _largest(runs: Sequence[dict[str, Any]], figure: str) -> dict[str, float]:
 
 
 def _line(observations: Observations, mine: IntArray) -> Array | None:
-    """(3,) direction of the line along which all readings of a setup sense and on which it begins and ends; or None.
-
-    An axis's points in its positive direction, a diagonal's as it was moved first.
-    """
+    """(3,) line along which all readings sense and on which they begin and end, an axis's upwards; None if none."""
     if len(mine) < 4:
         return None
     position, direction = observations.position[mine], observations.direction[mine]
@@ -330,7 +296,6 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
 
 
 def _single(position: Array) -> bool:
-    """Whether no position was read twice."""
     return bool(np.unique(position, return_counts=True)[1].max() < 2)
 
 

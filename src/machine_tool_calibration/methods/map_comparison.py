@@ -48,19 +48,12 @@ _MOTIONS = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "tu
 
 @dataclass(frozen=True)
 class Motion:
-    """A part of the common motion by which the first map differs from the second.
+    """A part of the common motion by which the first map differs from the second."""
 
-    Attributes:
-        name: `shift x` … (m), `turn about z` … (rad), about the middle of the common points.
-        value: NaN where the common points do not tell it.
-        u: standard uncertainty.
-        unit: m or rad.
-    """
-
-    name: str
-    value: float
-    u: float
-    unit: str
+    name: str  # `shift x` … (m), `turn about z` … (rad), about the middle of the common points
+    value: float  # NaN where the common points do not tell it
+    u: float  # standard uncertainty
+    unit: str  # m or rad
 
 
 @dataclass(frozen=True)
@@ -130,17 +123,10 @@ def compare_maps(
 ) -> MapComparison:
     """Take the common motion out, and give what is left with its uncertainty.
 
-    Args:
-        points: (n, 3) m.
-        first: (n, 3) position errors by one map, m; NaN in a direction that it does not have.
-        second: (n, 3) by the other.
-        roots: for each map (k, n, 3) rows of a root of the covariance of its errors: the product of the transposed
-            root with itself is the covariance. Both have the same k, and are independent row by row.
-        draws: number of random draws that the roots were made of; None where they are exact.
-        labels: names of the maps.
-
-    Raises:
-        ModelError: nothing to compare.
+    Position errors (n, 3) at points (n, 3) by two maps, m, NaN in a direction that one does not have; for each (k,
+    n, 3) rows of a root of the covariance of its errors (the product of the transposed root with itself), both with
+    the same k and independent row by row; and of how many random draws the roots were made, None where they are
+    exact. A ModelError says that there is nothing to compare.
     """
     there = np.isfinite(first) & np.isfinite(second)
     if not there.any():
@@ -177,10 +163,7 @@ def compare_maps(
 
 
 def _motions(points: Array, there: BoolArray) -> tuple[Array, float]:
-    """(q, 6) change of the components that are there by a unit of each motion, and the arm by which turns are scaled.
-
-    Turns are about the middle of the points, and move the farthest of them by 1.
-    """
+    """(q, 6) change of the components by a unit of each motion, turns scaled by the returned arm, m."""
     arm = points - points[there.any(axis=1)].mean(axis=0)
     size = float(np.linalg.norm(arm[there.any(axis=1)], axis=1).max()) or 1.0
     return rigid_motions(arm / size)[there], size
@@ -210,15 +193,10 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
 
 
 def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
-    """Of the sum of squares that are made independent; of a covariance from draws by Hotelling's distribution.
+    """p-value of (q,) differences by the sum of squares that are made independent; None where nothing tells.
 
-    Args:
-        difference: (q,) what should be zero.
-        rows: (k, q) of a root of its covariance.
-        draws: number of random draws that the root was made of; None where it is exact.
-
-    Returns:
-        p-value; None where there is nothing to test, or too few draws to tell.
+    From (k, q) rows of a root of their covariance; by Hotelling's distribution where it was made of so many
+    `draws`.
     """
     _, sizes, right = np.linalg.svd(rows, full_matrices=False)
     good = sizes > _RANK * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
@@ -236,14 +214,7 @@ def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | 
 def map_draws(
     fitted: FittedSessions, draws: int, seed: int, progress: Callable[[float], None] = lambda share: None
 ) -> Array:
-    """(draws, n, 3) deviations of a map's position errors, drawn from their joint distribution as it is published, m.
-
-    Args:
-        fitted: of which the map is.
-        draws: how many.
-        seed: of the draws.
-        progress: is told the share that is done.
-    """
+    """(draws, n, 3) deviations of a map's position errors, drawn from their joint published distribution, m."""
     base = fitted.error_map.error
     out = np.empty((draws, *base.shape))
     for k, joint in enumerate(drawn(fitted.joint, np.random.default_rng(seed), draws)):
@@ -261,18 +232,10 @@ def compare_fits(
     seed: int = 1,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> MapComparison:
-    """Compare the maps of two measurements of one machine at the points that both have.
+    """Compare the maps of two independent measurements of one machine at the points that both have.
 
-    Args:
-        first: one measurement.
-        second: the other, independent of it.
-        labels: their names.
-        draws: by which the uncertainties are carried over to the common datum; each is told to 1 / sqrt(2 draws).
-        seed: of the draws.
-        progress: is told what is done and which share of it.
-
-    Raises:
-        ModelError: no point, or no direction at any, is in both maps.
+    The uncertainties are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
+    ModelError says that no point, or no direction at any, is in both maps.
     """
     pairs = common_points(first.error_map.points, second.error_map.points)
     if not len(pairs[0]):

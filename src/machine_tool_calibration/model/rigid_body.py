@@ -115,12 +115,10 @@ class MachineTable:
 
     def term(self, observations: Observations) -> Term:
         """The motion as a term: what it displaces, and the turning of a mirror with it."""
-        columns = self.columns(observations.position, observations.direction)
-        turned = observations.rotation_direction
+        along, turned = self.scalar(observations.position, observations.direction), observations.rotation_direction
         if turned is not None and self.is_rotation and not self.is_squareness:
-            component = "ABC".index(parse_motion(self.name).component)
-            columns = columns + self.weights(observations.position) * turned[:, component]
-        return Term(self.name, self.parameters, columns)
+            along = along + turned[:, "ABC".index(parse_motion(self.name).component)]
+        return Term(self.name, self.parameters, self.weights(observations.position) * along)
 
 
 def axis_nodes(positions: Array) -> Array:

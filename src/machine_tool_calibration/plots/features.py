@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.probing.features import Features
-from machine_tool_calibration.methods.probing.shapes import Circle, Line
+from machine_tool_calibration.methods.probing.geometry import Circle, Line
 from machine_tool_calibration.plots.style import (
     BAND,
     COLORS,

@@ -266,10 +266,9 @@ def session_headline(session: Session) -> str:
     """What was measured, in one line."""
     ids = session.setup_ids
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
-    words = spec_of(session).words
     return say(
         "result.headline",
-        kind=named("method", session.method.replace("_", " ")) if words is None else words(session.description),
+        kind=spec_of(session).words(session.description) or named("method", session.method.replace("_", " ")),
         readings=say("result.readings", n=len(session.readings)),
         setups=say("result.setups", n=len(ids)),
         names=names,

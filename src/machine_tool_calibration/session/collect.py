@@ -40,12 +40,7 @@ class Collector:
     """Collects `reading` messages; the same readings give the same session, to the last bit, however they came."""
 
     def __init__(self, description: Description, place: Place) -> None:
-        """Start without readings.
-
-        Args:
-            description: the measurement's description.
-            place: how messages name where the readings come from.
-        """
+        """Start without readings; `place` is how messages name where they come from."""
         self.description = description
         self._place = place
         self._count = 0
@@ -65,15 +60,7 @@ class Collector:
         return float(last[self._names.index("time")])
 
     def add(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
-        """One more reading, as a JointState carries it.
-
-        Args:
-            names: `name`.
-            values: `position`.
-
-        Raises:
-            SessionError: not as many values as names, or a name twice.
-        """
+        """One more reading, as a JointState carries it; a SessionError if names and values do not match."""
         where = self._place.row(len(self))
         if len(names) != len(values):
             raise SessionError(f"{where}: {len(names)} names and {len(values)} values")
@@ -86,15 +73,7 @@ class Collector:
         self._values.append(np.asarray(values, dtype=np.float64))
 
     def session(self, source: str, *, check: bool = True) -> Session:
-        """What was collected so far.
-
-        Args:
-            source: name of the session, for messages.
-            check: also refuse what is not enough for the method.
-
-        Raises:
-            SessionError: as for a session folder.
-        """
+        """What was collected so far, checked whether it is enough; a SessionError as for a session folder."""
         numbers = self._columns()
         labels: dict[str, np.ndarray] = {}
         for column, (label, key) in INDEX_COLUMNS.items():
@@ -142,15 +121,10 @@ class Collector:
 
 @dataclass(frozen=True)
 class Reading:
-    """One `reading` message.
+    """One `reading` message."""
 
-    Attributes:
-        names: `name`.
-        values: `position`.
-    """
-
-    names: Sequence[str]
-    values: Sequence[float]
+    names: Sequence[str]  # `name`
+    values: Sequence[float]  # `position`
 
 
 def _is_same(one: Reading, other: Reading) -> bool:
@@ -170,17 +144,9 @@ class Received:
         return len(self._readings)
 
     def add(self, stamp: int, reading: Reading) -> int:
-        """One more reading; one that belongs to another session is the first of that.
+        """Take one more reading, and say how many were forgotten because it is the first of another session.
 
-        Args:
-            stamp: of the message, ns.
-            reading: what it says.
-
-        Returns:
-            How many readings were forgotten because another session has begun.
-
-        Raises:
-            SessionError: it is numbered or timed in a way that cannot be.
+        `stamp` is the message's, ns. A SessionError says that it is numbered or timed in a way that cannot be.
         """
         columns = dict(zip(reading.names, reading.values, strict=True))
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
@@ -233,15 +199,9 @@ class Received:
 
 
 def live_session(description: str, readings: Iterable[Reading], *, check: bool = True) -> Session:
-    """The session that live messages make.
+    """The session that live messages make: the text of the topic `session`, and readings in the order of time.
 
-    Args:
-        description: the text of the topic `session`.
-        readings: in the order of time.
-        check: also refuse what is not enough for the method.
-
-    Raises:
-        SessionError: as for a session folder.
+    If `check`, also what is not enough for the method is refused. A SessionError as for a session folder.
     """
     collector = Collector(parse_description(description, "session"), Place("session", "reading"))
     for reading in readings:

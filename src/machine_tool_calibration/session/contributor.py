@@ -50,40 +50,25 @@ _FOURTHS = {"normal": 3.0, "rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "
 
 
 class Contributor(Record):
-    """One line of an uncertainty budget.
+    """One line of an uncertainty budget."""
 
-    Attributes:
-        name: what it is.
-        symbol: as in u_11; may be absent.
-        type: A, evaluated from observations by statistics; B, otherwise.
-        distribution: of its value.
-        standard_uncertainty: in the unit of `UNITS`; or instead of it
-        expanded: expanded uncertainty, with
-        coverage_factor: k; or
-        half_width: of a distribution with ends.
-        degrees_of_freedom: of a standard uncertainty that was evaluated; not said: known exactly.
-        enters: what one unit of it does to a reading (`patterns.effect_on_readings`).
-        varies: which readings share a value of it: one reading, or all of a place, beam direction, run, setup, session;
-            never: all.
-        expansion: coefficient of expansion of what has the temperature, 1/K.
-        instrument: whose readings alone it enters; those of all if it is not said.
-        source: where the value is from.
-    """
-
-    name: Annotated[str, Field(min_length=1, max_length=80)]
-    symbol: Annotated[str, Field(max_length=20)] = ""
-    type: Literal["A", "B"]
-    distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
-    standard_uncertainty: Positive | None = None
-    expanded: Positive | None = None
-    coverage_factor: Annotated[Finite, Field(gt=0)] | None = None
-    half_width: Positive | None = None
+    name: Annotated[str, Field(min_length=1, max_length=80)]  # what it is
+    symbol: Annotated[str, Field(max_length=20)] = ""  # as in u_11; may be absent
+    type: Literal["A", "B"]  # A, evaluated from observations by statistics; B, otherwise
+    distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"  # of its value
+    standard_uncertainty: Positive | None = None  # in the unit of `UNITS`; or instead of it
+    expanded: Positive | None = None  # expanded uncertainty, with
+    coverage_factor: Annotated[Finite, Field(gt=0)] | None = None  # k; or
+    half_width: Positive | None = None  # of a distribution with ends
+    # of a standard uncertainty that was evaluated; not said: known exactly
     degrees_of_freedom: Annotated[Finite, Field(ge=1)] | None = None
-    enters: Enters
+    enters: Enters  # what one unit of it does to a reading (`patterns.effect_on_readings`)
+    # which readings share a value of it: one reading, or all of a place, beam direction, run, setup, session; never:
+    # all
     varies: Varies
-    expansion: Annotated[Finite, Field(gt=0)] | None = None
-    instrument: Instrument | Literal[""] = ""
-    source: str = ""
+    expansion: Annotated[Finite, Field(gt=0)] | None = None  # coefficient of expansion of what has the temperature, 1/K
+    instrument: Instrument | Literal[""] = ""  # whose readings alone it enters; those of all if it is not said
+    source: str = ""  # where the value is from
 
     @model_validator(mode="after")
     def _check(self) -> Contributor:

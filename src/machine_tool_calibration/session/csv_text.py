@@ -19,13 +19,7 @@ __all__ = ["write_csv"]
 
 
 def write_csv(frame: pd.DataFrame, stream: TextIO, *, header: bool = True) -> None:
-    """Write a table; missing values are empty fields, lines end with a line feed.
-
-    Args:
-        frame: columns of numbers and text.
-        stream: opened with `newline=""`.
-        header: whether the names of the columns come first.
-    """
+    """Write columns of numbers and text to a stream opened with `newline=""`; missing values are empty fields."""
     if arrow is None or len(frame.columns) < 2:  # an empty field alone on a line needs quotes
         frame.to_csv(stream, index=False, header=header, lineterminator="\n")
         return

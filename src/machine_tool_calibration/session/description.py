@@ -42,17 +42,11 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Place:
-    """Names of a measurement's parts, for messages.
+    """Names of a measurement's parts, for messages."""
 
-    Attributes:
-        description: what holds the description, such as the path of `session.yaml`.
-        readings: what holds the readings, such as the path of `observations.csv`.
-        line: line in the file for a row, where the readings are a text file.
-    """
-
-    description: str
-    readings: str
-    line: Callable[[int], int] | None = None
+    description: str  # what holds the description, such as the path of `session.yaml`
+    readings: str  # what holds the readings, such as the path of `observations.csv`
+    line: Callable[[int], int] | None = None  # line in the file for a row, where the readings are a text file
 
     def row(self, row: int) -> str:
         """`file row 3 (line 5)`; rows count from 0, lines from 1."""
@@ -82,24 +76,18 @@ About = Annotated[dict[str, Any], AfterValidator(_check_about)]
 
 
 class Machine(Record):
-    """The machine tool's chain and travel.
+    """The machine tool's chain and travel."""
 
-    Attributes:
-        chain: axes from workpiece to tool in the order of ISO 10791, such as `w-C-b-Y-X-Z-t`.
-        travel: lower and upper end of each axis, m or rad.
-        table_grid: nodes of the error tables of each axis, m (probing).
-        rotation_sign: sense in which the workpiece turns, seen from +Z, when C is commanded
-            positive: -1 clockwise (probing), +1 counter-clockwise.
-        axis: the rotary axis under test (rotary_axis).
-        tool_offset: from the point to which the axes' positions refer (where the lever arms of the axes' angular
-            errors end if nothing is said) to the functional point, x, y, z, m.
-    """
-
-    chain: str
-    travel: dict[str, Vector2] = Field(default_factory=dict)
+    chain: str  # axes from workpiece to tool in the order of ISO 10791, such as `w-C-b-Y-X-Z-t`
+    travel: dict[str, Vector2] = Field(default_factory=dict)  # lower and upper end of each axis, m or rad
+    # nodes of the error tables of each axis, m (probing)
     table_grid: dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None = None
+    # sense in which the workpiece turns, seen from +Z, when C is commanded positive: -1 clockwise (probing), +1
+    # counter-clockwise
     rotation_sign: Literal[-1, 1] | None = None
-    axis: str | None = None
+    axis: str | None = None  # the rotary axis under test (rotary_axis)
+    # from the point to which the axes' positions refer (where the lever arms of the axes' angular errors end if
+    # nothing is said) to the functional point, x, y, z, m
     tool_offset: Vector3 | None = None
 
     @property
@@ -124,25 +112,18 @@ class Machine(Record):
 
 
 class DeclaredUncertainty(Record):
-    """Standard uncertainty (k = 1) of one reading, of the form a + b L.
+    """Standard uncertainty (k = 1) of one reading, of the form a + b L."""
 
-    Attributes:
-        displacement: a, m.
-        per_length: b, m/m; L is the nominal path from the instrument to the functional point, or, of deviations that
-            are read directly, the distance from the machine's zero along the sensed direction.
-    """
-
-    displacement: Positive
+    displacement: Positive  # a, m
+    # b, m/m; L is the nominal path from the instrument to the functional point, or, of deviations that are read
+    # directly, the distance from the machine's zero along the sensed direction
     per_length: Annotated[Finite, Field(ge=0)] = 0.0
 
 
 class StandardUncertainty(DeclaredUncertainty):
-    """The same for all readings, or for single setups otherwise.
+    """The same for all readings, or for single setups otherwise."""
 
-    Attributes:
-        setups: by id, for setups whose readings are better or worse than the others.
-    """
-
+    # by id, for setups whose readings are better or worse than the others
     setups: dict[str, DeclaredUncertainty] = Field(default_factory=dict)
 
 
@@ -219,17 +200,10 @@ Said = TypeVar("Said", bound="Description")
 
 
 class Description(Record):
-    """What every method says; each adds its `method`, its `setups`, and what else it has to say.
+    """What every method says; each adds its `method`, its `setups`, and what else it has to say."""
 
-    Attributes:
-        trust_units: whether sizes, units and places are taken as they are, however implausible.
-        about: who, what, when: machine, serial numbers, instruments, certificates, operator, place, date, …
-        budget: contributors to the uncertainty of the readings, beside their own scatter.
-        reads: the instrument, unless the session says it.
-        turns: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
-    """
-
-    reads: ClassVar[str | None] = None
+    reads: ClassVar[str | None] = None  # the instrument, unless the session says it
+    # sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z
     turns: ClassVar[int] = 1
 
     if TYPE_CHECKING:
@@ -240,9 +214,10 @@ class Description(Record):
     machine: Machine
     repeats: Annotated[int, Field(ge=1)] = 1
     standard_uncertainty: StandardUncertainty
-    trust_units: bool = False
+    trust_units: bool = False  # whether sizes, units and places are taken as they are, however implausible
+    # who, what, when: machine, serial numbers, instruments, certificates, operator, place, date, …
     about: About = Field(default_factory=dict)
-    budget: Contributors = ()
+    budget: Contributors = ()  # contributors to the uncertainty of the readings, beside their own scatter
 
     def as_a(self, kind: type[Said]) -> Said:
         """The same, where its method is known.
@@ -315,16 +290,11 @@ class Probing(Description):
 
 
 class Direct(Description):
-    """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others.
-
-    Attributes:
-        instrument: what read; effects of air and beam are looked for only where it says that there is a beam.
-        datum: what the instrument leaves open in every setup.
-        terms: the machine errors in the model.
-    """
+    """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others."""
 
     method: Literal["direct"]
+    # what read; effects of air and beam are looked for only where it says that there is a beam
     instrument: Instrument | None = None
-    datum: Literal["none", "offset", "rigid"] = "none"
-    terms: tuple[str, ...] = ()
+    datum: Literal["none", "offset", "rigid"] = "none"  # what the instrument leaves open in every setup
+    terms: tuple[str, ...] = ()  # the machine errors in the model
     setups: Annotated[tuple[DirectSetup, ...], Field(min_length=1)]

@@ -28,12 +28,8 @@ __all__ = ["read_session", "readings_frame", "write_session"]
 def read_session(path: Path, *, check: bool = True) -> Session:
     """Read a session folder: `session.yaml` and `observations.csv`.
 
-    Args:
-        path: the folder.
-        check: also refuse what is readable but cannot be right or is not enough for the method (`check_session`).
-
-    Raises:
-        SessionError: one line with file and row, line or key.
+    If `check`, also refuse what is readable but cannot be right or is not enough for the method (`check_session`).
+    A SessionError says it in one line with file and row, line or key.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -73,15 +69,9 @@ def readings_frame(session: Session) -> pd.DataFrame:
 
 
 def write_session(session: Session, folder: Path, *, overwrite: bool = False) -> None:
-    """Write `session.yaml` and `observations.csv`; numbers come back to the last bit.
+    """Write `session.yaml` and `observations.csv` into a folder; numbers come back to the last bit.
 
-    Args:
-        session: the measurement.
-        folder: made where it is missing.
-        overwrite: replace a session that is already there.
-
-    Raises:
-        SessionError: a session is already there, or the folder cannot be written.
+    A SessionError says that a session is already there (unless `overwrite`), or the folder cannot be written.
     """
     from machine_tool_calibration.session.csv_text import write_csv
 

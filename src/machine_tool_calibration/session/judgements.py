@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a method checks of a session: a measurement judged as a whole, and what was read held against what is stated."""
+"""A measurement judged as a whole, and what was read held against what is stated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["GROSS", "Checks", "Held", "Judgement", "Supposition"]
+__all__ = ["GROSS", "Held", "Judgement", "Supposition"]
 
 GROSS = 0.2
 """Share of a setup's readings up to which those that contradict are single gross errors, which are set aside."""
@@ -22,114 +19,38 @@ GROSS = 0.2
 
 @dataclass(frozen=True)
 class Supposition:
-    """One mistake that may have been made.
+    """One mistake that may have been made."""
 
-    Attributes:
-        what: the mistake in words.
-        session: the measurement as it would be without it.
-    """
-
-    what: str
-    session: Session
+    what: str  # the mistake in words
+    session: Session  # the measurement as it would be without it
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """How a measurement is judged, and what may have gone wrong with it.
+    """How a measurement is judged, and what may have gone wrong with it."""
 
-    Attributes:
-        misfit: how badly a measurement fits.
-        suppositions: mistakes that may have been made, the likeliest first; made on demand.
-        absurd: misfit beyond which mistakes are looked for.
-        good: what the misfit must be below without the mistake.
-        better: the same as a share of the misfit as it is.
-    """
-
-    misfit: Callable[[Session], float]
-    suppositions: Iterable[Supposition]
-    absurd: float
-    good: float
-    better: float = 1.0
+    misfit: Callable[[Session], float]  # how badly a measurement fits
+    suppositions: Iterable[Supposition]  # mistakes that may have been made, the likeliest first; made on demand
+    absurd: float  # misfit beyond which mistakes are looked for
+    good: float  # what the misfit must be below without the mistake
+    better: float = 1.0  # the same as a share of the misfit as it is
 
 
 @dataclass(frozen=True)
 class Held:
-    """What was commanded or read, held against the stated geometry.
+    """What was commanded or read, held against the stated geometry."""
 
-    Attributes:
-        what: was held, such as `azimuth`.
-        against: what the geometry says, in words.
-        off: (n,) how far each reading is off it, m or rad; NaN where it says nothing.
-        allowed: (n,) how far a machine and a survey may be off.
-        unit: m, rad, or empty for what only agrees or not.
-        share: of a group's readings up to which the contradicting ones are no contradiction.
-        group: (n,) of each reading, such as its run; its setup if absent.
-        label: column of labels by which the groups are called, such as `point`; by their setup if empty.
-        hint: of a setup, what its readings say instead; may be empty.
-    """
-
-    what: str
-    against: str
-    off: Array
-    allowed: Array
-    unit: str = "m"
-    share: float = GROSS
-    group: IntArray | None = None
-    label: str = ""
-    hint: Callable[[int], str] = lambda setup: ""
+    what: str  # was held, such as `azimuth`
+    against: str  # what the geometry says, in words
+    off: Array  # (n,) how far each reading is off it, m or rad; NaN where it says nothing
+    allowed: Array  # (n,) how far a machine and a survey may be off
+    unit: str = "m"  # m, rad, or empty for what only agrees or not
+    share: float = GROSS  # of a group's readings up to which the contradicting ones are no contradiction
+    group: IntArray | None = None  # (n,) of each reading, such as its run; its setup if absent
+    label: str = ""  # column of labels by which the groups are called, such as `point`; by their setup if empty
+    hint: Callable[[int], str] = lambda setup: ""  # of a setup, what its readings say instead; may be empty
 
     @property
     def bad(self) -> BoolArray:
         """(n,) readings that contradict."""
         return np.asarray(self.off > self.allowed)
-
-
-class Checks:
-    """What a method checks of a session, beside what is checked of every one.
-
-    Attributes:
-        needed: readings that some setup must have.
-    """
-
-    needed: ClassVar[int] = 1
-
-    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
-        """Refuse a session of which no model of the method can make anything.
-
-        Some setup must have readings enough; what was lost in others is named by the estimator.
-
-        Args:
-            session: the measurement.
-            measured: (n,) which of its readings are there.
-            place: names for messages.
-
-        Raises:
-            SessionError: fewer than two readings, or no setup has as many as needed.
-        """
-        good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
-        if good.sum() < 2:
-            raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
-        if good.max() < self.needed:
-            raise SessionError(
-                f"{place.readings}: too few readings: no setup has more than {good.max()}; at least {self.needed} are "
-                "needed"
-            )
-
-    def magnitudes(self, session: Session, place: Place) -> None:
-        """Refuse values of the method's own keys and columns that can only be a wrong unit.
-
-        Raises:
-            SessionError: the key or column, the value, and the unit that is suspected.
-        """
-
-    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
-        """Judgements by the nominal geometry, by which common mistakes are found."""
-        return iter(())
-
-    def held(self, session: Session) -> Iterator[Held]:
-        """Places, beams and displacements held against the geometry that the session states."""
-        return iter(())
-
-    def suspicious(self, session: Session) -> Iterator[str]:
-        """What in it hardly can be, a sentence each."""
-        return iter(())

@@ -1,93 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the rest of the package knows of a measuring method: one record, which the method's folder holds.
+"""What the rest of the package knows of a measuring method, which the method's folder holds.
 
-Functions of this room and of rooms below it stand in the record as they are. Those of rooms above it, and what takes
-long to import, stand as text `module:function` and are loaded when they are asked for (`load`).
+Functions of rooms above this one, and what takes long to import, stand as text `module:function` and are loaded when
+they are asked for (`load`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from functools import cache, cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
+
+import numpy as np
+
+from machine_tool_calibration.errors import SessionError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.session.description import Description
-    from machine_tool_calibration.session.judgements import Checks
+    from machine_tool_calibration.arrays import BoolArray
+    from machine_tool_calibration.session.description import Description, Place
+    from machine_tool_calibration.session.judgements import Held, Judgement
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["MethodSpec", "load"]
 
 
-@dataclass(frozen=True)
 class MethodSpec:
-    """A measuring method.
+    """A measuring method: a method's folder says what differs from this."""
 
-    Attributes:
-        description: record of what session.yaml says.
-        columns: of a description, the columns of observations.csv without which the method cannot work.
-        any_axis: whether some column of an axis's position is needed, of whichever axis.
-        checks: what is checked of a session, beside what is checked of every one.
-        model: module with `build(session, variant)`, which gives the model.
-        map: module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent.
-        models: names of the model's variants, the default first; for each when it is the right one.
-        tables: variant with tables of the machine's error motions, which other sessions can share; the default if
-            absent.
-        by_axes: variants in which nothing but the axes' errors moves the tool point.
-        no_tables: why a model has no tables of error motions, and what to do.
+    description: ClassVar[type[Description]]  # record of what session.yaml says
+    model: ClassVar[str]  # module with `build(session, variant)`, which gives the model
+    # names of the model's variants, the default first; for each when it is the right one
+    models: ClassVar[Mapping[str, str]]
+    # module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent
+    map: ClassVar[str | None] = None
+    any_axis: ClassVar[bool] = False  # whether some column of an axis's position is needed, of whichever axis
+    # columns that observations.csv must have, where they do not depend on the description
+    always: ClassVar[tuple[str, ...]] = ()
+    needed: ClassVar[int] = 1  # readings that some setup must have
+    # what is mounted again between setups, where that does not depend on the description
+    remounted: ClassVar[str] = "the instrument"
+    # variant with tables of the machine's error motions, which other sessions can share; the default if absent
+    tables: ClassVar[str | None] = None
+    by_axes: ClassVar[tuple[str, ...]] = ()  # variants in which nothing but the axes' errors moves the tool point
+    no_tables: ClassVar[str] = ""  # why a model has no tables of error motions, and what to do
+    # what may be turned by orienting the spindle, and the effects that turn with it
+    turned_part: ClassVar[tuple[str, tuple[str, ...]]] = ("", ())
 
-        words: of a description, what is measured, in words.
-        mounted: of a description, what has to be mounted again for further readings in a setup, whose unknowns then are
-            new ones; empty where everything stays in place.
-        turned_part: what may be turned by orienting the spindle, and the effects that turn with it.
+    reads_deviations: ClassVar[bool] = False  # whether a reading is a small deviation rather than a path
+    # whether a reading is the machine's deviation itself along a given direction: what does not reproduce is then the
+    # machine's or the part's own, of which the declared uncertainty knows nothing, and the error map holds the
+    # displacements by the effects, reading by reading
+    reads_machine: ClassVar[bool] = False
+    # whether readings sense a workpiece's surface along its normal, which turns with the table
+    probes_surface: ClassVar[bool] = False
+    turns_one_axis: ClassVar[bool] = False  # whether a run turns one rotary axis, angle after angle
+    # whether a setup states a run, move after move: their order matters even where the directions of approach do not,
+    # and a procedure's targets follow from the session
+    states_runs: ClassVar[bool] = False
+    # whether readings count from the first one of their run rather than of their setup
+    counts_from_run: ClassVar[bool] = False
+    free_order: ClassVar[bool] = False  # whether targets may be visited in any order
 
-        reads_deviations: whether a reading is a small deviation rather than a path.
-        reads_machine: whether a reading is the machine's deviation itself along a given direction: what does not
-            reproduce is then the machine's or the part's own, of which the declared uncertainty knows nothing, and the
-            error map holds the displacements by the effects, reading by reading.
-        probes_surface: whether readings sense a workpiece's surface along its normal, which turns with the table.
-        turns_one_axis: whether a run turns one rotary axis, angle after angle.
-        states_runs: whether a setup states a run, move after move: their order matters even where the directions of
-            approach do not, and a procedure's targets follow from the session.
-        counts_from_run: whether readings count from the first one of their run rather than of their setup.
-        free_order: whether targets may be visited in any order.
-
-        steps: of a procedure, its steps one reading each.
-        planned: of a procedure, its steps and the setup of each, what a perfect machine would show.
-        further_places: of a session and its description, further setups that could be measured, as options.
-        pictures: module with `figures` of a result; those of its map and tables if absent.
-        optics: of a site and a description, the simulated instrument's beam.
-    """
-
-    description: type[Description]
-    columns: Callable[[Any], tuple[str, ...]]
-    checks: Checks
-    model: str
-    models: Mapping[str, str]
-    any_axis: bool = False
-    map: str | None = None
-    tables: str | None = None
-    by_axes: tuple[str, ...] = ()
-    no_tables: str = ""
-
-    words: Callable[[Any], str] | None = None
-    mounted: Callable[[Any], str] = lambda description: "the instrument"
-    turned_part: tuple[str, tuple[str, ...]] = ("", ())
-
-    reads_deviations: bool = False
-    reads_machine: bool = False
-    probes_surface: bool = False
-    turns_one_axis: bool = False
-    states_runs: bool = False
-    counts_from_run: bool = False
-    free_order: bool = False
-
-    steps: str | None = None
-    planned: str | None = None
-    further_places: str | None = None
-    pictures: str | None = None
-    optics: str | None = None
+    steps: ClassVar[str | None] = None  # of a procedure, its steps one reading each
+    # of a procedure, its steps and the setup of each, what a perfect machine would show
+    planned: ClassVar[str | None] = None
+    # of a session and its description, further setups that could be measured, as options
+    further_places: ClassVar[str | None] = None
+    pictures: ClassVar[str | None] = None  # module with `figures` of a result; those of its map and tables if absent
+    optics: ClassVar[str | None] = None  # of a site and a description, the simulated instrument's beam
 
     @property
     def name(self) -> str:
@@ -103,15 +84,56 @@ class MethodSpec:
         kinds = get_args(self.description.model_fields["setups"].annotation)
         return any(isinstance(kind, type) and issubclass(kind, StationSetup) for kind in kinds)
 
+    def columns(self, description: Any) -> tuple[str, ...]:
+        """Columns of observations.csv without which the method cannot work."""
+        return self.always
+
+    def words(self, description: Any) -> str:
+        """What is measured, in words; empty where the method's name says it."""
+        return ""
+
+    def mounted(self, description: Any) -> str:
+        """What has to be mounted again for further readings in a setup, whose unknowns then are new ones; may be ''."""
+        return self.remounted
+
+    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
+        """Refuse (SessionError) a session of which no model of the method can make anything.
+
+        Some setup must have readings enough of those that are `measured` (n,); what was lost in others is named
+        by the estimator.
+        """
+        good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
+        if good.sum() < 2:
+            raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
+        if good.max() < self.needed:
+            raise SessionError(
+                f"{place.readings}: too few readings: no setup has more than {good.max()}; at least {self.needed} are "
+                "needed"
+            )
+
+    def magnitudes(self, session: Session, place: Place) -> None:
+        """Refuse values of the method's own keys and columns that can only be a wrong unit.
+
+        Raises:
+            SessionError: the key or column, the value, and the unit that is suspected.
+        """
+
+    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
+        """Judgements by the nominal geometry, by which common mistakes are found."""
+        return iter(())
+
+    def held(self, session: Session) -> Iterator[Held]:
+        """Places, beams and displacements held against the geometry that the session states."""
+        return iter(())
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """What in it hardly can be, a sentence each."""
+        return iter(())
+
 
 @cache
 def load(where: str) -> Any:
-    """What a text `module` or `module:name` stands for.
-
-    Raises:
-        ImportError: no such module.
-        AttributeError: the module has no such name.
-    """
+    """What a text `module` or `module:name` stands for."""
     module, _, name = where.partition(":")
     found = import_module(module)
     return getattr(found, name) if name else found

@@ -1,50 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The text of `session.yaml` to a description and back."""
+"""The text of `session.yaml` to a description and back, and lists of which points make a feature."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import Field
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
 from machine_tool_calibration.session.defects import AnyRecord, either, kind_of, place_in, shown, validated
 from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.record import Record
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.values import Identifier
 from machine_tool_calibration.session.yaml_text import Document, PlainDumper, load_yaml
 
-__all__ = ["describe", "description_yaml", "parse_description", "parse_record"]
+__all__ = ["describe", "description_yaml", "parse_description", "parse_record", "read_feature_points"]
 
 FORMAT = "mtcal-session/1"
 
 
 def parse_description(text: str, source: str) -> Description:
-    """The description that a `session.yaml` holds.
+    """The description that the text of a `session.yaml` holds.
 
-    Args:
-        text: the file's content.
-        source: the file's name, for messages.
-
-    Raises:
-        SessionError: one line with file, line and key of the first defect.
+    A SessionError says in one line file (`source`), line and key of the first defect.
     """
     document = _mapping(text, source, FORMAT)
     return describe(document.value, source, document)
 
 
 def parse_record(text: str, source: str, record: type[AnyRecord], form: str) -> AnyRecord:
-    """A record of another kind that a YAML text holds.
-
-    Args:
-        text: the file's content.
-        source: the file's name, for messages.
-        record: what it holds.
-        form: what its key `format` says.
-
-    Raises:
-        SessionError: one line with file, line and key of the first defect.
-    """
+    """A record of another kind that a YAML text holds, with that `format`; errors as for `parse_description`."""
     document = _mapping(text, source, form)
     return validated(record, document.value, source, document)
 
@@ -87,3 +77,15 @@ def description_yaml(description: Description) -> str:
     plain["standard_uncertainty"] = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
     return yaml.dump(plain, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
+
+
+class _FeaturePoints(Record):
+    """`features: {pin1: [0, 1, 2, 3], wall: [p7, p8, p9]}`: by feature, the ids of its points."""
+
+    format: Literal["mtcal-feature-points/1"]
+    features: Annotated[dict[str, Annotated[tuple[Identifier, ...], Field(min_length=1)]], Field(min_length=1)]
+
+
+def read_feature_points(file: Path) -> dict[str, tuple[str, ...]]:
+    """Ids of the points of each feature, where the session's points do not name it; errors as for a description."""
+    return parse_record(read_text(file), str(file), _FeaturePoints, "mtcal-feature-points/1").features

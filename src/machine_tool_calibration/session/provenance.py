@@ -28,40 +28,24 @@ _SHORT = 12
 
 @dataclass(frozen=True)
 class Origin:
-    """One measurement that a result was made from.
+    """One measurement that a result was made from."""
 
-    Attributes:
-        label: its name among several; empty for a single one.
-        about: descriptive data as `session.yaml` gives them.
-        measured: when, as `date` in `about` says; None where it does not.
-        sha256: of its data (`data_hash`).
-    """
-
-    label: str
-    about: Mapping[str, Any]
-    measured: str | None
-    sha256: str
+    label: str  # its name among several; empty for a single one
+    about: Mapping[str, Any]  # descriptive data as `session.yaml` gives them
+    measured: str | None  # when, as `date` in `about` says; None where it does not
+    sha256: str  # of its data (`data_hash`)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a result was made from, by what, and when.
+    """What a result was made from, by what, and when."""
 
-    Attributes:
-        evaluated: when, ISO 8601.
-        software: name and version.
-        model: variant of the method's model.
-        effects: ids of the physical effects in it.
-        sha256: of all data; that of the measurement where there is one, whatever the order where there are several.
-        sessions: the measurements.
-    """
-
-    evaluated: str
-    software: str
-    model: str
-    effects: tuple[str, ...]
-    sha256: str
-    sessions: tuple[Origin, ...]
+    evaluated: str  # when, ISO 8601
+    software: str  # name and version
+    model: str  # variant of the method's model
+    effects: tuple[str, ...]  # ids of the physical effects in it
+    sha256: str  # of all data; that of the measurement where there is one, whatever the order where there are several
+    sessions: tuple[Origin, ...]  # the measurements
 
     def document(self) -> dict[str, Any]:
         """As part of a document."""
@@ -134,11 +118,8 @@ def provenance(
 ) -> Provenance:
     """The record that every result carries.
 
-    Args:
-        sessions: that were evaluated; whatever was left out of them, their hash is that of what was recorded.
-        labels: names of several.
-        model: variant of the method's model; of several sessions each one once.
-        effects: ids of the effects in it.
+    The hash is of what was recorded, whatever was left out; of several sessions, `labels` are their names and
+    `model` each variant once.
     """
     named = labels if labels is not None and len(sessions) > 1 else [""] * len(sessions)
     origins = tuple(

@@ -34,24 +34,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Readings:
-    """The captured readings, in the order of time; a missing displacement is NaN.
+    """The captured readings, in the order of time; a missing displacement is NaN."""
 
-    Attributes:
-        setup: (n,) index of the setup in the description.
-        repeat: (n,) repetition of that setup, from 0.
-        displacement: (n,) the reading, m.
-        columns: every other numeric column by name, each (n,): time, x, y, z, c, dir_x, azimuth,
-            temperature_air and covariates of the user's own. NaN where missing.
-        labels: text columns by name, each (n,): target, point.
-        row: (n,) number of the reading in the recording, from 0; survives a selection.
-    """
-
-    setup: IntArray
-    repeat: IntArray
-    displacement: Array
+    setup: IntArray  # (n,) index of the setup in the description
+    repeat: IntArray  # (n,) repetition of that setup, from 0
+    displacement: Array  # (n,) the reading, m
+    # every other numeric column by name, each (n,): time, x, y, z, c, dir_x, azimuth, temperature_air and covariates
+    # of the user's own. NaN where missing
     columns: Mapping[str, Array]
-    labels: Mapping[str, np.ndarray]
-    row: IntArray
+    labels: Mapping[str, np.ndarray]  # text columns by name, each (n,): target, point
+    row: IntArray  # (n,) number of the reading in the recording, from 0; survives a selection
 
     def __len__(self) -> int:
         return len(self.displacement)
@@ -99,20 +91,14 @@ def joined(parts: Sequence[Readings]) -> Readings:
 
 @dataclass(frozen=True)
 class Session:
-    """A whole measurement: what was set up, and what was read.
+    """A whole measurement: what was set up, and what was read."""
 
-    Attributes:
-        description: the content of `session.yaml`.
-        readings: the content of `observations.csv`.
-        source: where it came from, for messages.
-        sound: rows of readings that are known to be sound: none of them is set aside, however far it stands out.
-        recorded: the measurement before any reading was left out; None where none was.
-    """
-
-    description: Description
-    readings: Readings
-    source: str = "session"
+    description: Description  # the content of `session.yaml`
+    readings: Readings  # the content of `observations.csv`
+    source: str = "session"  # where it came from, for messages
+    # rows of readings that are known to be sound: none of them is set aside, however far it stands out
     sound: frozenset[int] = frozenset()
+    # the measurement before any reading was left out; None where none was
     recorded: Session | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -164,14 +150,7 @@ class Session:
         return self.recorded or self
 
     def keeping(self, rows: Iterable[int]) -> Session:
-        """The same measurement, with further readings known to be sound.
-
-        Args:
-            rows: their numbers in the recording, from 0.
-
-        Raises:
-            SessionError: it has no such reading.
-        """
+        """The same measurement, with rows that are known to be sound; a SessionError if it has no such row."""
         rows = frozenset(rows)
         for row in sorted(rows.difference(self.readings.row.tolist())):
             raise SessionError(f"{self.source}: there is no row {row} to keep; rows count from 0")
@@ -198,15 +177,7 @@ _FEW = 8
 
 
 def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
-    """Refuse a measurement that is given twice: fitted together, its readings would count as independent ones.
-
-    Args:
-        sessions: measurements that are to be fitted together.
-        labels: their names.
-
-    Raises:
-        SessionError: two of them are the same readings.
-    """
+    """Refuse (SessionError) a measurement that is given twice: its readings would count as independent ones."""
     named = zip(labels, (session.readings for session in sessions), strict=True)
     for (one, first), (other, second) in itertools.combinations(named, 2):
         if len(first) >= _FEW and _are_same(first, second):
@@ -214,7 +185,6 @@ def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
 
 
 def _are_same(first: Readings, second: Readings) -> bool:
-    """Whether readings and all that both have recorded of them are the same."""
     if len(first) != len(second) or not np.array_equal(first.displacement, second.displacement, equal_nan=True):
         return False
     both = first.columns.keys() & second.columns.keys()
@@ -222,13 +192,9 @@ def _are_same(first: Readings, second: Readings) -> bool:
 
 
 def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
-    """Positions that are equal to the nanometre (angles to the nanoradian) are one place.
+    """(k,) first reading at each of the k places of (n, d) positions, in order, and (n,) the place of each reading.
 
-    Args:
-        position: (n, d) commanded positions, d at most 3.
-
-    Returns:
-        (k,) the first reading at each of the k places, in order, and (n,) the place of each reading.
+    Positions that are equal to the nanometre (angles to the nanoradian) are one place; d is at most 3.
     """
     keys = np.round(position * 1e9).astype(np.int64)
     # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
@@ -266,16 +232,9 @@ def _first(place: IntArray) -> IntArray:
 def assemble(
     description: Description, numbers: Mapping[str, Array], labels: Mapping[str, np.ndarray], place: Place
 ) -> Readings:
-    """The readings from their columns.
+    """The readings from their numeric columns and labels, each (n,), with `displacement` and `setup` among them.
 
-    Args:
-        description: gives the setups, targets and points that the labels name.
-        numbers: numeric columns, each (n,), `displacement` among them.
-        labels: text columns, each (n,), `setup` among them.
-        place: how messages name a row.
-
-    Raises:
-        SessionError: an unknown setup, target or point, or a repeat that is no whole number; with its row.
+    A SessionError names the row of an unknown setup, target or point, or of a repeat that is no whole number.
     """
     columns, texts = dict(numbers), dict(labels)
     setup = _known_places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)

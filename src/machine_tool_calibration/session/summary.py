@@ -41,33 +41,19 @@ class ColumnSummary:
 
 @dataclass(frozen=True)
 class SessionSummary:
-    """A session in figures.
+    """A session in figures."""
 
-    Attributes:
-        method: the measuring method.
-        readings: rows.
-        missing: rows without a displacement.
-        duration: from the first to the last reading, s; None without times.
-        standard_uncertainty: declared, of one reading, m.
-        targets: positions, or points of the workpiece, that were measured.
-        setups: each setup.
-        columns: each numeric column.
-        labels: text columns.
-        suspicious: what can be used and a measurement hardly gives.
-        problem: why the session cannot be identified as it is; None if nothing is wrong.
-    """
-
-    method: str
-    readings: int
-    missing: int
-    duration: float | None
-    standard_uncertainty: float
-    targets: int
-    setups: tuple[SetupSummary, ...]
-    columns: tuple[ColumnSummary, ...]
-    labels: tuple[str, ...]
-    suspicious: tuple[str, ...]
-    problem: str | None
+    method: str  # the measuring method
+    readings: int  # rows
+    missing: int  # rows without a displacement
+    duration: float | None  # from the first to the last reading, s; None without times
+    standard_uncertainty: float  # declared, of one reading, m
+    targets: int  # positions, or points of the workpiece, that were measured
+    setups: tuple[SetupSummary, ...]  # each setup
+    columns: tuple[ColumnSummary, ...]  # each numeric column
+    labels: tuple[str, ...]  # text columns
+    suspicious: tuple[str, ...]  # what can be used and a measurement hardly gives
+    problem: str | None  # why the session cannot be identified as it is; None if nothing is wrong
 
 
 def summarize(session: Session) -> SessionSummary:

@@ -14,7 +14,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.text import reject_foreign_encoding
+from machine_tool_calibration.session.text import decoded, reject_foreign_encoding
 
 __all__ = ["LABEL_COLUMNS", "NUMERIC_COLUMNS", "Layout", "Table", "read_table", "scan_csv"]
 
@@ -28,21 +28,13 @@ _MAX_COLUMNS = 1000
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a CSV file's rows stand.
+    """Where a CSV file's rows stand."""
 
-    Attributes:
-        source: the file's name, for messages.
-        columns: names of the columns, in the file's order.
-        header_line: line of the header, from 1.
-        rows: number of data rows.
-        blank: (m,) lines after the header that hold nothing.
-    """
-
-    source: str
-    columns: tuple[str, ...]
-    header_line: int
-    rows: int
-    blank: IntArray
+    source: str  # the file's name, for messages
+    columns: tuple[str, ...]  # names of the columns, in the file's order
+    header_line: int  # line of the header, from 1
+    rows: int  # number of data rows
+    blank: IntArray  # (m,) lines after the header that hold nothing
 
     def line(self, row: int) -> int:
         """The file's line (from 1) of a data row (from 0)."""
@@ -132,15 +124,7 @@ def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
 
 
 def _check_bytes(source: str, block: bytes, line: int) -> None:
-    if (at := block.find(b"\0")) >= 0:
-        where = line + block.count(b"\n", 0, at) + 1
-        raise SessionError(f"{source} line {where}: NUL byte; the file is damaged")
-    try:
-        block.decode("utf-8")
-    except UnicodeDecodeError as error:
-        where = line + block.count(b"\n", 0, error.start) + 1
-        byte = block[error.start]
-        raise SessionError(f"{source} line {where}: byte 0x{byte:02x} is not UTF-8; save the file as UTF-8") from None
+    decoded(block, source, line)
     if match := re.search(rb"\r(?!\n)", block):
         where = line + block.count(b"\n", 0, match.start()) + 1
         raise SessionError(f"{source} line {where}: a bare carriage return; end lines with a line feed")
@@ -211,17 +195,11 @@ _MANY = 20_000
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of a CSV file.
+    """The columns of a CSV file."""
 
-    Attributes:
-        layout: names and places, for messages.
-        numbers: numeric columns by name, each (n,), NaN where missing.
-        labels: text columns by name, each (n,), empty where missing.
-    """
-
-    layout: Layout
-    numbers: Mapping[str, Array]
-    labels: Mapping[str, np.ndarray]
+    layout: Layout  # names and places, for messages
+    numbers: Mapping[str, Array]  # numeric columns by name, each (n,), NaN where missing
+    labels: Mapping[str, np.ndarray]  # text columns by name, each (n,), empty where missing
 
 
 def read_table(path: Path) -> Table:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["LARGEST", "read_bytes", "read_text", "reject_foreign_encoding"]
+__all__ = ["LARGEST", "decoded", "read_bytes", "read_text", "reject_foreign_encoding"]
 
 LARGEST = 16 << 20
 """Bytes of a description that are accepted."""
@@ -30,11 +30,7 @@ def reject_foreign_encoding(head: bytes, source: str, *, table: bool = False) ->
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The content of a file of at most so many bytes.
-
-    Raises:
-        SessionError: not there, not a file, or too large.
-    """
+    """The content of a file of at most so many bytes; a SessionError if it is none, or larger."""
     try:
         if not path.is_file():
             raise SessionError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
@@ -48,23 +44,19 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 
 def read_text(path: Path, limit: int = LARGEST) -> str:
-    """The text of a small file, without a byte order mark.
-
-    Args:
-        path: the file.
-        limit: largest size that is accepted, bytes.
-
-    Raises:
-        SessionError: not there, not a file, too large, not UTF-8, or with NUL bytes.
-    """
+    """The text of a small file, without byte order mark; a SessionError if too large, not UTF-8, or with NUL."""
     source, data = str(path), read_bytes(path, limit)
     reject_foreign_encoding(data, source)
-    if b"\0" in data:
-        line = data[: data.index(b"\0")].count(b"\n") + 1
-        raise SessionError(f"{source} line {line}: NUL byte; the file is not text or is damaged")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        byte = data[error.start]
-        raise SessionError(f"{source} line {line}: byte 0x{byte:02x} is not UTF-8; save the file as UTF-8") from None
+    return decoded(data.removeprefix(codecs.BOM_UTF8), source)
+
+
+def decoded(data: bytes, source: str, before: int = 0) -> str:
+    """UTF-8 text of a file, before which were so many lines; a SessionError names the line of a byte that is none."""
+    at, what = data.find(b"\0"), "NUL byte; the file is not text or is damaged"
+    if at < 0:
+        try:
+            return data.decode()
+        except UnicodeDecodeError as error:
+            at, what = error.start, f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8"
+    line = before + data.count(b"\n", 0, at) + 1
+    raise SessionError(f"{source} line {line}: {what}")

@@ -42,15 +42,10 @@ Path = tuple[str | int, ...]
 
 @dataclass
 class Document:
-    """A YAML text's value and where each part of it stands.
+    """A YAML text's value and where each part of it stands."""
 
-    Attributes:
-        value: numbers, text, lists and mappings.
-        lines: line (from 1) of each value by its path of keys and indices.
-    """
-
-    value: Any
-    lines: dict[Path, int]
+    value: Any  # numbers, text, lists and mappings
+    lines: dict[Path, int]  # line (from 1) of each value by its path of keys and indices
 
     def line(self, path: Path) -> int | None:
         """The line of the value at a path, or of the nearest one that holds it; None for the whole."""
@@ -165,16 +160,10 @@ def _resolve(text: str, truth: bool) -> Any:
 
 
 def load_yaml(text: str, source: str, *, truth: bool = True) -> Document:
-    """The value of a YAML text.
+    """The value of a YAML text of one document; without `truth`, `true` and `false` are text.
 
-    Args:
-        text: one YAML document.
-        source: name of the file, for messages.
-        truth: whether `true` and `false` are truth values; else they are text.
-
-    Raises:
-        SessionError: not YAML, more than one document, a tag, a key that stands twice or is not text, nested or
-            repeated (by aliases) without measure. One line, with the line in the file.
+    A SessionError says in one line, with the line in the file: not YAML, more than one document, a tag, a key that
+    stands twice or is not text, nested or repeated (by aliases) without measure.
     """
     reader = _Reader(text, source, truth)
     try:

@@ -6,7 +6,6 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from machine_tool_calibration.session.description import Description, Setup
-from machine_tool_calibration.session.judgements import Checks
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.values import Positive, Vector3
 
@@ -27,19 +26,20 @@ class BallBar(Description):
     setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
 
 
-class CircleChecks(Checks):
+class CircleSpec(MethodSpec):
     """A centre, a length and the machine's errors need six readings."""
 
+    description = BallBar
+    always = ("setup", "x", "y", "displacement")
     needed = 6
+    remounted = "the ball bar"
+    model = "ball_bar.model"
+    models: ClassVar = {"circle": "the only one"}
+    reads_deviations = True
+
+    def words(self, description: BallBar) -> str:
+        """What it is."""
+        return "circles with a ball bar"
 
 
-SPEC = MethodSpec(
-    description=BallBar,
-    columns=lambda description: ("setup", "x", "y", "displacement"),
-    checks=CircleChecks(),
-    model="ball_bar.model",
-    models={"circle": "the only one"},
-    words=lambda description: "circles with a ball bar",
-    mounted=lambda description: "the ball bar",
-    reads_deviations=True,
-)
+SPEC = CircleSpec()

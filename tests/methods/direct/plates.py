@@ -62,44 +62,26 @@ def _scatter(rng: np.random.Generator, shape: tuple[int, ...], size: float, tail
 
 
 def plate(
-    seed: int,
+    seed: int,  # of everything random
     *,
-    holes: int = 300,
-    side: float = 0.6,
-    origin: tuple[float, float] = (0.0, 0.0),
-    drilled: float = 6e-6,
-    tails: float | None = 5.0,
-    measured: float = 1e-6,
-    declared: float = 1.5e-6,
-    scales: tuple[float, float] = (0.0, 0.0),
-    square: float = 0.0,
-    turn: float | None = None,
-    far: int = 0,
-    repeats: int = 1,
-    rows: bool = False,
-    row_scatter: float = 0.0,
+    holes: int = 300,  # how many
+    side: float = 0.6,  # of the plate, m
+    origin: tuple[float, float] = (0.0, 0.0),  # nominal place of its corner, m
+    drilled: float = 6e-6,  # scatter of the holes, m
+    tails: float | None = 5.0,  # degrees of freedom of its distribution (Student's); normal without
+    measured: float = 1e-6,  # scatter of the coordinate measuring machine, m
+    declared: float = 1.5e-6,  # standard uncertainty that the session states, m
+    scales: tuple[float, float] = (0.0, 0.0),  # of X and Y
+    square: float = 0.0,  # angle by which Y leans towards -x, rad
+    turn: float | None = None,  # of the plate on the measuring machine, rad; up to a milliradian if absent
+    far: int = 0,  # how many readings are far off
+    repeats: int = 1,  # how often every hole was measured
+    rows: bool = False,  # whether the holes lie in a grid, drilled row by row
+    row_scatter: float = 0.0,  # scatter that the holes of one row share, m
 ) -> tuple[Session, list[int]]:
     """Holes that a drill with unequal scales and axes out of square made, then measured somewhere else.
 
-    Args:
-        seed: of everything random.
-        holes: how many.
-        side: of the plate, m.
-        origin: nominal place of its corner, m.
-        drilled: scatter of the holes, m.
-        tails: degrees of freedom of its distribution (Student's); normal without.
-        measured: scatter of the coordinate measuring machine, m.
-        declared: standard uncertainty that the session states, m.
-        scales: of X and Y.
-        square: angle by which Y leans towards -x, rad.
-        turn: of the plate on the measuring machine, rad; up to a milliradian if absent.
-        far: how many readings are far off.
-        repeats: how often every hole was measured.
-        rows: whether the holes lie in a grid, drilled row by row.
-        row_scatter: scatter that the holes of one row share, m.
-
-    Returns:
-        The session, with x and y of each hole as two readings, and the rows that are far off.
+    The session, with x and y of each hole as two readings, and the rows that are far off.
     """
     rng = np.random.default_rng(seed)
     if rows:
@@ -139,36 +121,21 @@ def plate(
 
 
 def axis(
-    seed: int,
+    seed: int,  # of everything random
     *,
-    positions: int = 11,
-    length: float = 0.5,
-    runs: int = 5,
-    noise: float = 5e-7,
-    declared: float = 2e-7,
-    scale: float = 0.0,
-    backlash: float = 0.0,
-    wander: float = 0.0,
-    between: float = 0.0,
-    datum: str = "none",
-    terms: Sequence[str] = (),
+    positions: int = 11,  # target positions
+    length: float = 0.5,  # m
+    runs: int = 5,  # up and down
+    noise: float = 5e-7,  # scatter of a single positioning, m
+    declared: float = 2e-7,  # standard uncertainty that the session states, m
+    scale: float = 0.0,  # of the axis
+    backlash: float = 0.0,  # half the reversal error, m
+    wander: float = 0.0,  # size of a positioning error without any simple shape, m
+    between: float = 0.0,  # scatter between the passes, m
+    datum: str = "none",  # of the session
+    terms: Sequence[str] = (),  # machine errors of the session
 ) -> Session:
-    """An axis run by ISO 230-2, up and down.
-
-    Args:
-        seed: of everything random.
-        positions: target positions.
-        length: m.
-        runs: up and down.
-        noise: scatter of a single positioning, m.
-        declared: standard uncertainty that the session states, m.
-        scale: of the axis.
-        backlash: half the reversal error, m.
-        wander: size of a positioning error without any simple shape, m.
-        between: scatter between the passes, m.
-        datum: of the session.
-        terms: machine errors of the session.
-    """
+    """An axis run by ISO 230-2, up and down."""
     rng = np.random.default_rng(seed)
     target = np.linspace(0.0, length, positions)
     error = scale * target + wander * rng.normal(size=positions)

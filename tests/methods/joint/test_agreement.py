@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,18 +11,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.machine.error_motions import interpolation
-from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.methods.joint.agreement import (
     Contradiction,
-    _difference_of,
     _log_tail,
-    _read_by_both,
     _Scores,
     _sentence,
 )
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -112,15 +111,6 @@ def test_sessions_of_different_places_are_not_compared_there(several: SimpleName
     assert not agreement.contradictions
 
 
-@pytest.mark.parametrize(
-    ("unit", "shown"),
-    [("m", "2.5 ± 1 µm"), ("1/K", "2.5 ± 1 µm/(m K)"), ("rad/K", "2.5 ± 1 µrad/K"), ("m/s", "2.5e-06 ± 1e-06 m/s")],
-)
-def test_a_contradiction_is_said_in_the_units_of_the_tables(unit: str, shown: str) -> None:
-    entry = Contradiction("a", ("b",), "some_effect", (), -2.5e-6, 0.5e-6, unit, 1e-9)
-    assert f"contradict each other in some_effect by {shown} (k = 2)" in _sentence(entry)
-
-
 def test_what_is_shown_of_a_difference_is_clear_beside_the_scatter() -> None:
     """Not the end of an axis where it is largest and hardly known, once the readings scatter more than declared."""
     scores = _Scores(np.diag([1.0, 0.04]), np.array([8.0, 0.16]), np.array([1.0, 0.04]), np.array([0, 2]))
@@ -175,41 +165,32 @@ def test_a_difference_has_the_value_and_uncertainty_of_its_least_squares() -> No
     assert u == pytest.approx(1.5 * np.sqrt(shape[0] @ covariance @ shape[0]))
 
 
-def test_what_a_difference_is_made_of(several: SimpleNamespace) -> None:
-    """Of a table with few nodes each by itself; of one with many, polynomials up to the fourth degree."""
-    model = build_model(several.measured("run", 3).session)[0]
-    (table,) = model.tables
-    (exx,) = (term for term in model.terms if term.name == "EXX")
-    at = np.array([0.04, 0.2])
-    few, shown = _difference_of(model, exx, [1, 3], at)
-    np.testing.assert_array_equal(few, np.eye(len(exx.parameters))[:, [1, 3]])
-    np.testing.assert_allclose(shown, interpolation(table.nodes, at).T[:, [1, 3]])
-    every = list(range(len(exx.parameters)))
-    assert len(every) == 6
-    mix, shown = _difference_of(model, exx, every, at)
-    u = table.nodes / 0.2 - 1.0
-    polynomials = np.array([u**0, u, 1.5 * u**2 - 0.5, 2.5 * u**3 - 1.5 * u, (35 * u**4 - 30 * u**2 + 3) / 8]).T
-    np.testing.assert_allclose(mix, polynomials, atol=1e-12)
-    between = np.array([np.interp(at, table.nodes, p) for p in polynomials.T]).T
-    np.testing.assert_allclose(shown, between, atol=1e-12)
-
-
-def test_two_sessions_are_compared_where_both_have_read(several: SimpleNamespace) -> None:
-    session = several.measured("run", 4).session
-    x = session.readings.column("x")
-    parts = [build_model(session.with_readings(session.readings.select(k)))[0] for k in (x < 0.25, x > 0.15, x > 0.3)]
-    between = _read_by_both(parts[0], parts[1], "EXX")
-    assert between is not None
-    np.testing.assert_allclose(between, np.linspace(0.16, 0.24, 21), atol=1e-12)
-    assert _read_by_both(parts[0], parts[2], "EXX") is None
-    for name in ("C0Y", "EXC0", "backlash_x"):
-        both = _read_by_both(parts[0], parts[2], name)
-        assert both is not None and not both.size
-
-
 @pytest.mark.parametrize(("others", "alike", "text"), [
     (("b", "c"), (), "session 'a' contradicts the others in EXX by 3 ± 1 µm (k = 2)"),
     (("b",), ("EYX", "C0Y"), "sessions 'a' and 'b' contradict each other in EXX (or EYX, C0Y) by 3 ± 1 µm (k = 2)"),
 ])  # fmt: skip
 def test_a_contradiction_names_who_and_what_else(others: tuple[str, ...], alike: tuple[str, ...], text: str) -> None:
     assert _sentence(Contradiction("a", others, "EXX", alike, 3e-6, 5e-7, "m", 1e-9)) == text
+
+
+def _with(session: Session, **said: object) -> Session:
+    return replace(session, description=session.description.model_copy(update=said))
+
+
+def test_a_station_stated_wrong_by_centimetres(several: SimpleNamespace) -> None:
+    tracker, run = (several.measured(name, 1, several.machine(1)).session for name in ("tracker", "run"))
+    first, *rest = tracker.description.setups
+    wrong = first.model_copy(update={"position": tuple(np.add(first.position, (0.05, 0.0, 0.0)))})
+    moved = _with(tracker, setups=[wrong, *rest])
+    with pytest.raises(ModelError, match=f"station '{first.id}' is found 50 mm off") as caught:
+        identify_sessions(FitRequest([moved, run], ["tracker", "run"], keep_all=True))
+    assert "trust_units: true" in str(caught.value)
+    identify_sessions(FitRequest([_with(moved, trust_units=True), run], ["tracker", "run"], keep_all=True))
+
+
+def test_positions_that_are_a_tenth_too_large(several: SimpleNamespace) -> None:
+    tracker, run = (several.measured(name, 1, several.machine(1)).session for name in ("tracker", "run"))
+    columns = {**tracker.readings.columns, "x": 1.1 * tracker.readings.columns["x"]}
+    stretched = tracker.with_readings(replace(tracker.readings, columns=columns))
+    with pytest.raises(ModelError, match=r"tracker, run: the position error along x .* which no machine has"):
+        identify_sessions(FitRequest([stretched, run], ["tracker", "run"], keep_all=True))

@@ -15,6 +15,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 STATIONS = (
     *((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1)),
@@ -132,3 +133,33 @@ def test_axis_average_line_in_the_machine(rotary: SimpleNamespace, many: Any) ->
         normalised.append([(found[n] - line.get(n, 0.0)) / found[f"{n}_u"] for n in names])
     # of 600 measurements, four values each, it may be off by 0.1
     assert np.mean(np.square(normalised)) == pytest.approx(1.0, abs=some.off(0.1))
+
+
+def _moved(plan: str, *flaws: FlawSpec, effects: tuple[str, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """Angles of the map, and by how much effects move its positions, m."""
+    clean, flawed = (
+        identify(simulate(SimulationSpec(plan=PRESETS[plan], seed=6, noise_factor=0.0, effects=put_in)).session,
+                 effects=added).error_map
+        for put_in, added in (((), ()), (flaws, effects))
+    )  # fmt: skip
+    return np.asarray(flawed.content["c"]), np.asarray(flawed.error - clean.error)
+
+
+@pytest.mark.parametrize("effect", ["linear_drift", "dead_path"])
+def test_what_changes_with_time_is_not_taken_for_an_error_of_the_angle(effect: str) -> None:
+    drift = FlawSpec(id=effect, amplitude=3e-6)
+    angles, moved = _moved("rotary_axis", drift)
+    assert len(angles) == len(np.unique(angles)) == 18
+    _, one_way = _moved("rotary_axis_one_way", drift)
+    assert np.sqrt(np.mean(moved**2)) < 0.1 * np.sqrt(np.mean(one_way**2))
+    assert np.sqrt(np.mean(one_way**2)) > 2e-7
+
+
+@pytest.mark.usefixtures("reproducible")
+def test_backlash_is_told_and_the_map_is_the_mean_of_both_directions() -> None:
+    play = FlawSpec(id="backlash_c", size=1e-5)
+    _, moved = _moved("rotary_axis", play)
+    _, told = _moved("rotary_axis", play, effects=("backlash_c",))
+    # Half the play on each side: their mean is where the axis stands without it.
+    assert np.abs(moved).max() < 2e-9
+    assert np.abs(told).max() < 2e-9

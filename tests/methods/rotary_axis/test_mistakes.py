@@ -12,8 +12,8 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.rotary_axis.mistakes import _too_far, suppositions
 from machine_tool_calibration.methods.rotary_axis.model import build
+from machine_tool_calibration.methods.rotary_axis.start import suppositions
 from machine_tool_calibration.session.session import Session
 
 # Enough to tell a mistake.
@@ -85,11 +85,3 @@ def test_repeats_that_number_the_readings(rotary: SimpleNamespace) -> None:
     numbered = session.with_readings(replace(session.readings, repeat=np.arange(len(session.readings))))
     with pytest.raises(ModelError, match="too few readings"):
         identify(numbered)
-
-
-def test_a_place_is_too_far_off_beyond_what_a_survey_can_be() -> None:
-    """Five centimetres, or twenty of its uncertainties; the worst of all places counts."""
-    moved = np.array([[0.06, 0.0, 0.0], [0.0, 0.3, 0.4], [0.01, 0.0, 0.0]])
-    assert _too_far(moved, np.array([0.0, 0.03, 0.0])) == pytest.approx(0.01)
-    assert _too_far(moved, np.array([0.0, 0.02, 0.0])) == pytest.approx(0.1)
-    assert _too_far(moved, np.array([0.003, 0.03, 0.0])) == 0.0

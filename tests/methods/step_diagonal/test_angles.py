@@ -10,7 +10,6 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
-from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.simulation import TableSpec
@@ -38,7 +37,7 @@ def test_columns_are_what_exact_geometry_reads(exact, name, chain):
         1, motions=motions, position=0.0, squareness=0.0, tilt=0.0, orders=ORDERS, corner=corner, chain=chain
     ).session
     model = build(session, "translations")
-    angle = Angle.of(MachineTable(Chain.parse(chain), name, nodes), model.observations)
+    angle = MachineTable(Chain.parse(chain), name, nodes).term(model.observations)
     expected = np.array(table.values) @ angle.columns
     left = session.readings.displacement - model.observations.path - expected
     assert np.abs(expected).max() > 1e-9
@@ -52,7 +51,7 @@ def test_columns_are_what_exact_geometry_reads(exact, name, chain):
 
 def test_five_of_nine_are_told_by_the_orders(exact):
     model = build(exact(1, orders=ORDERS).session, "angular_one_mirror")
-    assert sorted(angle.table.name for angle in model.angles) == sorted(FIVE)
+    assert sorted(table.name for table in model.angles) == sorted(FIVE)
     left = {entry.name for entry in model.left_out}
     assert left == set(NINE) - set(FIVE)
 
@@ -106,8 +105,8 @@ def test_least_squares_over_all_orders_is_better_but_the_conclusion_stands(exact
     model = build(session, "angular_one_mirror")
     fit = fit_models([model]).fits[0]
     names = [p.name for p in model.parameters]
-    for angle in model.angles:
-        at = [names.index(label) for label in angle.table.labels]
+    for table in model.angles:
+        at = [names.index(label) for label in table.labels]
         # That of the declared uncertainty: the mirror was in fact set anew for each order.
         own = fit.places[at]
         covariance = fit.solution.covariance[np.ix_(own, own)] / 2.0

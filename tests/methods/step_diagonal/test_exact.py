@@ -3,9 +3,9 @@
 
 import numpy as np
 import pytest
+from papers.formulations import identify_by_formulation
 
 from machine_tool_calibration.methods.step_diagonal.build import build, second_order
-from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
 from machine_tool_calibration.model.fit import fit_models
 
 NANOMETRE = 1e-9

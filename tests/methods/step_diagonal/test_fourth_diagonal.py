@@ -3,10 +3,9 @@
 
 import numpy as np
 import pytest
+from papers.formulations import compare_formulations, increments
 
 from machine_tool_calibration.methods.step_diagonal.build import build
-from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations
-from machine_tool_calibration.methods.step_diagonal.formulations import increments
 from machine_tool_calibration.methods.step_diagonal.spec import SPEC
 from machine_tool_calibration.model.fit import fit_models
 

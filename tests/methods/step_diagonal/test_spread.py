@@ -41,14 +41,14 @@ def _by_hand(model):
     rank = int(np.sum(found > 1e-10))
     outside = unit[:, rank:]  # what no other unknown touches
     residual = model.observations.readings.displacement - model.nominal
-    angles = np.concatenate([angle.columns for angle in model.spread.angles])
+    angles = np.concatenate([term.columns for term in model.spread.terms])
     logs, means, covariances = [np.log(NONE)], [], []
     sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES)
     each = [(s, shape) for shape in module._SHAPES for s in sizes]
     errors, index = model._map_rows()
     mapping = eq17(model.blocks, errors).T
     for size, shape in [(0.0, module._SHAPES[0]), *each]:
-        prior = size**2 * block_diag(*[shape_covariance(a.table.nodes, *shape) for a in model.spread.angles])
+        prior = size**2 * block_diag(*[shape_covariance(table.nodes, *shape) for table in model.spread.tables])
         readings = np.diag(model.sigma**2) + angles.T @ prior @ angles
         seen = outside.T @ readings @ outside
         told = outside.T @ residual

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from papers.formulations import identify_by_formulation
 
 from machine_tool_calibration.methods.step_diagonal.build import build
-from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
 from machine_tool_calibration.model.fit import fit_models
 
 

@@ -3,6 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -71,3 +76,27 @@ def test_rows_in_any_order_and_columns_beside(simulated, edit):
         two.error_map.content["position_error"][order], one.error_map.content["position_error"], atol=1e-13
     )
     assert two.fit.joint.p_value == pytest.approx(one.fit.joint.p_value, rel=1e-6)
+
+
+SCRIPT = """
+import hashlib, sys
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
+out = hashlib.sha256()
+for model in ("free", "rigid_body"):
+    session = simulate(SimulationSpec(plan=TrackingPlan(dimension=3), seed=1)).session
+    result = identify(session, model=model)
+    out.update(result.error_map.error.tobytes() + result.fit.solution.covariance.tobytes())
+print(out.hexdigest())
+"""
+
+
+def test_processes_and_threads(capsys):
+    """This process has one thread for linear algebra; another has two, and calculates twice."""
+    exec(SCRIPT, {})
+    here = capsys.readouterr().out.split()
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+    twice = [sys.executable, "-c", f"for _ in range(2): exec({SCRIPT!r})"]
+    done = subprocess.run(twice, env=environment, capture_output=True, text=True, timeout=900, check=True)
+    assert done.stdout.split() == 2 * here
+    assert len(here) == 1 and len(here[0]) == hashlib.sha256().digest_size * 2

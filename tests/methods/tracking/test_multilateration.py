@@ -8,7 +8,7 @@ import pytest
 
 from machine_tool_calibration.estimation.problem import Problem, group_points
 from machine_tool_calibration.estimation.solve import solve
-from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
+from machine_tool_calibration.methods.tracking.datum import MultilaterationPart
 
 STATIONS = {
     2: np.array([[-0.35, 0.05], [0.15, -0.4], [0.7, 0.3], [0.1, 0.85]]),

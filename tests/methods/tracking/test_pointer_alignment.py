@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.cli.align_pointer import command
 from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
-from machine_tool_calibration.importing.alignment import read_alignment
+from machine_tool_calibration.importing.own import read_alignment
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec

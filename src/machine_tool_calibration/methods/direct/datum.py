@@ -22,14 +22,7 @@ _SHARE = 1e-5
 
 
 def silent_directions(columns: Array) -> tuple[Array, Array]:
-    """Changes of the unknowns that no reading notices.
-
-    Args:
-        columns: (m, n) change of each reading per unit of each unknown.
-
-    Returns:
-        (m, q) orthonormal directions of the scaled unknowns, and (m,) the scales: unknown = scale x scaled unknown.
-    """
+    """(m, q) directions of scaled unknowns that no reading (m, n) notices, and (m,) scales: unknown / scaled one."""
     norms = np.sqrt(np.einsum("mn,mn->m", columns, columns))
     scale = 1.0 / np.where(norms > 1e-13 * norms.max(initial=1e-300), norms, norms.max(initial=1.0) or 1.0)
     matrix = (columns @ columns.T) * np.outer(scale, scale)
@@ -38,16 +31,10 @@ def silent_directions(columns: Array) -> tuple[Array, Array]:
 
 
 def needed_rows(open_directions: Array, rows: Sequence[Array]) -> tuple[list[int], Array]:
-    """Which conditions each fix a direction that the readings and the conditions before leave open.
+    """Which conditions each fix a direction that readings and conditions before leave open, and (m, c) these.
 
-    Such a condition can always be met without any reading fitting worse.
-
-    Args:
-        open_directions: (m, q) basis of the open directions.
-        rows: (m,) weights of each candidate, in the order of preference, in the same scaling of the unknowns.
-
-    Returns:
-        Indices of the candidates that are needed, and (m, c) the directions that these fix.
+    Such a condition can always be met without any reading fitting worse. `open_directions` (m, q) is a basis of
+    them, `rows` the weights (m,) of the candidates in the order of preference, in the same scaling of the unknowns.
     """
     basis = open_directions
     needed, fixed = [], []
@@ -72,33 +59,18 @@ _TURNS = ("turn_a", "turn_b", "turn_c")
 
 @dataclass(frozen=True)
 class SetupDatum:
-    """Unknowns of every setup.
+    """Unknowns of every setup."""
 
-    Attributes:
-        kind: none, offset or rigid.
-        columns: (p, n) change of each reading per unit of the p unknowns of its setup.
-        parameters: setups times p, setup after setup.
-        left_out: unknowns that no reading depends on.
-        curvature: (n,) what a finite turn adds to the linear one, m.
-        words: the datum in words.
-    """
-
-    kind: str
-    columns: Array
-    parameters: tuple[Parameter, ...]
-    left_out: tuple[NotDetermined, ...]
-    curvature: Array
-    words: str
+    kind: str  # none, offset or rigid
+    columns: Array  # (p, n) change of each reading per unit of the p unknowns of its setup
+    parameters: tuple[Parameter, ...]  # setups times p, setup after setup
+    left_out: tuple[NotDetermined, ...]  # unknowns that no reading depends on
+    curvature: Array  # (n,) what a finite turn adds to the linear one, m
+    words: str  # the datum in words
 
 
 def setup_columns(columns: Array, setup: IntArray, count: int) -> Array:
-    """(setups p, n) columns of the unknowns of every setup, setup after setup.
-
-    Args:
-        columns: (p, n) change of each reading per unit of the unknowns of its own setup.
-        setup: (n,) index of each reading's setup.
-        count: of setups.
-    """
+    """(setups p, n) columns of all setups' unknowns from those (p, n) of each reading's own setup."""
     p, n = columns.shape
     out = np.zeros((count, p, n))
     out[setup, :, np.arange(n)] = columns.T
@@ -108,16 +80,7 @@ def setup_columns(columns: Array, setup: IntArray, count: int) -> Array:
 def setup_datum(
     kind: str, ids: tuple[str, ...], setup: IntArray, position: Array, direction: Array, reading: Array
 ) -> SetupDatum:
-    """The unknowns of the setups.
-
-    Args:
-        kind: none, offset (one unknown per setup) or rigid (shift and turn about the middle of the setup's points).
-        ids: names of the setups.
-        setup: (n,) index of each reading's setup.
-        position: (n, 3) m.
-        direction: (n, 3) unit vectors.
-        reading: (n,) deviations, m.
-    """
+    """Unknowns of the setups: none, an offset, or shift and turn about the middle of the setup's points."""
     n = len(setup)
     if kind == "none":
         return SetupDatum(kind, np.zeros((0, n)), (), (), np.zeros(n), say("datum.absolute"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, explanation, scaled, with_columns
+from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, explanation, scaled, with_values
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
@@ -33,9 +32,9 @@ _GOOD = 30.0
 _ASKEW, _USUAL = 6e-2, 5e-4
 # No machine tool is as long, m.
 _HALL = 100.0
-# Share of the length by which places are off where the part lay otherwise than it was described, how closely the
-# readings must follow that, and what may be left.
-_OFF, _CLOSE, _LEFT = 0.3, 0.02, 0.04
+# How closely the readings must follow that the part lay otherwise than it was described, and the share of the length
+# that may be left of it.
+_CLOSE, _LEFT = 0.02, 0.04
 # Shear or difference of scales that no machine has, rad, without a turn of the part beside it: a turn read wrongly.
 _SHEAR, _ALONE = 3e-3, 0.05
 
@@ -43,15 +42,7 @@ Build = Callable[[Session], MethodModel]
 
 
 def refuse_mistakes(session: Session, build: Build) -> None:
-    """Refuse positions given for deviations, a part turned or mirrored, and units a thousand times too large.
-
-    Args:
-        session: the measurement.
-        build: its model without machine errors, so that all deviations are left.
-
-    Raises:
-        ModelError: the mistake.
-    """
+    """Refuse (ModelError) positions given for deviations, a part turned or mirrored, and units a thousandfold wrong."""
     seen = build(session).observations
     extent = float(np.ptp(seen.position, axis=0).max())
     if extent == 0.0 or len(seen) < 8:
@@ -59,24 +50,21 @@ def refuse_mistakes(session: Session, build: Build) -> None:
     if extent > _HALL:
         what: str | None = f"x, y and z look {LENGTHS}"
     else:
-        what = explanation(session, _judgements(session, build, seen, extent))
+        found = ((plane, _affine(seen, plane)) for plane in map(list, itertools.combinations(range(3), 2)))
+        lying = (_lying(motion, plane) for plane, motion in found if motion is not None)
+        what = next(filter(None, lying), None) or explanation(session, _judgements(session, build, extent))
     if what is not None:
         with suspected():
             raise ModelError(f"{session.source}: {what}")
 
 
-def _judgements(session: Session, build: Build, seen: Observations, extent: float) -> Iterator[Judgement]:
-    def observed(supposed: Session) -> Observations:
-        return seen if supposed is session else build(supposed).observations
-
-    for a, b in itertools.combinations(range(3), 2):
-        yield from _lying(session, observed, [a, b])
+def _judgements(session: Session, build: Build, extent: float) -> Iterator[Judgement]:
     # Single readings may be off by anything: the bulk counts.
     reading = session.readings.displacement
     spread = 1.4826 * float(np.nanmedian(np.abs(reading - np.nanmedian(reading))))
     if spread < max(_WRECK * extent, _SMALL):
         return
-    along = float(np.std(_along(session, np.eye(3))))
+    along = float(np.std(_along(session)))
     if along > 0.0:
         yield Judgement(lambda s: float(np.nanstd(s.readings.displacement)) / along, _read(session), _WRECK, _READ)
 
@@ -88,55 +76,29 @@ def _judgements(session: Session, build: Build, seen: Observations, extent: floa
     yield Judgement(left, scaled(session, *units), max(_WRECK, _GOOD * session.sigma / extent), _USUAL)
 
 
-def _along(session: Session, image: Array) -> Array:
-    """(n,) commanded places imaged by (3, 3), along the directions that are read, m."""
+def _along(session: Session) -> Array:
+    """(n,) commanded places along the directions that are read, m."""
     readings = session.readings
     direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
-    sensed = np.einsum("nj,jk,nk->n", direction, image, readings.position())
-    return np.asarray(sensed / np.linalg.norm(direction, axis=1))
-
-
-def _less(session: Session, what: str, image: Array, factor: float = 1.0) -> Supposition:
-    """Displacements, times a factor, that have the imaged places in them."""
-    deviation = factor * session.readings.displacement - _along(session, image)
-    return Supposition(what, session.with_readings(replace(session.readings, displacement=deviation)))
+    return np.asarray(np.sum(direction * readings.position(), axis=1) / np.linalg.norm(direction, axis=1))
 
 
 def _read(session: Session) -> Iterator[Supposition]:
-    """Positions in the place of deviations."""
     for factor, name in (
         (1.0, "the actual position"),
         (-1.0, "commanded minus actual position"),
         (1e-3, "the actual position in millimetres"),
     ):
         what = f"displacement looks like {name}; a deviation is actual minus commanded"
-        yield _less(session, what, np.eye(3), factor)
+        yield with_values(session, what, displacement=factor * session.readings.displacement - _along(session))
 
 
-def _lying(session: Session, observed: Callable[[Session], Observations], plane: list[int]) -> Iterator[Judgement]:
-    """How a plate lies, if its places and its deviations do not belong together."""
-
-    def motion(session: Session) -> tuple[Array, bool]:
-        return _affine(observed(session), plane)
-
-    def turned(session: Session) -> float:
-        return float(np.abs(motion(session)[0]).max())
-
-    def distorted(session: Session) -> float:
-        (xx, xy), (yx, yy) = motion(session)[0]
-        return float(max(abs(xy + yx), abs(xx - yy), abs(xx + yy))) / 2
-
-    if motion(session)[1]:
-        yield Judgement(turned, _turns(session, plane), _OFF, _LEFT)
-        yield Judgement(distorted, _askew(session, plane, distorted(session)), _SHEAR, np.inf, _ALONE)
-
-
-def _affine(seen: Observations, plane: list[int]) -> tuple[Array, bool]:
-    """(2, 2) how the deviations depend on the place, and whether they do so closely; NaN where nothing shows it."""
+def _affine(seen: Observations, plane: list[int]) -> Array | None:
+    """(2, 2) how the deviations depend on the place, where they do so closely."""
     within = np.abs(np.linalg.norm(seen.direction[:, plane], axis=1) - 1.0) < 1e-6
     place, sense = seen.position[within][:, plane], seen.direction[within][:, plane]
     if len(place) < 12 or (np.ptp(place, axis=0) == 0).any() or (np.abs(sense).max(axis=0) < 0.5).any():
-        return np.full((2, 2), np.nan), False
+        return None
     reading, setup = seen.readings.displacement[within], seen.readings.setup[within]
     place = place - place.mean(axis=0)
     shifts = [(setup == s) * sense[:, j] for s in np.unique(setup) for j in range(2)]
@@ -144,11 +106,11 @@ def _affine(seen: Observations, plane: list[int]) -> tuple[Array, bool]:
     found, _, rank, _ = np.linalg.lstsq(columns.T, reading, rcond=1e-9)
     left = float(np.median(np.abs(reading - found @ columns)))
     moved = float(np.sqrt(np.mean((found[:4] @ columns[:4]) ** 2)))
-    return found[:4].reshape(2, 2), bool(rank == len(columns) and left <= _CLOSE * (moved or 1.0))
+    return found[:4].reshape(2, 2) if rank == len(columns) and left <= _CLOSE * (moved or 1.0) else None
 
 
-def _turns(session: Session, plane: list[int]) -> Iterator[Supposition]:
-    """A part turned by right angles, or mirrored."""
+def _lying(motion: Array, plane: list[int]) -> str | None:
+    """How a plate lies, if its places and its deviations do not belong together: turned, mirrored or askew."""
     x, y = ("xyz"[j] for j in plane)
     for what, image in (
         (f"the part looks turned by 90 degrees in the plane of {x} and {y}", ((0, -1), (1, 0))),
@@ -158,15 +120,19 @@ def _turns(session: Session, plane: list[int]) -> Iterator[Supposition]:
         (f"the actual places look mirrored: the sign of {x} is reversed", ((-1, 0), (0, 1))),
         (f"the actual places look mirrored: the sign of {y} is reversed", ((1, 0), (0, -1))),
     ):
-        moved = np.zeros((3, 3))
-        moved[np.ix_(plane, plane)] = np.array(image) - np.eye(2)
-        yield _less(session, f"{what} against the commanded ones", moved)
+        if np.abs(motion - np.array(image) + np.eye(2)).max() < _LEFT:
+            return f"{what} against the commanded ones"
+    size = _distortion(motion)
+    if size > _SHEAR and _distortion(motion * [[1.0], [-1.0]]) < _ALONE * size:
+        sign = f"the sign of those along {x} or along {y} looks reversed"
+        return f"the deviations shear the plate by {1e3 * size:.1f} mrad without turning it: {sign}"
+    if size > _SHEAR and _distortion(motion[:, ::-1]) < _ALONE * size:
+        exchange = f"{x} and {y} look exchanged, in the places or in the deviations"
+        return f"the deviations stretch {x} and shrink {y} by {1e3 * size:.1f} mrad: {exchange}"
+    return None
 
 
-def _askew(session: Session, plane: list[int], distorted: float) -> Iterator[Supposition]:
-    """A part that lay askew, its deviations read with a wrong sign or with axes exchanged."""
-    columns, (x, y), size = session.readings.columns, ("xyz"[j] for j in plane), f"{1e3 * distorted:.1f} mrad"
-    what = f"shear the plate by {size} without turning it: the sign of those along {x} or along {y} looks reversed"
-    yield with_columns(session, f"the deviations {what}", **{f"g{y}": -columns[f"g{y}"]})
-    what = f"stretch {x} and shrink {y} by {size}: {x} and {y} look exchanged, in the places or in the deviations"
-    yield with_columns(session, f"the deviations {what}", **{x: columns[y], y: columns[x]})
+def _distortion(motion: Array) -> float:
+    """Shear or difference or mean of scales: all but the turn."""
+    (xx, xy), (yx, yy) = motion
+    return float(max(abs(xy + yx), abs(xx - yy), abs(xx + yy))) / 2

@@ -59,14 +59,10 @@ _MOST = 101
 
 
 def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
-    """Nodes of a table from the positions at which an axis was read.
+    """Nodes of a table from the positions (n,) at which an axis was read that has so many tables, m.
 
-    The positions themselves where each is read at least twice per unknown; otherwise a smaller number of them, spread
-    evenly, so that every node is at a reading.
-
-    Args:
-        positions: (n,) m.
-        unknowns_per_node: number of tables of this axis.
+    The positions themselves where each is read at least twice per unknown; otherwise a smaller number of them,
+    spread evenly, so that every node is at a reading.
     """
     nodes = distinct_nodes(positions)
     most = _MOST if len(positions) >= 2 * len(nodes) * unknowns_per_node else _FEW
@@ -74,16 +70,7 @@ def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
 
 
 def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
-    """Tables of the error motions and squareness errors that a session names.
-
-    Args:
-        chain: the machine.
-        terms: names such as EXX, ECY, C0Y.
-        position: (n, 3) commanded positions, m.
-
-    Raises:
-        ModelError: an unknown name, one named twice, or an axis that the chain does not have.
-    """
+    """Tables of the motions (EXX, C0Y) that a session names; a ModelError if one is unknown, twice, or of no axis."""
     for k, name in enumerate(terms):
         if name in terms[:k]:
             raise ModelError(f"terms names {name!r} twice")
@@ -108,17 +95,11 @@ def _axes(name: str) -> str:
 
 @dataclass(frozen=True)
 class DirectModel(MethodModel):
-    """Deviations with the errors that the session names.
+    """Deviations with the errors that the session names."""
 
-    Attributes:
-        tables: the machine errors in the model, in the order of the first terms.
-        setups: what each setup leaves open.
-        fixed: (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes.
-    """
-
-    tables: tuple[MachineTable, ...]
-    setups: SetupDatum
-    fixed: Array
+    tables: tuple[MachineTable, ...]  # the machine errors in the model, in the order of the first terms
+    setups: SetupDatum  # what each setup leaves open
+    fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -142,15 +123,10 @@ class DirectModel(MethodModel):
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
-    """The model of a session of direct deviations.
+    """The model of a session of direct deviations: the machine errors that it names in `terms`.
 
-    Args:
-        session: the measurement.
-        model: `rigid_body`, the only one: the machine errors named in `terms`.
-
-    Raises:
-        ModelError: an unknown error, an axis that the machine does not have, no reading, or readings that contradict
-            the model in a way that a common mistake explains.
+    A ModelError says what is wrong: an unknown error, an axis that the machine does not have, no reading, or
+    readings that contradict the model in a way that a common mistake explains.
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
@@ -158,15 +134,7 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
 
 
 def build_direct(session: Session, terms: Sequence[str] | None = None) -> DirectModel:
-    """The model, also with other machine errors than the session names.
-
-    Args:
-        session: the measurement.
-        terms: names of machine errors; those of the session if absent.
-
-    Raises:
-        ModelError: as for `build`.
-    """
+    """The model, also with other machine errors (`terms`) than the session names; raises as `build`."""
     description = session.description.as_a(Direct)
     readings = _usable(session.readings)
     position = readings.position()
@@ -308,8 +276,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
 def _scatter(observations: Observations, fit: Fit, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest.
 
-    Where beside the scatter only the reversal of runs by ISO 230-2 is in it, also what readings of one position and
-    direction scatter about their mean, with the p-value of as much with the declared uncertainty.
+    Where beside it only the reversal of ISO 230-2 runs is in it, also the scatter of one position and direction.
     """
     sigma, ratio = fit.model.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
     declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
@@ -345,11 +312,7 @@ def _words(setups: SetupDatum, reduced: bool) -> str:
 
 
 def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
-    """(3 n, q) displacements of all points that the setups' unknowns leave open, of unit size.
-
-    Directions that no reading senses are left out. Beside what the tables can follow, these are shift and turn of
-    everything; with offsets, a shift along the direction that was read, if there is only one.
-    """
+    """(3 n, q) unit displacements of all points that the setups leave open, in the directions that are read."""
     n = len(points)
     parts = [tables]
     if setups.kind == "rigid":
@@ -369,7 +332,6 @@ def _states(position: Array, field: Array) -> IntArray:
 
 
 def _tables(tables: Sequence[MachineTable], fit: Fit, first: int) -> dict[str, Any]:
-    """Nodes, values and uncertainties of each error motion; value and uncertainty of a squareness."""
     sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
     theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
     return tables_content(tables, theta[first:], sigma[first:])

@@ -1,29 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deviations that are read directly, as a record."""
+"""Deviations that are read directly."""
 
-from machine_tool_calibration.methods.direct.checks import DirectChecks
-from machine_tool_calibration.session.description import Direct
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from machine_tool_calibration.arrays import first_true
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.method import MethodSpec
+from machine_tool_calibration.session.session import Session
 
 __all__ = ["SPEC"]
 
-SPEC = MethodSpec(
-    description=Direct,
-    # real deviations often come without times and repeats: one pass, in the order given
-    columns=lambda description: ("setup", "gx", "gy", "gz", "displacement"),
-    any_axis=True,
-    checks=DirectChecks(),
-    model="machine_tool_calibration.methods.direct.model",
-    models={
-        "rigid_body": "the only one: the axes are rigid bodies, their errors tables over their positions",
-    },
-    mounted=lambda description: "" if description.datum == "none" else "the instrument or part",
-    reads_deviations=True,
-    reads_machine=True,
-    by_axes=("rigid_body",),
-    no_tables="the session names no terms (such as terms: [EXX, C0Y]) to be determined",
-    steps="machine_tool_calibration.procedure.steps:direct_steps",
-    planned="machine_tool_calibration.planning.forecast:directly",
-    optics="machine_tool_calibration.nodes.optics:Along",
-    pictures="machine_tool_calibration.plots.direct",
-)
+
+class DirectSpec(MethodSpec):
+    """Deviations that are read directly."""
+
+    description = Direct
+    # Real deviations often come without times and repeats: one pass, in the order given.
+    always = ("setup", "gx", "gy", "gz", "displacement")
+    any_axis = True
+    model = "machine_tool_calibration.methods.direct.model"
+    models: ClassVar = {
+        "rigid_body": "the only one: the axes are rigid bodies, their errors tables over their positions"
+    }
+    reads_deviations = reads_machine = True
+    by_axes = ("rigid_body",)
+    no_tables = "the session names no terms (such as terms: [EXX, C0Y]) to be determined"
+    steps = "machine_tool_calibration.procedure.steps:direct_steps"
+    planned = "machine_tool_calibration.planning.forecast:directly"
+    optics = "machine_tool_calibration.nodes.optics:Along"
+    pictures = "machine_tool_calibration.plots.direct"
+
+    def mounted(self, description: Direct) -> str:
+        """Nothing where there is no datum: the instrument stands where it is said to."""
+        return "" if description.datum == "none" else "the instrument or part"
+
+    def magnitudes(self, session: Session, place: Place) -> None:
+        """Refuse directions gx, gy, gz that are not of length 1."""
+        columns = session.readings.columns
+        length = np.sqrt(columns["gx"] ** 2 + columns["gy"] ** 2 + columns["gz"] ** 2)
+        bad = first_true(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
+        if bad is not None:
+            where = place.row(session.readings.row[bad])
+            raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad]:g}, not 1")
+
+
+SPEC = DirectSpec()

@@ -56,47 +56,29 @@ _ABSORBED = 1e-6
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A session that sees an error motion otherwise than the others.
+    """A session that sees an error motion otherwise than the others."""
 
-    Attributes:
-        session: its label.
-        others: labels of the sessions that see the same motion.
-        motion: the error motion or effect.
-        alike: other motions with which this contradiction could be explained nearly as well.
-        difference: session minus others, where it is largest and more than three standard uncertainties, of all
-            positions that both have read, m or rad.
-        difference_u: its standard uncertainty.
-        unit: m, rad or that of the effect's coefficient.
-        p_value: of the chi-square, times the number of comparisons (Bonferroni).
-    """
-
-    session: str
-    others: tuple[str, ...]
-    motion: str
-    alike: tuple[str, ...]
+    session: str  # its label
+    others: tuple[str, ...]  # labels of the sessions that see the same motion
+    motion: str  # the error motion or effect
+    alike: tuple[str, ...]  # other motions with which this contradiction could be explained nearly as well
+    # session minus others, where it is largest and more than three standard uncertainties, of all positions that both
+    # have read, m or rad
     difference: float
-    difference_u: float
-    unit: str
-    p_value: float
+    difference_u: float  # its standard uncertainty
+    unit: str  # m, rad or that of the effect's coefficient
+    p_value: float  # of the chi-square, times the number of comparisons (Bonferroni)
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether sessions agree.
+    """Whether sessions agree."""
 
-    Attributes:
-        comparisons: number of pairs of session and motion that could be compared.
-        p_value: smallest, times the number of comparisons; None where nothing is shared.
-        spread: factor by which the readings of the sessions scatter more than declared, 1 at least.
-        contradictions: the largest first.
-        statement: in one sentence each.
-    """
-
-    comparisons: int
-    p_value: float | None
-    spread: float
-    contradictions: tuple[Contradiction, ...]
-    statement: str
+    comparisons: int  # number of pairs of session and motion that could be compared
+    p_value: float | None  # smallest, times the number of comparisons; None where nothing is shared
+    spread: float  # factor by which the readings of the sessions scatter more than declared, 1 at least
+    contradictions: tuple[Contradiction, ...]  # the largest first
+    statement: str  # in one sentence each
 
 
 @dataclass(frozen=True)
@@ -110,14 +92,7 @@ class _Candidate:
 
 
 def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spread: float) -> Agreement:
-    """Compare the sessions of a joint fit.
-
-    Args:
-        joint: the fit.
-        common: its models.
-        labels: of the sessions.
-        spread: reduced chi-square of the sessions fitted one by one, all together.
-    """
+    """Compare the sessions of a joint fit; `spread` is the reduced chi-square of their fits one by one."""
     candidates = _candidates(common.models)
     if not candidates:
         return Agreement(0, None, 1.0, (), say("agreement.nothing_shared"))
@@ -213,10 +188,7 @@ def _seen_of(model: MethodModel, name: str) -> set[str]:
 
 
 def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | None:
-    """Positions on an error motion's axis between which two sessions both depend on it, m; None if there are none.
-
-    Empty where the term is no error motion of a linear axis: it has no position.
-    """
+    """Positions between which both sessions depend on an error motion, m; none, or empty where it has no position."""
     if not _is_motion(name):
         return np.empty(0)
     axis = "XYZ".index(parse_motion(name).axis)
@@ -235,16 +207,10 @@ def _is_motion(name: str) -> bool:
 
 
 def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Array) -> tuple[Array, Array]:
-    """A smooth difference in a term: (K, k) its unknowns and (values, k) its values at positions, per coefficient.
+    """(K, k) a smooth difference in a term, and (values, k) what it is at positions that others have read too.
 
-    For a table, Legendre polynomials over the nodes that the session sees, or every such node by itself if they are
-    few; for a polynomial, its own; for all else each coefficient by itself.
-
-    Args:
-        model: of the session.
-        term: the error motion or effect.
-        common: which of its unknowns are compared.
-        at: positions that others have read too.
+    Of the unknowns `common`: for a table Legendre polynomials over the nodes that the session sees, or each node by
+    itself if they are few; for a polynomial its own; for all else each coefficient by itself.
     """
     each = np.eye(len(term.parameters))[:, common]
     table = next((t for t in getattr(model, "tables", None) or () if t.name == term.name), None)
@@ -264,19 +230,12 @@ def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Ar
 
 @dataclass(frozen=True)
 class _Scores:
-    """All differences with the joint model projected off, weighted by the declared uncertainty.
+    """All differences with the joint model projected off, weighted by the declared uncertainty."""
 
-    Attributes:
-        gram: (k, k) their inner products.
-        right: (k,) with the residuals.
-        squares: (k,) squared norms before anything was projected off.
-        start: (differences + 1,) first column of each.
-    """
-
-    gram: Array
-    right: Array
-    squares: Array
-    start: IntArray
+    gram: Array  # (k, k) their inner products
+    right: Array  # (k,) with the residuals
+    squares: Array  # (k,) squared norms before anything was projected off
+    start: IntArray  # (differences + 1,) first column of each
 
     def _own(self, k: int) -> slice:
         return slice(int(self.start[k]), int(self.start[k + 1]))
@@ -297,13 +256,7 @@ class _Scores:
         return float(right @ inverse @ right), rank
 
     def difference(self, k: int, shape: Array, spread: float) -> tuple[float, float]:
-        """The largest value of a difference that is clearly one, and its standard uncertainty.
-
-        Args:
-            k: the difference.
-            shape: its values per unit of its coefficients.
-            spread: factor by which the readings scatter more than declared.
-        """
+        """The largest value that is clearly a difference, of a `shape` per coefficient, and its uncertainty."""
         inverse, _ = self._inverse(k)
         value = shape @ (inverse @ self.right[self._own(k)])
         uncertainty = spread * np.sqrt(np.einsum("vi,ij,vj->v", shape, inverse, shape).clip(0.0))

@@ -41,17 +41,11 @@ def between_nodes(
     read: Mapping[str, Array],
     known: BoolArray | None = None,
 ) -> Array:
-    """(n, 3, 3) covariance of the position error from the tables' straight lines, m^2.
+    """(n, 3, 3) covariance of the position error at points (n, 3) from the tables' straight lines, m^2.
 
-    Args:
-        tables: of the machine.
-        theta: (K,) their values, table after table.
-        covariance: (K, K) of these.
-        points: (n, 3) commanded positions, m; those beyond a table's nodes get nothing.
-        read: by name of a table, positions on its axis at which a session that senses it has read, m; what a straight
-            line is wrong by there shows in its residuals.
-        known: (K,) which values the readings and the datum determine; all if absent. Only these show a bend, and only
-            between two of them that stand next to each other is there a straight line.
+    From the values (K,) of the tables and their covariance. What a line is wrong by shows in the residuals where a
+    session that senses the table has `read` (by its name, positions, m), and beyond its nodes there is none. Only
+    values that are `known` (K,) show a bend, and only between two that stand next to each other is there a line.
     """
     out = np.zeros((len(points), 3, 3))
     first = 0
@@ -76,13 +70,7 @@ def between_nodes(
 
 
 def squared_bend(nodes: Array, value: Array, covariance: Array) -> float:
-    """Mean square of a table's second derivative, without what the uncertainties of its values add to it.
-
-    Args:
-        nodes: (k,) at least three.
-        value: (k,) at the nodes.
-        covariance: (k, k) of these.
-    """
+    """Mean square of the second derivative of values (k,) at nodes (k,), less what their covariance adds to it."""
     step = np.diff(nodes)
     k = len(nodes)
     slope = (np.eye(k)[1:] - np.eye(k)[:-1]) / step[:, None]
@@ -104,15 +92,10 @@ _MOVES = 1e-9
 def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None = None) -> ErrorMap:
     """Tables with their uncertainties, and position errors at the points of all sessions.
 
-    What all readings together leave open is taken out of the position errors by least squares over the points. Where a
-    component depends on a table beyond its nodes, which a session reached that does not determine it there, it has no
-    value; where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty. A
-    direction of the machine that no reading of any session senses has no value either.
-
-    Args:
-        joint: the fit.
-        common: its models.
-        angles: the mean over all sizes of small angular errors, where there are any.
+    What all readings together leave open is taken out of the position errors by least squares over the points.
+    Where a component depends on a table beyond its nodes, which a session reached that does not determine it there,
+    it has no value; where it depends on one between its nodes, what straight lines may be wrong by is in its
+    uncertainty. A direction of the machine that no reading of any session senses has no value either.
     """
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
@@ -196,7 +179,6 @@ def _read(common: CommonModels) -> dict[str, Array]:
 
 
 def _points(joint: JointFit, common: CommonModels) -> Array:
-    """Distinct places of the functional point of the sessions that have linear axes' errors."""
     every = [m.observations.position for m in joint.assembly.models if getattr(m, "tables", None)]
     if not every or not common.tables:
         return np.zeros((0, 3))
@@ -213,7 +195,6 @@ def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) ->
 
 
 def _rotary(joint: JointFit) -> dict[str, Any]:
-    """Error motions of rotary axes, where a session measured them."""
     out: dict[str, Any] = {}
     good = joint.published.determined
     sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))

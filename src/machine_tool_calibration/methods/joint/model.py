@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import common_shape, effect_term, without_absorbed
 from machine_tool_calibration.effects.error_motion import sensed_lever_arms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import Linearised
@@ -25,7 +27,8 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, interpola
 from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import coarse_nodes
-from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble, weight_row
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, assemble, weight_row
 from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
@@ -40,7 +43,8 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 from machine_tool_calibration.words import together as told_together
 
-__all__ = ["CommonModels", "common_models", "tables_of"]
+__all__ = ["CommonModels", "common_models", "tables_of", "with_effects"]
+
 
 # Most nodes of a table, and about how many are taken of more.
 _MOST, _FEW = 61, 31
@@ -49,34 +53,18 @@ _SENSED = 1e-9
 
 @dataclass(frozen=True)
 class CommonModels:
-    """Models with the same machine.
+    """Models with the same machine."""
 
-    Attributes:
-        models: one for each session, with the datum that all together need.
-        tables: of the machine's linear axes, those that some session senses.
-        fixed: by name of an unknown of the tables, (q,) how it takes part in what all readings leave open and the
-            datum fixes.
-        datum: in words.
-        angles: those of the tables that are expected to be small smooth random functions.
-    """
-
-    models: tuple[MethodModel, ...]
-    tables: tuple[MachineTable, ...]
+    models: tuple[MethodModel, ...]  # one for each session, with the datum that all together need
+    tables: tuple[MachineTable, ...]  # of the machine's linear axes, those that some session senses
+    # by name of an unknown of the tables, (q,) how it takes part in what all readings leave open and the datum fixes
     fixed: Mapping[str, Array]
-    datum: str
-    angles: tuple[MachineTable, ...] = ()
+    datum: str  # in words
+    angles: tuple[MachineTable, ...] = ()  # those of the tables that are expected to be small smooth random functions
 
 
 def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> CommonModels:
-    """Give models of several sessions the same tables and one datum.
-
-    Args:
-        models: one for each session.
-        labels: names of the sessions.
-
-    Raises:
-        ModelError: the sessions are of machines with different chains.
-    """
+    """Give models of several sessions the same tables and one datum; a ModelError if their chains differ."""
     chains = [model.observations.session.description.machine.kinematics for model in models]
     linear = [chain for chain in chains if chain.linear]
     first = next((model for model, chain in zip(models, chains, strict=True) if chain.linear), models[0])
@@ -123,7 +111,6 @@ def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
 
 
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
-    """Every motion that a session has, on the nodes of all that sense it."""
     every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
     names = list(dict.fromkeys([*(table.name for table in every), *_determined_together(models, chain)]))
     random = {table.name for model in models for table in angles_of(model)}
@@ -142,11 +129,7 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
 
 
 def _determined_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
-    """Error motions that tracking interferometers determine by all their readings, though none of them may by its own.
-
-    A single station senses one direction at each place: it cannot distinguish an angle from a straightness, which two
-    can.
-    """
+    """Error motions that trackers determine together: each alone senses one direction at a place."""
     trackers = [m for m in models if spec_of(m.observations.session).beam_from_pointer and tables_of(m)]
     if len(trackers) < 2:
         return []
@@ -299,3 +282,73 @@ def _preference(constraint: Constraint, motions: Mapping[str, MachineTable]) -> 
     first = kinds[0]
     assert first is not None
     return 0 if first.is_straightness else 1 if first.is_rotation else 2
+
+
+def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[Effect]) -> CommonModels:
+    """The models with effects in every session in which they can act; a ModelError names one that acts in none."""
+    models = list(common.models)
+    for effect in effects:
+        reasons = {label: effect.why_not(m.observations) for label, m in zip(labels, models, strict=True)}
+        if all(why is not None for why in reasons.values()):
+            first, why = next(iter(reasons.items()))
+            raise ModelError(f"effect {effect.id} acts in no session: {first}: {why}")
+    # Even where a session by itself takes an effect up, the others may determine it.
+    effects, absorbed = without_absorbed(fit_models(models, labels), effects)
+    models = [replace(model, left_out=model.left_out + absorbed) for model in models]
+    for effect in effects:
+        if not effect.shapes:
+            models = _extended(models, effect, ())
+    for effect in effects:
+        if effect.shapes:
+            models = _with_curved(models, labels, effect)
+    return replace(common, models=tuple(models))
+
+
+def _extended(
+    models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...], sizes: Sequence[Array | None] = ()
+) -> list[MethodModel]:
+    """The models with an effect's columns at given nonlinear coefficients, linearised if sizes are given."""
+    return [
+        model.with_terms([effect_term(effect, model.observations, shape, sizes[k] if sizes else None)])
+        if effect.why_not(model.observations) is None
+        else model
+        for k, model in enumerate(models)
+    ]
+
+
+def _with_curved(models: list[MethodModel], labels: Sequence[str], effect: Effect) -> list[MethodModel]:
+    """The models with an effect whose nonlinear coefficients are those with which all sessions together fit best."""
+    observed = [m.observations for m in models if effect.why_not(m.observations) is None]
+    shape, sizes = common_shape(fit_models(models, labels), effect, effect.shape_grid(together(observed)))
+    fixed = _extended(models, effect, shape)
+    if all(coefficient.discrete for coefficient in effect.shapes):
+        return fixed
+    moving = _extended(models, effect, shape, sizes)
+    return moving if _shape_is_determined(fit_models(moving, labels), effect) else _held(fixed, effect, shape)
+
+
+def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
+    """Whether the fit says something of all nonlinear coefficients: possible, and not lost in their uncertainties."""
+    solution, parameters = fit.solution, fit.assembly.parameters
+    sigma = np.sqrt(np.diag(solution.covariance).clip(0.0) * max(fit.reduced_chi_square, 1.0))
+    wanted = {f"{effect.id}.{c.name}" for c in effect.shapes if not c.discrete}
+    good = solution.determined
+    for k, p in enumerate(parameters):
+        if p.name in wanted:
+            value = float(p.reference + solution.theta[k])
+            if not good[k] or value <= 0.0 or sigma[k] > value or abs(value - p.reference) > abs(p.reference):
+                return False
+    return True
+
+
+def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...]) -> list[MethodModel]:
+    entries = tuple(
+        NotDetermined(
+            f"{effect.id}.{c.name}",
+            say("undetermined.held_at", value=f"{shape[k]:.3g} {c.unit}"),
+            effect.id,
+        )
+        for k, c in enumerate(effect.shapes_for(models[0].observations))
+        if not c.discrete
+    )
+    return [replace(model, left_out=(*model.left_out, *entries)) for model in models]

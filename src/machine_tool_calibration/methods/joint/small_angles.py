@@ -41,23 +41,17 @@ _LIKELY = 0.5
 
 @dataclass(frozen=True)
 class StatedAngles:
-    """Angular errors of all sessions as they are published: the mean over all their sizes and shapes.
+    """Angular errors of all sessions as they are published: the mean over all their sizes and shapes."""
 
-    Attributes:
-        size: root mean square of the angular errors over all that is possible, rad.
-        probability: that they are not zero.
-        untold: those of which the readings say little more than the size.
-    """
-
-    size: float
-    probability: float
-    untold: tuple[NotDetermined, ...]
+    size: float  # root mean square of the angular errors over all that is possible, rad
+    probability: float  # that they are not zero
+    untold: tuple[NotDetermined, ...]  # those of which the readings say little more than the size
 
     def hiding(self, statement: str) -> str:
         """An agreement of sessions, with what it does not mean where angular errors explain as much.
 
-        A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX like EYX):
-        a straightness that another session sees differently cannot be distinguished from such a rotation.
+        A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX
+        like EYX).
         """
         if self.probability < _LIKELY:
             return statement
@@ -67,7 +61,7 @@ class StatedAngles:
 def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
     """Tables of the angular errors that a model takes for small random functions."""
     spread = model.spread if isinstance(model, StepDiagonalModel) else None
-    return () if spread is None else tuple(angle.table for angle in spread.angles)
+    return () if spread is None else spread.tables
 
 
 def in_words(angles: Sequence[MachineTable]) -> str:
@@ -91,13 +85,7 @@ def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> t
 def settled(
     models: Sequence[MethodModel], labels: Sequence[str], angles: Sequence[MachineTable]
 ) -> tuple[MethodModel, ...]:
-    """The models with the size and shape of the angular errors that all readings together determine.
-
-    Args:
-        models: one for each session, those terms that were added included.
-        labels: names of the sessions.
-        angles: tables of the angular errors.
-    """
+    """The models with the size and shape of the angular errors that all readings together determine."""
     if not angles:
         return tuple(models)
     told = _posterior(fit_models(models, labels, random_of(angles)))

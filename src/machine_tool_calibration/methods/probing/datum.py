@@ -43,24 +43,17 @@ class NullSpace:
 
     The unknowns are the K shared ones, each in the unit that changes the readings by 1 m (rms), and then the
     workpiece's N points, m.
-
-    Attributes:
-        names: of the shared unknowns.
-        unit: (K,) of each shared unknown.
-        basis: (K + N, q) orthonormal directions.
-        response: (K + N, K) what each unknown does when the shared ones change: a point follows the mean of its
-            touches.
-        half: (K, r) half @ half.T is the covariance of the shared unknowns, for touches of unit uncertainty, in the
-            datum of least norm.
-        own: (K + N,) variance that each unknown has besides: of a point, one over the number of its touches.
     """
 
-    names: tuple[str, ...]
-    unit: Array
-    basis: Array
+    names: tuple[str, ...]  # of the shared unknowns
+    unit: Array  # (K,) of each shared unknown
+    basis: Array  # (K + N, q) orthonormal directions
+    # (K + N, K) what each unknown does when the shared ones change: a point follows the mean of its touches
     response: Array
+    # (K, r) half @ half.T is the covariance of the shared unknowns, for touches of unit uncertainty, in the datum of
+    # least norm
     half: Array
-    own: Array
+    own: Array  # (K + N,) variance that each unknown has besides: of a point, one over the number of its touches
 
     @cached_property
     def _index(self) -> dict[str, int]:
@@ -102,14 +95,7 @@ def _kernel(rows: Array) -> Array:
 
 
 def null_space(names: Sequence[str], dense: Array, point: IntArray, n_points: int) -> NullSpace:
-    """Find the changes of the unknowns that no touch notices.
-
-    Args:
-        names: of the K shared unknowns.
-        dense: (K, n) their columns.
-        point: (n,) which of the workpiece's points was touched: its own unknown enters with 1.
-        n_points: N.
-    """
+    """The changes of K shared unknowns (columns (K, n)) and N points (touched: (n,)) that no touch notices."""
     k = len(dense)
     size = np.sqrt(np.mean(dense**2, axis=1))
     typical = float(size.max(initial=0.0)) or 1.0
@@ -137,32 +123,20 @@ _WORSE = 3.0
 
 @dataclass(frozen=True)
 class Place:
-    """Where a condition may be put: the weighted sum of unknowns that gets a value.
+    """Where a condition may be put: the weighted sum of unknowns that gets a value."""
 
-    Attributes:
-        weights: by the unknown's name.
-        value: of the sum, m or rad.
-        words: for the datum's description, such as `EYX(0.11) = 0`.
-        is_measured: whether the value is a measurement, so that it is not to be moved for convenience.
-    """
-
-    weights: Mapping[str, float]
-    value: float
-    words: str
-    is_measured: bool = False
+    weights: Mapping[str, float]  # by the unknown's name
+    value: float  # of the sum, m or rad
+    words: str  # for the datum's description, such as `EYX(0.11) = 0`
+    is_measured: bool = False  # whether the value is a measurement, so that it is not to be moved for convenience
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition of the datum.
+    """One condition of the datum."""
 
-    Attributes:
-        places: where it may be put, in the order of preference.
-        is_far: whether it belongs far from the axis's zero, as those for a direction or the length.
-    """
-
-    places: tuple[Place, ...]
-    is_far: bool = False
+    places: tuple[Place, ...]  # where it may be put, in the order of preference
+    is_far: bool = False  # whether it belongs far from the axis's zero, as those for a direction or the length
 
 
 def choose_places(null: NullSpace, conditions: Sequence[Condition]) -> list[Place | None]:
@@ -191,10 +165,7 @@ class _Search:
         return np.array(picked).reshape(-1, len(self.null.names))
 
     def score(self, choice: Sequence[int]) -> tuple[int, float]:
-        """Number of unknowns that are determined; and how little the others are tied to each other.
-
-        The second counts where two conditions must move before anything more is determined.
-        """
+        """Number of unknowns that are determined; and how little the others are tied: where two must move for more."""
         free = self.null.free(self.stack(choice))
         share = np.linalg.norm(free, axis=1)
         return int((share < SHARE).sum()), round(-float(share.sum()), 6)
@@ -255,18 +226,11 @@ LENGTH = say("datum.absolute_length")
 def conditions(
     tables: Sequence[MachineTable], setup_ids: Sequence[str], known: Mapping[str, KnownLength]
 ) -> list[Condition]:
-    """The conditions in the paper's order.
+    """The conditions in the paper's order; a ModelError if a measured length is no positioning error of X or Y.
 
-    Zero of every table at its axis's zero and of EXC, EYC, ECC at the first index, Eq. (16); straightness zero at the
-    last node too, which makes the line through both the direction of the axis, and the measured length, Eq. (17).
-
-    Args:
-        tables: of the linear axes.
-        setup_ids: the C indices.
-        known: measured lengths, by the positioning error's name.
-
-    Raises:
-        ModelError: a measured length is not a positioning error of X or Y.
+    Zero of every table at its axis's zero and of EXC, EYC, ECC at the first index, Eq. (16); straightness zero at
+    the last node too, which makes the line through both the direction of the axis, and the measured length, Eq.
+    (17).
     """
     by_name = {table.name: table for table in tables}
     for name in known:

@@ -19,9 +19,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
+from machine_tool_calibration.methods.probing.geometry import Circle, Element, Line, elements, through
 from machine_tool_calibration.methods.probing.map import common_motions, points_of_form, responses
 from machine_tool_calibration.methods.probing.model import ProbingModel
-from machine_tool_calibration.methods.probing.shapes import Circle, Element, Line, elements, through
 from machine_tool_calibration.model.fit import Fit
 
 __all__ = ["Features", "Quantity", "features"]
@@ -34,21 +34,13 @@ _APART = 1e-6
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is asked of one feature or of several, as the drawing has it.
+    """What is asked of one feature or of several, as the drawing has it."""
 
-    Attributes:
-        of: names of the features.
-        what: x, y, radius, offset, direction, distance, angle.
-        unit: m or rad.
-        nominal: in the unit.
-        rows: (N,) its change by the errors of the workpiece's points.
-    """
-
-    of: tuple[str, ...]
-    what: str
-    unit: str
-    nominal: float
-    rows: Array
+    of: tuple[str, ...]  # names of the features
+    what: str  # x, y, radius, offset, direction, distance, angle
+    unit: str  # m or rad
+    nominal: float  # in the unit
+    rows: Array  # (N,) its change by the errors of the workpiece's points
 
     @property
     def name(self) -> str:
@@ -58,23 +50,14 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Features:
-    """Features of a workpiece with their joint uncertainty.
+    """Features of a workpiece with their joint uncertainty."""
 
-    Attributes:
-        elements: the features.
-        quantities: of them, in the frame: q.
-        deviation: (q,) actual minus nominal; NaN where the touches do not determine it.
-        uncertainty_matrix: (q, q) their joint covariance.
-        datum: the frame, and what else was laid down, in words.
-        left_out: names of points' features that are neither circle nor line, and why.
-    """
-
-    elements: tuple[Element, ...]
-    quantities: tuple[Quantity, ...]
-    deviation: Array
-    uncertainty_matrix: Array
-    datum: str
-    left_out: Mapping[str, str]
+    elements: tuple[Element, ...]  # the features
+    quantities: tuple[Quantity, ...]  # of them, in the frame: q
+    deviation: Array  # (q,) actual minus nominal; NaN where the touches do not determine it
+    uncertainty_matrix: Array  # (q, q) their joint covariance
+    datum: str  # the frame, and what else was laid down, in words
+    left_out: Mapping[str, str]  # names of points' features that are neither circle nor line, and why
 
     @property
     def uncertainty(self) -> Array:
@@ -99,20 +82,14 @@ def features(
 ) -> Features:
     """The features of the workpiece of a probing session.
 
-    Args:
-        fit: of the session.
-        named: ids of the points of features that the session's points do not name.
-        centres: further features, each the circle or line through the centres of several; names, or patterns such as
-            `pin*`.
-        frame: the feature, a circle, that has no error; and the one that gives the direction: a circle has no error in
-            Y (none in X, where the two lie rather along Y), a line does not turn.
-        distances: pairs of features: centres, a centre and a line, or two parallel lines (from the first one to the
-            middle of the points of the second).
-        angles: pairs of lines, or three circles: at the second one, at most half a turn.
-
-    Raises:
-        CalibrationError: there are no features, or those that are asked for do not exist or do not fit together.
-        ModelError: no probing session.
+    `named` has the ids of the points of features that the session's points do not name; `centres` further features,
+    each the circle or line through the centres of several (names, or patterns such as `pin*`). Of the `frame`, the
+    first feature, a circle, has no error, and the second gives the direction: a circle has no error in Y (none in
+    X, where the two lie rather along Y), a line does not turn. `distances` are between centres, a centre and a
+    line, or two parallel lines (from the first one to the middle of the points of the second); `angles` between
+    lines, or at the second of three circles, at most half a turn. A CalibrationError says that there are no
+    features, or that those that are asked for do not exist or do not fit together; a ModelError, that it is no
+    probing session.
     """
     model = fit.model
     if not isinstance(model, ProbingModel):
@@ -168,7 +145,6 @@ def _round(known: Mapping[str, Element], name: str, patterns: Sequence[str]) -> 
 
 
 def _own(one: Element) -> list[Quantity]:
-    """The quantities of a feature by itself, in the workpiece's frame."""
     if isinstance(one, Circle):
         nominal = (*one.place, one.radius)
         what, units = ("x", "y", "radius"), "mmm"

@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry of a probed workpiece on a rotary table, and the tables of the linear axes, Eqs. (4)(5), for any chain."""
+"""Geometry of a probed workpiece on a rotary table, and the tables of the linear axes, Eqs. (4)(5), for any chain.
+
+Also which of its points form a circle or a straight wall. To first order the Gauss (least-squares) element moves by a
+linear function of its points' errors e along their outward normals n: for a circle e = n . (dx, dy) + s dr, where s is
++1 of a pin, disc or sphere on its equator and -1 of a hole; for a wall e = offset + t turn, with t the place along it
+from the middle of its points.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.checks.nominal_geometry import turned
@@ -16,12 +23,18 @@ from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings, places_among
 
 __all__ = [
+    "Circle",
+    "Element",
+    "Line",
     "Touches",
+    "element",
+    "elements",
     "nominal_points",
     "plane_tables",
     "point_means",
     "rigid_motion",
     "table_nodes",
+    "through",
     "touches",
 ]
 
@@ -33,32 +46,18 @@ _NO_LEVER = 1e-4
 
 @dataclass(frozen=True)
 class Touches:
-    """The touches of a session in the machine frame.
+    """The touches of a session in the machine frame."""
 
-    Attributes:
-        point: (n,) place of the touched point in the workpiece's list.
-        contact: (n, 3) nominal contact, m; its origin is the centre line of C.
-        normal: (n, 3) outward normal of the surface, unit vectors.
-        lever: (n,) displacement of the surface along its normal per radian that the table turns counter-clockwise
-            seen from +Z, m/rad: n . (R(90 deg) p) of Eq. (13).
-    """
-
-    point: IntArray
-    contact: Array
-    normal: Array
+    point: IntArray  # (n,) place of the touched point in the workpiece's list
+    contact: Array  # (n, 3) nominal contact, m; its origin is the centre line of C
+    normal: Array  # (n, 3) outward normal of the surface, unit vectors
+    # (n,) displacement of the surface along its normal per radian that the table turns counter-clockwise seen from +Z,
+    # m/rad: n . (R(90 deg) p) of Eq. (13)
     lever: Array
 
 
 def rigid_motion(position: Array, normal: Array) -> Array:
-    """What a shift along x, one along y and a counter-clockwise turn of the workpiece do to its points.
-
-    Args:
-        position: (n, 2) points in the workpiece frame, m.
-        normal: (n, 2) outward normals.
-
-    Returns:
-        (3, n) displacement along the normal per metre, metre and radian.
-    """
+    """(3, n) displacement along normals (n, 2) of points (n, 2) per metre along x, along y, and radian."""
     return np.stack([normal[:, 0], normal[:, 1], _lever(position, normal)])
 
 
@@ -70,14 +69,7 @@ def nominal_points(description: Probing) -> tuple[Array, Array]:
 
 
 def point_means(columns: Array, point: IntArray, weight: Array, n_points: int) -> tuple[Array, Array]:
-    """(N, K) weighted mean of the columns over the touches of each point, 0 of none, and (N,) the sum of weights.
-
-    Args:
-        columns: (K, n).
-        point: (n,) which point was touched.
-        weight: (n,) of each touch.
-        n_points: N.
-    """
+    """(N, K) weighted mean of columns (K, n) over each point's touches, 0 of none, and (N,) sum of their weights."""
     total = np.asarray(np.bincount(point, weight, n_points), dtype=np.float64)
     mean = np.zeros((n_points, len(columns)))
     np.add.at(mean, point, (columns * weight).T)
@@ -85,14 +77,7 @@ def point_means(columns: Array, point: IntArray, weight: Array, n_points: int) -
 
 
 def touches(description: Probing, readings: Readings, rotation_sign: int) -> Touches:
-    """Turn the workpiece's nominal points to where they were touched, Eqs. (1)(2).
-
-    Args:
-        description: the workpiece in its frame at c = 0.
-        readings: which point was touched at which c.
-        rotation_sign: -1 if C positive turns the workpiece clockwise seen from +Z, as in the paper.
-
-    """
+    """Turn the workpiece's nominal points to where they were touched, Eqs. (1)(2); rotation_sign is -1 in the paper."""
     point = places_among(readings.labels["point"], [entry.id for entry in description.workpiece])
     position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
@@ -116,18 +101,10 @@ _OVERHANG = 0.5
 
 
 def table_nodes(machine: Machine, axis: str, reached: Array) -> tuple[Array, Array]:
-    """Nodes of the error tables of one linear axis.
+    """(k,) nodes of X or Y as the machine declares them, and (K,) with those added that the touches (n,) reach, m.
 
     Touches further than half an interval beyond the grid get nodes of their own, a whole number of intervals on:
-    nothing is assumed of the machine where the grid says nothing.
-
-    Args:
-        machine: names the grid, or only the travel.
-        axis: X or Y.
-        reached: (n,) positions at which the axis was read, m.
-
-    Returns:
-        (k,) the grid as declared, and (K,) the same with nodes added, both increasing, m.
+    nothing is assumed of the machine where the grid says nothing. Without a grid its travel is divided evenly.
     """
     tables = machine.table_grid or {}
     declared = tables.get(axis.lower(), tables.get(axis))
@@ -147,15 +124,8 @@ def table_nodes(machine: Machine, axis: str, reached: Array) -> tuple[Array, Arr
 def plane_tables(chain: Chain, nodes: dict[str, Array], position: Array) -> tuple[MachineTable, ...]:
     """Error motions of X and Y that move the stylus in the plane, and their squareness (Table 1).
 
-    Which yaw counts depends on the chain: with w-C-b-Y-X-Z-t Y carries X, so it is that of Y (Eq. (5)).
-
-    Args:
-        chain: the machine.
-        nodes: of the tables, by axis X and Y.
-        position: (n, 3) commanded positions, m.
-
-    Raises:
-        ModelError: the machine has no X or no Y.
+    Which yaw counts depends on the chain: with w-C-b-Y-X-Z-t Y carries X, so it is that of Y (Eq. (5)). A
+    ModelError says that the machine has no X or no Y.
     """
     for axis in "XY":
         if axis not in chain.linear:
@@ -168,3 +138,149 @@ def plane_tables(chain: Chain, nodes: dict[str, Array], position: Array) -> tupl
         if any(np.any(yaw.scalar(position, direction)) for direction in along):
             tables.append(yaw)
     return tuple(tables)
+
+
+# How far nominal points may be off their circle or line, m, and normals off theirs: what drawings round.
+_ROUNDED = 1e-6
+_TURNED = 1e-4
+# Smallest singular value, beside the largest, with which an element is determined by its points.
+_RANK = 1e-4
+
+
+@dataclass(frozen=True)
+class Element:
+    """A feature as the drawing has it, and what it does when its points are off."""
+
+    name: str  # of the feature
+    index: IntArray  # (m,) its points' places in the workpiece's list
+    place: Array  # (2,) centre of a circle, middle of a line's points, m
+    rows: Array  # (k, N) change of each of its quantities by the points' errors along their outward normals
+
+
+@dataclass(frozen=True)
+class Circle(Element):
+    """A pin, disc, sphere on its equator or hole; its quantities are x, y and radius."""
+
+    radius: float  # nominal, m
+    hole: bool  # whether the material is outside
+
+
+@dataclass(frozen=True)
+class Line(Element):
+    """A straight wall; its quantities are the offset along its normal at `place`, and its turn."""
+
+    normal: Array  # (2,) outward unit vector
+    reach: float  # how far its nominal points lie to either side of `place`, m
+
+    @property
+    def along(self) -> Array:
+        """(2,) unit vector of which the normal is the counter-clockwise one."""
+        return np.array([self.normal[1], -self.normal[0]])
+
+
+def elements(
+    description: Probing, touched: BoolArray, named: Mapping[str, Sequence[str]] | None = None
+) -> tuple[tuple[Element, ...], dict[str, str]]:
+    """The features of a workpiece in the order of their points, and of each name that gives none the reason.
+
+    Points that were not touched take no part; those of `named`, further features by the ids of their points, take
+    part in no other. A CalibrationError says that a point of `named` is unknown or twice in a feature, or that it
+    is no feature.
+    """
+    place = {point.id: k for k, point in enumerate(description.workpiece)}
+    listed = named or {}
+    for name, ids in listed.items():
+        if not len(ids):
+            raise CalibrationError(f"feature {name}: no point is given")
+        for id_ in ids:
+            if id_ not in place:
+                raise CalibrationError(f"feature {name}: the workpiece has no point {id_!r}{did_you_mean(id_, place)}")
+        if len(set(ids)) < len(ids):
+            raise CalibrationError(f"feature {name}: a point stands in it twice")
+    taken = {id_ for ids in listed.values() for id_ in ids}
+    groups: dict[str, list[int]] = {}
+    for point in description.workpiece:
+        if point.id not in taken and point.feature not in listed:
+            groups.setdefault(point.feature, []).append(place[point.id])
+    groups |= {name: [place[id_] for id_ in ids] for name, ids in listed.items()}
+    position, normal = nominal_points(description)
+    found, refused = [], {}
+    for name, points in groups.items():
+        try:
+            found.append(element(name, np.array(points), position, normal, touched))
+        except CalibrationError as error:
+            if name in listed:
+                raise
+            refused[name] = str(error).removeprefix(f"feature {name}: ")
+    return tuple(found), refused
+
+
+def element(name: str, index: IntArray, position: Array, normal: Array, touched: BoolArray) -> Element:
+    """The circle or line on which the points `index` of a workpiece lie; (N, 2) positions, m, and outward normals.
+
+    Those that were not touched do not take part. A CalibrationError says that they lie on neither, or too few were.
+    """
+    p, n = position[index], normal[index]
+    straight = bool(np.all(n @ n[0] > 1.0 - _TURNED**2 / 2))
+    if straight:
+        middle = p.mean(axis=0)
+        across, along = n[0], np.array([n[0][1], -n[0][0]])
+        t = (p - middle) @ along
+        good = np.abs((p - middle) @ across) < _ROUNDED
+    else:
+        centre, signed = _circle(p, n)
+        good = np.abs(np.linalg.norm(p - centre, axis=1) - abs(signed)) < _ROUNDED
+        good &= np.linalg.norm(p - centre - signed * n, axis=1) < max(_ROUNDED, _TURNED * abs(signed))
+    if not np.all(good) or len(p) < 2:
+        raise CalibrationError(f"feature {name}: its points lie neither on a circle nor on a straight line")
+    used = touched[index]
+    design = np.column_stack([np.ones(len(t)), t] if straight else [n, np.full(len(n), np.sign(signed))])[used]
+    size = design.shape[1]
+    if len(design) < size or not _full_rank(design):
+        what = "offset and direction of the line" if straight else "centre and radius"
+        few = f"{len(design)} touched points do not determine"
+        raise CalibrationError(f"feature {name}: {few} {what}")
+    rows = np.zeros((size, len(position)))
+    rows[:, index[used]] = np.linalg.pinv(design)
+    if straight:
+        return Line(name, index[used], middle, rows, across, float(np.abs(t).max()))
+    return Circle(name, index[used], centre, rows, abs(signed), signed < 0)
+
+
+def through(name: str, circles: Sequence[Circle]) -> Element:
+    """The circle or line through the nominal centres of round features: a pitch circle, a row of holes."""
+    centres = np.array([one.place for one in circles])
+    normal = _normals(centres)
+    found = element(name, np.arange(len(circles)), centres, normal, np.ones(len(circles), dtype=bool))
+    moves = np.array([along @ one.rows[:2] for along, one in zip(normal, circles, strict=True)])
+    index = np.concatenate([one.index for one in circles])
+    return replace(found, index=index, rows=found.rows @ moves)
+
+
+def _normals(places: Array) -> Array:
+    """(m, 2) outward unit vectors of the circle through places; of a line all the same one."""
+    middle = places.mean(axis=0)
+    around = places - middle
+    across = np.linalg.svd(around)[2][-1]
+    if np.all(np.abs(around @ across) < _ROUNDED):
+        return np.tile(across, (len(places), 1))
+    # |p|^2 = 2 c . p + constant, exact where the places are.
+    design = np.column_stack([2.0 * around, np.ones(len(places))])
+    centre = np.linalg.lstsq(design, np.sum(around**2, axis=1), rcond=None)[0][:2]
+    outward = around - centre
+    return np.asarray(outward / np.maximum(np.linalg.norm(outward, axis=1), _ROUNDED)[:, None])
+
+
+def _circle(position: Array, normal: Array) -> tuple[Array, float]:
+    """Centre and radius, negative for a hole, of p = centre + radius n by least squares."""
+    m = len(position)
+    matrix = np.zeros((2 * m, 3))
+    matrix[:m, 0] = matrix[m:, 1] = 1.0
+    matrix[:, 2] = normal.T.reshape(-1)
+    found = np.linalg.lstsq(matrix, position.T.reshape(-1), rcond=None)[0]
+    return np.asarray(found[:2], dtype=np.float64), float(found[2])
+
+
+def _full_rank(design: Array) -> bool:
+    scaled = design / np.maximum(np.linalg.norm(design, axis=0), np.finfo(float).tiny)
+    return bool(np.linalg.svd(scaled, compute_uv=False)[-1] > _RANK)

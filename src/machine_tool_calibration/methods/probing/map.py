@@ -1,14 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer of the probing self-calibration: workpiece and its form, linear axes on their grid, and C."""
+"""The answer of the probing self-calibration: workpiece and its form, linear axes on their grid, and C.
+
+Also by propagation of distributions (GUM Supplement 1, JCGM 101). The least-squares estimate is linear in its inputs:
+the touches, the measured lengths and what does not reproduce between runs. One factorisation gives what each quantity
+changes by per unit of each input; every draw then is a product with it. The normal equations are formed by centring
+each point's readings, apart from the solver's elimination, so that the draws also check the closed form.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import COVERAGE, Array, BoolArray, IntArray, standard_draws
+from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.probing.geometry import nominal_points, point_means, rigid_motion
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
@@ -19,11 +28,15 @@ from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.words import say
 
 __all__ = [
+    "FEWEST_DRAWS",
     "Combined",
+    "Distribution",
     "Errors",
+    "MonteCarlo",
     "Responses",
     "common_motions",
     "error_map",
+    "monte_carlo",
     "points_of_form",
     "responses",
     "workpiece_errors",
@@ -37,49 +50,30 @@ _SHARE = 1e-6
 
 @dataclass(frozen=True)
 class Errors:
-    """One number per point of the workpiece; NaN where the touches do not determine it.
+    """One number per point of the workpiece; NaN where the touches do not determine it."""
 
-    Attributes:
-        value: (N,) error along the outward normal, m.
-        uncertainty: (N,) standard uncertainty, m.
-    """
-
-    value: Array
-    uncertainty: Array
+    value: Array  # (N,) error along the outward normal, m
+    uncertainty: Array  # (N,) standard uncertainty, m
 
 
 @dataclass(frozen=True)
 class Combined:
-    """Sums over the points of the workpiece, each with weights of its own.
+    """Sums over the points of the workpiece, each with weights of its own."""
 
-    Attributes:
-        value: (q,) NaN where the touches do not determine it.
-        covariance: (q, q) of them all; NaN where the touches do not determine one.
-    """
-
-    value: Array
-    covariance: Array
+    value: Array  # (q,) NaN where the touches do not determine it
+    covariance: Array  # (q, q) of them all; NaN where the touches do not determine one
 
 
 @dataclass(frozen=True)
 class Responses:
-    """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open.
+    """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open."""
 
-    Attributes:
-        value: (N,) error of each point, m.
-        own: (N,) variance from the noise of its own touches, m^2.
-        half: (N, K) half @ half.T is the covariance from the shared unknowns, m^2.
-        loose: (N, k) change of the points with what is not determined.
-        scale: (N,) size of that change if nothing of it cancelled.
-        touched: (N,) whether the point was touched.
-    """
-
-    value: Array
-    own: Array
-    half: Array
-    loose: Array
-    scale: Array
-    touched: BoolArray
+    value: Array  # (N,) error of each point, m
+    own: Array  # (N,) variance from the noise of its own touches, m^2
+    half: Array  # (N, K) half @ half.T is the covariance from the shared unknowns, m^2
+    loose: Array  # (N, k) change of the points with what is not determined
+    scale: Array  # (N,) size of that change if nothing of it cancelled
+    touched: BoolArray  # (N,) whether the point was touched
 
     @property
     def steady(self) -> BoolArray:
@@ -87,11 +81,7 @@ class Responses:
         return np.asarray(self.touched & ~_moves(self.loose, self.scale))
 
     def combine(self, rows: Array) -> Combined:
-        """Sums of the points' errors, from their joint covariance.
-
-        Args:
-            rows: (q, N) weights of the points; of points that were not touched they are zero.
-        """
+        """Sums of the points' errors with weights (q, N), zero of points not touched, from their joint covariance."""
         half = rows @ self.half
         covariance = (rows * self.own) @ rows.T + half @ half.T
         value = rows @ self.value
@@ -106,13 +96,7 @@ def _moves(loose: Array, scale: Array) -> BoolArray:
 
 
 def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
-    """Carry the fit over to the points.
-
-    Args:
-        fit: of the session.
-        point: (n,) place of the touched point in the workpiece's list.
-        n_points: N.
-    """
+    """Carry the fit over to the N points; (n,) which one each reading touched."""
     stated = fit.joint.marginal
     columns = fit.marginal_columns
     mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
@@ -135,12 +119,7 @@ def workpiece_errors(found: Responses) -> Errors:
 
 
 def workpiece_form(found: Responses, motion: Array) -> Errors:
-    """Errors without what motions of the whole workpiece explain (least squares, all points alike).
-
-    Args:
-        found: the points.
-        motion: (N, t) displacement of the points along their normals by each motion.
-    """
+    """Errors without what motions (N, t) of the whole workpiece explain (least squares, all points alike)."""
     used = points_of_form(found, motion)
     basis = _orthonormal(motion[used])
     half = found.half[used] - basis @ (basis.T @ found.half[used])
@@ -155,14 +134,7 @@ def workpiece_form(found: Responses, motion: Array) -> Errors:
 
 
 def points_of_form(found: Responses, motion: Array) -> BoolArray:
-    """(N,) over which points the motion of the whole workpiece is taken out.
-
-    All that were touched, where such a motion is all that is not determined; otherwise those that are.
-
-    Args:
-        found: the points.
-        motion: (N, t) displacement of the points along their normals by each motion.
-    """
+    """(N,) over which the motion (N, t) of the whole is taken out: all touched if it alone is open, else steady."""
     used = found.touched
     basis = _orthonormal(motion[used])
     left = found.loose[used] - basis @ (basis.T @ found.loose[used])
@@ -216,7 +188,6 @@ def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
 
 
 def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[NotDetermined, ...]]:
-    """Errors of the workpiece's points, as they are in the datum and without the motion of the whole."""
     points = model.description.workpiece
     found = responses(fit, model.touches.point, len(points))
     errors = workpiece_errors(found)
@@ -254,7 +225,6 @@ def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[A
 
 
 def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
-    """EXC, EYC and ECC at every index."""
     names = [parameter.name for parameter in fit.model.parameters]
     value = np.where(fit.determined, fit.theta, np.nan)
     uncertainty = np.where(fit.determined, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), np.nan)
@@ -263,3 +233,95 @@ def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
         pick = [names.index(f"{name}({setup_id})") for setup_id in setup_ids]
         out[name], out[f"{name}_u"] = value[pick], uncertainty[pick]
     return out
+
+
+Distribution = Literal["normal", "rectangular", "triangular"]
+
+FEWEST_DRAWS = 100
+"""Of fewer draws the interval's ends are hardly more than the extremes."""
+
+# Draws that are made at once: their touches stay in a few megabytes.
+_AT_ONCE = 1000
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """What the draws say of some quantities."""
+
+    draws: int  # how many
+    distribution: Distribution  # of the touches' errors
+    uncertainty: Array  # (q,) standard uncertainty; NaN where a quantity is not determined
+    # (q,) lower end of the probabilistically symmetric interval of the coverage probability, from the estimate
+    low: Array
+    high: Array  # (q,) its upper end
+
+
+@single_blas()
+def monte_carlo(
+    fit: Fit, rows: Array, draws: int = 1000, distribution: Distribution = "normal", seed: int = 1
+) -> MonteCarlo:
+    """Propagate the distributions of the inputs to sums of the points' errors, (q, N) weights; NaN: not determined.
+
+    Inputs: every touch, with its declared uncertainty times the scatter of the readings where that contradicts it;
+    every measured length, normal; the functions of time of what does not reproduce, normal, of the published size.
+    Refused are too few draws and an unknown distribution (CalibrationError), and a fit of several sessions
+    (ModelError).
+    """
+    if draws < FEWEST_DRAWS:
+        raise CalibrationError(f"{draws} draws are too few for an interval; at least {FEWEST_DRAWS}")
+    if distribution not in get_args(Distribution):
+        raise CalibrationError(f"no distribution {distribution!r}; there are {', '.join(get_args(Distribution))}")
+    open_ = np.asarray(np.isnan(rows).any(axis=1))
+    gains = _gains(fit, np.where(open_[:, None], 0.0, rows))
+    rng = np.random.default_rng(seed)
+    found = np.empty((len(rows), draws))
+    for first in range(0, draws, _AT_ONCE):
+        count = min(_AT_ONCE, draws - first)
+        part = gains.touch @ standard_draws(distribution, rng, (gains.touch.shape[1], count))
+        found[:, first : first + count] = part + gains.normal @ rng.standard_normal((gains.normal.shape[1], count))
+    found[open_] = np.nan
+    low, high = np.quantile(found, [(1.0 - COVERAGE) / 2, (1.0 + COVERAGE) / 2], axis=1)
+    return MonteCarlo(draws, distribution, found.std(axis=1, ddof=1), low, high)
+
+
+@dataclass(frozen=True)
+class _Gains:
+    """Change of each quantity per standard uncertainty of touches (q, n) and of the other, normal, inputs (q, k)."""
+
+    touch: Array
+    normal: Array
+
+
+def _gains(fit: Fit, rows: Array) -> _Gains:
+    model = fit.model
+    assert isinstance(model, ProbingModel)
+    if len(fit.joint.assembly.models) > 1:
+        raise ModelError("draws are for one session; this fit is of several")
+    stated, problem = fit.joint.marginal, fit.joint.assembly.problem
+    point, n_points = model.touches.point, len(model.description.workpiece)
+    columns = fit.marginal_columns
+    m = len(fit.theta)
+    kept = np.r_[np.ones(m, dtype=bool), stated.ratios > 0]
+    columns = columns[kept]
+    sigma = model.sigma
+    weight = sigma**-2
+    mean, total = point_means(columns, point, weight, n_points)
+    centred = (columns - mean[point].T) / sigma
+    wide = ((0, 0), (0, len(columns) - m))
+    lengths = np.zeros((0, m)) if problem.priors is None else problem.priors.columns[:, fit.places]
+    known = np.zeros(0) if problem.priors is None else problem.priors.sigma
+    lengths = np.pad(lengths, wide) / known[:, None]
+    ratio = stated.ratios[stated.ratios > 0]
+    matrix = centred @ centred.T + lengths.T @ lengths
+    matrix[m:, m:] += np.diag(ratio**-2.0)
+    datum = np.pad(problem.constraints[:, fit.places], wide)
+    squares = np.sum((columns / sigma) ** 2, axis=1)
+    none = np.zeros(len(datum))
+    covariance = solve_normal(matrix, np.zeros(len(columns)), datum, none, squares).covariance
+    # The estimate of a point is the mean of its readings less what the shared unknowns do to it.
+    shared = (rows @ mean) @ covariance
+    own = rows[:, point] * weight / total[point]
+    touch = own - (shared @ centred) / sigma
+    drift = (touch @ columns[m:].T) * ratio
+    scatter = stated.scatter
+    return _Gains(scatter * touch * sigma, np.concatenate([-shared @ lengths.T, scatter * drift], axis=1))

@@ -59,11 +59,7 @@ _ABSURD, _GOOD = 100.0, 30.0
 
 
 def _refuse_mistakes(session: Session) -> None:
-    """Refuse displacements that are a thousand or a million times too large.
-
-    Raises:
-        ModelError: the mistake.
-    """
+    """Refuse (ModelError) displacements that are a thousand or a million times too large."""
 
     def misfit(seen: Session) -> float:
         return float(np.median(np.abs(fit_models([_build(seen)]).fits[0].residuals)) / session.sigma)
@@ -79,19 +75,12 @@ def _refuse_mistakes(session: Session) -> None:
 
 @dataclass(frozen=True)
 class ProbingModel(MethodModel):
-    """A workpiece touched at several angles of C.
+    """A workpiece touched at several angles of C."""
 
-    Attributes:
-        touches: where each touch was.
-        tables: error motions of the linear axes, with their nodes.
-        grid: declared nodes of the tables of X and of Y, m: where the error map is given.
-        length_known: whether a measured length fixes the scale.
-    """
-
-    touches: Touches
-    tables: tuple[MachineTable, ...]
-    grid: tuple[Array, Array]
-    length_known: bool
+    touches: Touches  # where each touch was
+    tables: tuple[MachineTable, ...]  # error motions of the linear axes, with their nodes
+    grid: tuple[Array, Array]  # declared nodes of the tables of X and of Y, m: where the error map is given
+    length_known: bool  # whether a measured length fixes the scale
 
     @property
     def description(self) -> Probing:
@@ -124,16 +113,7 @@ class ProbingModel(MethodModel):
 
 
 def build(session: Session, model: str = "rigid_body") -> ProbingModel:
-    """The model of a probing session.
-
-    Args:
-        session: the measurement.
-        model: `rigid_body`, the only one.
-
-    Raises:
-        ModelError: the machine has no X or Y axis, a measured length is not one of X or Y, or the displacements are in
-            another unit.
-    """
+    """The model of a probing session; a ModelError if X or Y, their known lengths or the unit are wrong."""
     if not session.description.trust_units:
         _refuse_mistakes(session)
     return _build(session)
@@ -159,7 +139,6 @@ def _build(session: Session) -> ProbingModel:
 
 
 def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
-    """Displacement and turn of the table at each index, Eq. (13)."""
     index = (setup == np.arange(len(session.setup_ids))[:, None]).astype(float)
     senses = {"EXC": where.normal[:, 0], "EYC": where.normal[:, 1], "ECC": where.lever}
     return [
@@ -176,7 +155,6 @@ def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
 
 
 def _with_datum(model: ProbingModel) -> ProbingModel:
-    """The model with the eleven conditions, where these touches can carry them."""
     description = model.description
     names = [parameter.name for parameter in model.parameters]
     null = null_space(names, model.dense(), model.touches.point, len(description.workpiece))
@@ -200,7 +178,6 @@ def _with_datum(model: ProbingModel) -> ProbingModel:
 
 
 def _measured(model: ProbingModel, null: NullSpace, put: Sequence[Place]) -> tuple[list[Prior], list[str]]:
-    """The measured lengths that touches reach, and the names of those that they do not."""
     rows = np.array([null.weights(place.weights) for place in put]).reshape(-1, len(null.names))
     by_name = {table.name: table for table in model.tables}
     good, bad = [], []

@@ -1,27 +1,189 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The probing of a part on a rotary table as a record."""
+"""The probing of a part on a rotary table: its traits, and touches against the part as it is described."""
 
-from machine_tool_calibration.methods.probing.checks import ProbingChecks
-from machine_tool_calibration.session.description import Probing
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, first_true, groups
+from machine_tool_calibration.errors import SessionError, suspected
+from machine_tool_calibration.session.checks.mistakes import (
+    described,
+    exchanged_axes,
+    explanation,
+    in_degrees,
+    turned_round,
+    with_columns,
+)
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    counted,
+    judged_by_worst,
+    turned,
+    wrapped,
+)
+from machine_tool_calibration.session.checks.units import MILLIMETRES
+from machine_tool_calibration.session.description import Description, Place, Probing
+from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.method import MethodSpec
+from machine_tool_calibration.session.session import Session, places_among
 
 __all__ = ["SPEC"]
 
-SPEC = MethodSpec(
-    description=Probing,
-    columns=lambda description: ("time", "setup", "repeat", "point", "x", "y", "c", "displacement"),
-    checks=ProbingChecks(),
-    model="machine_tool_calibration.methods.probing.model",
-    map="machine_tool_calibration.methods.probing.map",
-    models={
+# Where a part may lie beside its nominal place, m and share of its radius; where most touches are at their points to
+# this, by how much the others may be beside theirs, m; and how much of a normal lies along an axis that the probe
+# approaches along it.
+_BESIDE, _RADII, _ALONG = 0.02, 0.2, 0.3
+_AT_POINT, _NEAR = 1e-4, 2e-3
+# Share of a setup's touches with an approach against their normals from which on the normals are wrong.
+_AGAINST = 0.5
+_SAME_ANGLE = 0.01  # rad
+# Nodes of the tables from which more unknowns than touches (two position errors a node) take minutes.
+_MANY_NODES, _AT_A_NODE = 100, 2
+
+
+class ProbingSpec(MethodSpec):
+    """A part on a rotary table, probed at several angles of C."""
+
+    description = Probing
+    always = ("time", "setup", "repeat", "point", "x", "y", "c", "displacement")
+    remounted = ""
+    model = "machine_tool_calibration.methods.probing.model"
+    map = "machine_tool_calibration.methods.probing.map"
+    models: ClassVar = {
         "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
-    },
-    mounted=lambda description: "",
-    turned_part=("the probe", ("probe_pretravel",)),
-    reads_deviations=True,
-    probes_surface=True,
-    steps="machine_tool_calibration.procedure.steps:touch_steps",
-    further_places="machine_tool_calibration.planning.places:further_angles",
-    planned="machine_tool_calibration.planning.forecast:touching",
-    pictures="machine_tool_calibration.plots.probing",
-)
+    }
+    turned_part = ("the probe", ("probe_pretravel",))
+    reads_deviations = probes_surface = True
+    steps = "machine_tool_calibration.procedure.steps:touch_steps"
+    further_places = "machine_tool_calibration.planning.places:further_angles"
+    planned = "machine_tool_calibration.planning.forecast:touching"
+    pictures = "machine_tool_calibration.plots.probing"
+
+    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
+        """Angles of C and touches."""
+        used = np.unique(session.readings.setup[measured])
+        if len(used) < 2:
+            raise SessionError(
+                f"{place.readings}: touches at {counted(len(used), 'C angle')}; probing needs at least 2 "
+                "to distinguish the workpiece from the machine"
+            )
+        grid = session.description.machine.table_grid or {}
+        nodes = sum(len(places) for axis, places in grid.items() if axis.lower() in "xy")
+        touches = int(np.count_nonzero(measured))
+        if nodes > _MANY_NODES and _AT_A_NODE * nodes > touches:
+            raise SessionError(
+                f"{place.description}: table_grid has {nodes} nodes, which are {_AT_A_NODE * nodes} unknown errors of "
+                f"the axes at least, and there are {touches} touches: give fewer nodes, or leave it out"
+            )
+        super().enough(session, measured, place)
+
+    def magnitudes(self, session: Session, place: Place) -> None:
+        """Refuse normals that are none and a stylus that cannot be."""
+        description = session.description.as_a(Probing)
+        for index, point in enumerate(description.workpiece):
+            length = float(np.hypot(*point.normal))
+            if abs(length - 1.0) > 0.01:
+                where = f"{place.description}: workpiece[{index}].normal"
+                raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
+        if description.probe is not None and description.probe.stylus_diameter > 0.1 and not description.trust_units:
+            diameter = description.probe.stylus_diameter
+            with suspected():
+                raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {MILLIMETRES}")
+
+    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
+        """Judgements of a probing.
+
+        Raises:
+            SessionError: the column c and the setups' c are different angles.
+        """
+        _check_index_angles(session, place)
+        other_way = turned_round(
+            session, "the workpiece looks as if it turned the other way: check machine.rotation_sign"
+        )
+        exchanges = itertools.chain(exchanged_axes(session, 2), badly_exchanged(session, _off_workpiece, "setup"))
+        yield judged_by_worst(_off_workpiece, itertools.chain([other_way], exchanges))
+        yield judged_by_worst(_off_workpiece, badly_exchanged(session, _off_workpiece, "point"), by="point")
+
+    def held(self, session: Session) -> Iterator[Held]:
+        """Touches against the part as it is described and turned: where they are, and from which side."""
+        readings = session.readings
+        off = np.linalg.norm(readings.position()[:, :2] - _turned_part(session, "position"), axis=1)
+        # Where the touches are at their points, a few that are not are at other points.
+        beside = _NEAR if np.median(off) < _AT_POINT else max(_BESIDE, _RADII * _radius(session))
+        sense = [readings.columns.get(f"dir_{axis}", np.zeros(len(readings))) for axis in "xy"]
+        normal = _turned_part(session, "normal")
+        along = np.where(np.abs(normal) > _ALONG, np.column_stack(sense) * np.sign(normal), 0.0)
+        against = (along > 0.0).any(axis=1) & (along >= 0.0).all(axis=1)
+        touched = "the point that was to be touched, as workpiece, c and rotation_sign place it"
+        left = "the outward normal, along which a probe leaves the part"
+        for label, group in (("", None), ("point", groups(readings.labels["point"]))):
+            owner: dict[str, Any] = {"label": label, "group": group}
+            yield Held("the place (x, y)", touched, off, np.full(len(off), beside), **owner)
+            yield Held(
+                "the approach (dir_x, dir_y)",
+                left,
+                np.where(against, 1.0, 0.0),
+                np.full(len(off), 0.5),
+                unit="",
+                share=_AGAINST,
+                hint=lambda setup: "are the normals of workpiece reversed?",
+                **owner,
+            )
+
+
+SPEC = ProbingSpec()
+
+
+def _off_workpiece(session: Session) -> Array:
+    """Commanded positions against the nominal points of the workpiece, turned as the setups say; in its radii."""
+    off = np.linalg.norm(session.readings.position()[:, :2] - _turned_part(session, "position"), axis=1)
+    return np.asarray(off / _radius(session))
+
+
+def _radius(session: Session) -> float:
+    return max(float(np.hypot(*point.position)) for point in session.description.as_a(Probing).workpiece)
+
+
+def _turned_part(session: Session, key: str) -> Array:
+    """(n, 2) nominal position or normal of each touched point, turned as its setup says."""
+    description, readings = session.description.as_a(Probing), session.readings
+    index = places_among(readings.labels["point"], [point.id for point in description.workpiece])
+    vectors = np.array([getattr(point, key) for point in description.workpiece])[index]
+    return turned(vectors, session.rotation_sign * _declared(description)[readings.setup])
+
+
+def _declared(description: Description) -> Array:
+    return np.array([setup.c for setup in description.as_a(Probing).setups])
+
+
+def _check_index_angles(session: Session, place: Place) -> None:
+    """The column c and the setup's c must be the same angle: a SessionError names the first row where they are not."""
+
+    def off(session: Session) -> Array:
+        expected = _declared(session.description)[session.readings.setup]
+        return np.abs(wrapped(session.readings.columns["c"] - expected))
+
+    readings, setups, declared = session.readings, session.description.setups, _declared(session.description)
+    bad = first_true(off(session) > _SAME_ANGLE)
+    if bad is None:
+        return
+    row, setup, c = readings.row[bad], readings.setup[bad], readings.columns["c"][bad]
+    radians = tuple(one.model_copy(update={"c": np.radians(c)}) for one, c in zip(setups, declared, strict=True))
+    suppositions = (
+        in_degrees(session, "the column c looks", "c"),
+        described(session, "the setups' c look like degrees; angles are in radians", setups=radians),
+        with_columns(session, "the sign is opposite: check rotation_sign", c=-readings.columns["c"]),
+    )
+    what = explanation(session, [Judgement(lambda s: float(off(s).max()), suppositions, _SAME_ANGLE, _SAME_ANGLE)])
+    near = np.abs(wrapped(c - declared))
+    if what is None and near.min() < _SAME_ANGLE:
+        what = f"this is the angle of setup {setups[int(near.argmin())].id!r}: are setups exchanged?"
+    raise SessionError(
+        f"{place.row(row)}: c is {c:g} rad and setup {setups[setup].id!r} stands at {declared[setup]:g} rad"
+        + (f"; {what}" if what else "")
+    )

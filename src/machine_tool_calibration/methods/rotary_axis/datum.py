@@ -40,17 +40,10 @@ _FIXED = 1e-6
 
 
 def loose_motions(table: TableReadings, direction: Array, arm: Array, size: float) -> Array:
-    """Motions of the table at each angle that none of the angle's readings senses.
+    """(K, 6, 6) projectors onto the motions (translation, size times rotation) that no reading of an angle senses.
 
-    Args:
-        table: the readings.
-        direction: (n, 3) from station to target.
-        arm: (n, 3) target's place relative to the axis, m.
-        size: length by which rotations are compared with translations, m.
-
-    Returns:
-        (K, 6, 6) projectors onto the motions (translation, size times rotation) that are not sensed; the zero matrix
-        where all six are.
+    From directions station to target and arms relative to the axis, each (n, 3); the zero matrix where all are
+    sensed.
     """
     rows = np.concatenate([direction, np.cross(arm, direction) / size], axis=1)
     # A run with a single reading only says where its own zero is.
@@ -78,16 +71,11 @@ def open_directions(table: TableReadings) -> Array:
 
 
 def motion_constraints(table: TableReadings, labels: list[list[str]], loose: Array, size: float) -> list[Constraint]:
-    """No constants and nothing that turns with the axis, over the values that the readings determine.
+    """No constants and nothing that turns with the axis, over the values (6, K labels) that the readings determine.
 
-    Where no value of a motion is determined by itself (two targets: a turn about the line through them moves neither),
-    the condition is put on what the readings do sense of the motion.
-
-    Args:
-        table: the readings.
-        labels: (6, K) names of the tables' values.
-        loose: from `loose_motions`.
-        size: as there, m.
+    Where no value of a motion is determined by itself (two targets: a turn about the line through them moves
+    neither), the condition is put on what the readings do sense of the motion (`loose` and `size` as in
+    `loose_motions`).
     """
     n = len(table.nodes)
     fixed: BoolArray = np.sqrt(np.einsum("kii->ik", loose).clip(0.0)) < _FIXED
@@ -112,15 +100,7 @@ def motion_constraints(table: TableReadings, labels: list[list[str]], loose: Arr
 def target_constraints(
     axis: Array, names: list[list[str]], nominal: Array, reference: Array, seen: BoolArray
 ) -> list[Constraint]:
-    """The targets together have their nominal height and angle.
-
-    Args:
-        axis: (3,) unit vector of the axis.
-        names: (T, 3) names of the targets' unknowns.
-        nominal: (T, 3) m.
-        reference: (T, 3) what the unknowns are counted from, m.
-        seen: (T,) whether the target was read at all.
-    """
+    """The targets (T, 3) that were seen together have their nominal height and angle about the axis."""
     along = np.tile(axis, (len(nominal), 1))
     around = np.cross(axis, nominal)
     out = []
@@ -140,13 +120,7 @@ _ADDED = 0.3
 
 
 def unseen_motions(loose: Array, labels: Sequence[Sequence[str]], size: float) -> tuple[Prior, ...]:
-    """Hold what is unseen at each angle.
-
-    Args:
-        loose: (K, 6, 6) from `loose_motions`.
-        labels: (6, K) names of the error motions' values.
-        size: length by which rotations were compared with translations there, m.
-    """
+    """Hold what is unseen at each angle (as in `loose_motions`) near zero, by the (6, K) names of the values."""
     scale = np.repeat([1.0, size], 3)
     out = []
     for k, projector in enumerate(loose):
@@ -158,16 +132,11 @@ def unseen_motions(loose: Array, labels: Sequence[Sequence[str]], size: float) -
 
 
 def unseen_names(loose: Array, labels: Sequence[Sequence[str]], sigma: float) -> frozenset[str]:
-    """Names of the values that what is unseen could change by more than the readings' uncertainty.
+    """Names of the values that what is unseen could change by more than the readings' uncertainty sigma, m.
 
     Two targets at the same height leave open how the table tilts about the line through them, and hardly, because
     they are not quite at the same height, how it turns. An error motion counts as seen only if it is so wherever
     something is unseen: single values of one that comes and goes with the angle would mean nothing.
-
-    Args:
-        loose: (K, 6, 6) from `loose_motions`.
-        labels: (6, K) names of the error motions' values.
-        sigma: standard uncertainty of a reading, m.
     """
     share = np.sqrt(np.einsum("kii->ik", loose).clip(0.0))
     open_ = share.max(axis=0, initial=0.0) > 0
@@ -186,14 +155,7 @@ def covered_angle(table: TableReadings) -> float:
 
 
 def weak_places(model: MethodModel, names: list[str], nominal: Array, within: float) -> tuple[Prior, ...]:
-    """Directions of stations and targets that the readings fix worse than a limit, at the model's first estimates.
-
-    Args:
-        model: without such knowledge.
-        names: of the stations' and targets' coordinates.
-        nominal: (k,) their stated values, m.
-        within: the limit, and the standard uncertainty within which they are held, m.
-    """
+    """Directions of places (k names, stated values, m) that the readings fix worse than `within`, m, held within it."""
     assembly = assemble([model])
     normal = Linearised.at(assembly.problem, *assembly.problem.zero).normal()
     place = {parameter.name: k for k, parameter in enumerate(assembly.parameters)}

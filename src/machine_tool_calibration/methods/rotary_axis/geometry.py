@@ -20,31 +20,18 @@ _SAME_ANGLE = 1e-5
 
 @dataclass(frozen=True)
 class TableReadings:
-    """Displacements of a table's targets, and where they belong.
+    """Displacements of a table's targets, and where they belong."""
 
-    Attributes:
-        axis: letter of the rotary axis, A, B or C.
-        readings: those with a displacement.
-        nodes: (K,) distinct commanded angles in the session, rad, also those at which every reading is missing.
-        node: (n,) which of them each reading was taken at.
-        rotation: (n, 3, 3) nominal rotation of the table against c = 0.
-        node_rotation: (K, 3, 3) the same at the nodes.
-        target: (n,) index of the target.
-        run: (n,) index of the run: readings of one setup, repeat and target count from the same zero.
-        run_key: (runs, 3) setup, repeat and target of each run.
-        first: (runs,) index of each run's first reading.
-    """
-
-    axis: str
-    readings: Readings
-    nodes: Array
-    node: IntArray
-    rotation: Array
-    node_rotation: Array
-    target: IntArray
-    run: IntArray
-    run_key: IntArray
-    first: IntArray
+    axis: str  # letter of the rotary axis, A, B or C
+    readings: Readings  # those with a displacement
+    nodes: Array  # (K,) distinct commanded angles in the session, rad, also those at which every reading is missing
+    node: IntArray  # (n,) which of them each reading was taken at
+    rotation: Array  # (n, 3, 3) nominal rotation of the table against c = 0
+    node_rotation: Array  # (K, 3, 3) the same at the nodes
+    target: IntArray  # (n,) index of the target
+    run: IntArray  # (n,) index of the run: readings of one setup, repeat and target count from the same zero
+    run_key: IntArray  # (runs, 3) setup, repeat and target of each run
+    first: IntArray  # (runs,) index of each run's first reading
 
     @property
     def direction(self) -> Array:
@@ -73,14 +60,7 @@ def axis_rotation(axis: str, angle: Array) -> Array:
 
 
 def merged_nodes(angle: Array) -> tuple[Array, IntArray]:
-    """Distinct positions of an axis and which of them each reading was taken at.
-
-    Args:
-        angle: (n,) commanded positions.
-
-    Returns:
-        (K,) increasing positions, each the middle one of those that are nearly equal, and (n,) their indices.
-    """
+    """(K,) increasing positions of an axis, nearly equal ones being their middle one, and (n,) each reading's."""
     order = np.argsort(angle, kind="stable")
     ordered = angle[order]
     place = np.cumsum(np.r_[0, np.diff(ordered) > _SAME_ANGLE])

@@ -31,20 +31,11 @@ def line_names(axis: str) -> tuple[tuple[str, int], ...]:
 
 
 def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty: Array) -> tuple[Array, Array] | None:
-    """Shift and turn from the frame of the axis to the machine's.
+    """(6,) shift and turn (rotation vector) from the frame of the axis to the machine's, m and rad, and covariance.
 
-    nominal = R(turn) station + shift, by weighted least squares; the turn is a rotation vector, which for a table that
-    stands tilted is large.
-
-    Args:
-        stations: (S, 3) in the frame of the axis, m.
-        covariance: (3 S, 3 S), m^2.
-        nominal: (S, 3) in the machine frame, m.
-        uncertainty: (S,) standard uncertainty of each of its coordinates, m.
-
-    Returns:
-        (6,) shift of the line's point at the axis's origin and turn, m and rad, and (6, 6) covariance; None where the
-        stations do not determine them.
+    nominal = R(turn) station + shift, by weighted least squares, from stations (S, 3) with their covariance (3 S, 3
+    S) and nominal ones with the standard uncertainty (S,) of a coordinate; the turn of a table that stands tilted
+    is large. None where the stations do not determine it.
     """
     if len(stations) < 3:
         return None
@@ -107,10 +98,10 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
 
 
 def _error_motion_values(model: RotaryAxisModel, fit: Fit) -> list[dict[str, Any]]:
-    """Error motion values of ISO 230-7:2015, Clause 3: the range of each error motion over the angles that tell it.
+    """Error motion values of ISO 230-7:2015, Clause 3: the range of each over the angles that tell it, U (k = 2).
 
-    The motions are relative to the axis average line, sensed in the machine's fixed directions as a tool at rest does,
-    and of all revolutions together: the synchronous ones. U (k = 2) is that of the difference of the two ends.
+    Relative to the axis average line, sensed in the machine's fixed directions, of all revolutions: the synchronous
+    ones.
     """
     table, out = model.table, []
     for j, name in enumerate(table.motions):
@@ -147,11 +138,7 @@ def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Ar
 
 
 def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
-    """Position and orientation of the axis average line in the machine frame; None where stations do not give it.
-
-    And why it has none, where that is for a station that does not stand where it is stated to be: the line would be off
-    by as much as that, with an uncertainty that does not hold it.
-    """
+    """The axis average line in the machine frame, None where it is not given, and why if a station stands elsewhere."""
     setups = model.description.setups
     known = [
         s

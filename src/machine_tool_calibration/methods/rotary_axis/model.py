@@ -35,8 +35,13 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_axis.mistakes import SURVEYED, refuse_mistakes, refuse_wrong_rows
-from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
+from machine_tool_calibration.methods.rotary_axis.start import (
+    SURVEYED,
+    Start,
+    find_start,
+    refuse_mistakes,
+    refuse_wrong_rows,
+)
 from machine_tool_calibration.model.model import (
     MethodModel,
     Parameter,
@@ -67,21 +72,13 @@ _LARGE_TURN = 1.9
 
 @dataclass(frozen=True)
 class RotaryAxisModel(MethodModel):
-    """Targets on a rotary table read from stations.
+    """Targets on a rotary table read from stations."""
 
-    Attributes:
-        table: the readings sorted by angle, target and run.
-        stations: (S, 3) first estimates, in the frame of the axis, m.
-        targets: (T, 3) first estimates, table frame at zero, m.
-        loose: (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`.
-        size: length by which rotations were compared with translations there, m.
-    """
-
-    table: TableReadings
-    stations: Array
-    targets: Array
-    loose: Array
-    size: float
+    table: TableReadings  # the readings sorted by angle, target and run
+    stations: Array  # (S, 3) first estimates, in the frame of the axis, m
+    targets: Array  # (T, 3) first estimates, table frame at zero, m
+    loose: Array  # (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`
+    size: float  # length by which rotations were compared with translations there, m
 
     @property
     def description(self) -> RotaryAxis:
@@ -166,7 +163,6 @@ class RotaryAxisModel(MethodModel):
         return unseen_names(self.loose, self._labels(), self.observations.session.sigma)
 
     def _labels(self) -> list[list[str]]:
-        """(6, K) names of the tables' values."""
         return [[parameter.name for parameter in term.parameters] for term in self.terms[:6]]
 
     def why_not_determined(self, name: str) -> str | None:
@@ -196,10 +192,7 @@ def _why_loose(seen: list[str], stations: list[str]) -> str:
 
 
 def _fill(columns: Array, table: TableReadings, g: Array, arm: Array, tilt: Array) -> None:
-    """Columns of the six tables and of the targets, in place.
-
-    g.(epsilon x arm) = epsilon.(arm x g); and a target that moves by R dp is also turned by epsilon.
-    """
+    """Columns of tables and targets, in place: g.(epsilon x arm) = epsilon.(arm x g); R dp is turned by epsilon too."""
     k, n = len(table.nodes), len(g)
     rows = np.arange(n)
     turned = np.cross(arm, g)
@@ -211,14 +204,9 @@ def _fill(columns: Array, table: TableReadings, g: Array, arm: Array, tilt: Arra
 
 
 def build(session: Session, model: str = "free") -> RotaryAxisModel:
-    """The model of a rotary axis's session.
+    """The model of a rotary axis's session: every angle has its own six errors.
 
-    Args:
-        session: the measurement.
-        model: `free`: every angle has its own six errors.
-
-    Raises:
-        ModelError: the readings contradict the geometry in a way that a common mistake explains.
+    A ModelError says that the readings contradict the geometry in a way that a common mistake explains.
     """
     table = table_readings(session)
     description = session.description.as_a(RotaryAxis)
@@ -248,11 +236,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
 
 
 def _check_places(model: RotaryAxisModel) -> None:
-    """Refuse where even a table that moves as it likes at every angle is missed.
-
-    Raises:
-        ModelError: stations and targets are not where they are said to be, nor near.
-    """
+    """Refuse (ModelError) where even a table that moves as it likes at every angle is missed."""
     residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
     if not missed <= _LOST * model.observations.session.sigma:
@@ -283,7 +267,6 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
 
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
-    """Stations and targets where a fit puts them."""
     theta = robust_start(assemble([model]).problem).theta
     s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
     targets = theta[first : first + start.targets.size].reshape(-1, 3)
@@ -291,7 +274,6 @@ def _moved(start: Start, model: RotaryAxisModel) -> Start:
 
 
 def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisModel:
-    """The model, linearised at first estimates."""
     description = session.description.as_a(RotaryAxis)
     arm = table.turned(start.targets)
     away = arm - start.stations[table.readings.setup]

@@ -1,18 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where stations and targets stand if the table turned without error: the point from which the fit sets out."""
+"""Where stations and targets stand if the table turned without error: the point from which the fit sets out.
+
+Sessions that contradict their own geometry there are refused, with the common mistake that explains it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
+from machine_tool_calibration.arrays import Array, IntArray, best_motion, group_ranges
+from machine_tool_calibration.errors import ModelError, SessionError, suspected
+from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
+from machine_tool_calibration.methods.rotary_axis.spec import turning_mistakes
+from machine_tool_calibration.session.checks.mistakes import exchanged, explanation, refuse_contradictions, shifted
+from machine_tool_calibration.session.checks.nominal_geometry import off_prediction
+from machine_tool_calibration.session.description import Place, RotaryAxis, StationSetup, Target
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
+from machine_tool_calibration.session.session import Session
 
-__all__ = ["Start", "find_start"]
+__all__ = ["SURVEYED", "Start", "find_start", "refuse_mistakes", "refuse_wrong_rows", "suppositions"]
+
 
 # Errors of a rotary axis are some micrometres; a nominal position may be wrong by centimetres. Both only shape the way
 # to the start: the fit that follows holds no such knowledge.
@@ -40,31 +52,20 @@ _REWEIGHTED = 15
 
 @dataclass(frozen=True)
 class Start:
-    """First estimates.
+    """First estimates."""
 
-    Attributes:
-        stations: (S, 3) m, in the frame of the axis; the nominal one where a station read nothing.
-        targets: (T, 3) m, table frame.
-        misfit: median absolute residual of the readings, m.
-    """
-
-    stations: Array
-    targets: Array
-    misfit: float
+    stations: Array  # (S, 3) m, in the frame of the axis; the nominal one where a station read nothing
+    targets: Array  # (T, 3) m, table frame
+    misfit: float  # median absolute residual of the readings, m
 
 
 def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted: bool = False) -> Start:
-    """Fit stations and targets with the table turning without error.
+    """Fit stations and targets, from nominal (S, 3) and (T, 3), m, with the table turning without error.
 
-    The datum of each run is taken out by subtracting the run's mean.
-
-    Args:
-        table: the readings.
-        stations: (S, 3) nominal, m.
-        targets: (T, 3) nominal at c = 0, m.
-        tilted: where the nominal places lead nowhere, try whether the axis stands tilted in the machine, by up to a
-            right angle: then all stations are first turned together; and whether they are wrong by decimetres: then
-            the fit sets out from places beside them.
+    The datum of each run is taken out by subtracting the run's mean. If `tilted`, where the nominal places lead
+    nowhere it is tried whether the axis stands tilted in the machine, by up to a right angle (then all stations are
+    first turned together), and whether they are wrong by decimetres (then the fit sets out from places beside
+    them).
     """
     start = _fitted(table, stations, targets)
     if _DOUBTFUL < start.misfit < _SMEARED:
@@ -85,7 +86,6 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
 
 
 def _from_tilted(table: TableReadings, stations: Array, targets: Array, start: Start) -> Start:
-    """The best of a start and those from a tilted axis."""
     turned = [_turned(stations, table.axis, tilt) for tilt in _tilts()]
     rough = [_misfit(table, places, targets) for places in turned]
     posed = [_posed(table, turned[k], targets) for k in np.argsort(rough)[:_TRIES]]
@@ -117,7 +117,6 @@ def _tilts() -> list[tuple[float, float]]:
 
 
 def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
-    """Stations seen from an axis that is tilted by a rotation vector across it."""
     along = "ABC".index(axis)
     vector = np.zeros(3)
     vector[(along + 1) % 3], vector[(along + 2) % 3] = tilt
@@ -125,17 +124,13 @@ def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
 
 
 def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
-    """Median absolute difference between readings and places as they are, m."""
     return float(np.median(np.abs(_off(table, stations, targets))))
 
 
 def _fitted(
     table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL, *, resisting: bool = False
 ) -> Start:
-    """Reweighted as long as some readings are off by far more than the others: gross errors must not lead astray.
-
-    `resisting` also where none is.
-    """
+    """Reweighted while some readings are off by far more than the others, or always if `resisting`."""
     x = np.concatenate([stations.ravel(), targets.ravel()])
     off = np.abs(_off(table, stations, targets))
     usual = max(float(np.median(off)), 1e-9)  # m; 0 where most runs have a single reading
@@ -202,3 +197,93 @@ def _weighted(
 
     found = least_squares(residual, start, jacobian, method="lm", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)
     return np.asarray(found.x), centred(line(found.x)[0] - reading)
+
+
+# Share of the readings' range, and of the arrangement's size, that no rotary axis and no survey is wrong by; and the
+# share of the misfit that is left without a mistake that is named.
+_CONTRADICTS, _BETTER = 2e-3, 0.1
+# A reading is off by an error of the axis, or by less than this, m.
+_WRONG = 2e-3
+# What a survey may be off by: m, or so many of its uncertainties.
+_MISPLACED, _MANY = 0.05, 20.0
+SURVEYED = "state the stations to a decimetre and the targets to some centimetres"
+
+
+def suppositions(session: Session) -> Iterator[Supposition]:
+    """The measurement without each common mistake."""
+    yield from turning_mistakes(session)
+    yield from shifted(session, "displacement", session.readings.displacement)
+    yield from exchanged(session, "setup", [session.setup_ids[k] for k in np.unique(session.readings.setup)])
+    yield from exchanged(session, "target", np.unique(session.readings.labels["target"]).tolist())
+
+
+def refuse_mistakes(session: Session, start: Start) -> None:
+    """Refuse (ModelError) readings that a table turning without error misses by far and a common mistake explains.
+
+    Also looked at is where stations and targets had to be put: with all places free, exchanged ones fit perfectly,
+    at each other's place.
+    """
+    description = session.description.as_a(RotaryAxis)
+    stations, stations_u = _stated(description.setups)
+    targets, targets_u = _stated(description.targets)
+
+    def misfit(other: Session) -> float:
+        table = table_readings(other)
+        found = start if other is session else find_start(table, stations, targets)
+        extent = max(float(np.ptp(table.readings.displacement)), 1e-12)
+        used = np.unique(table.readings.setup)
+        size = max(float(np.ptp(stations[used], axis=0).max()), 1e-3)
+        turn, shift = best_motion(found.stations[used], stations[used])
+        off = found.stations[used] @ turn.T + shift - stations[used]
+        misplaced = _too_far(off, stations_u[used]) + _too_far(found.targets - targets, targets_u)
+        return found.misfit / extent + misplaced / size
+
+    what = explanation(session, [Judgement(misfit, suppositions(session), _CONTRADICTS, _CONTRADICTS, _BETTER)])
+    if what is not None:
+        with suspected():
+            raise ModelError(f"{session.source}: the readings do not fit at all; they would without a mistake: {what}")
+
+
+def refuse_wrong_rows(session: Session, start: Start, *, found: bool = True) -> None:
+    """Refuse readings that a table turning without error misses by far, with what they look like (ModelError).
+
+    Where stations and targets were `found`, those are the places at which most readings fit, and a run is judged by
+    them; else they are the stated ones, and a station or a target is.
+    """
+
+    def held(other: Session) -> Iterator[Held]:
+        table = table_readings(other)
+        arm = table.turned(start.targets)
+        path = np.linalg.norm(arm - start.stations[table.readings.setup], axis=1)
+        off = off_prediction(other, path, table.run)
+        allowed = np.full(len(off), _WRONG if found else _MISPLACED)
+        if found:
+            against = "the change of distance from where the station was found"
+            yield Held("displacement", against, off, allowed, group=table.run)
+            return
+
+        def worst(owner: tuple[str, IntArray]) -> float:
+            return float(np.nanmax(group_ranges(off, owner[1], int(owner[1].max()) + 1)[1]))
+
+        against = "the change of distance between the stated places of station and target"
+        for label, group in sorted((("", table.readings.setup), ("target", table.target)), key=worst, reverse=True):
+            yield Held("displacement", against, off, allowed, group=group, label=label, hint=lambda setup: SURVEYED)
+
+    read = session.with_readings(table_readings(session).readings)
+    try:
+        with suspected():
+            refuse_contradictions(read, Place(session.source, session.source), held)
+    except SessionError as error:
+        raise ModelError(str(error)) from None
+
+
+def _stated(entries: Sequence[StationSetup | Target]) -> tuple[Array, Array]:
+    """(k, 3) stated places, m, and (k,) their uncertainties; 0 where none is stated."""
+    places = np.array([entry.position for entry in entries])
+    return places, np.array([entry.position_uncertainty or 0.0 for entry in entries])
+
+
+def _too_far(moved: Array, stated: Array) -> float:
+    """How much further the worst place is off than a survey can be, m."""
+    allowed = np.maximum(_MISPLACED, _MANY * stated)
+    return float(np.max(np.clip(np.linalg.norm(moved, axis=1) - allowed, 0.0, None)))

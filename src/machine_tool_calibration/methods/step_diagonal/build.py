@@ -1,5 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a session to the model of its step diagonals."""
+"""From a session to the model of its step diagonals; angular errors from different orders of the moves.
+
+The latter as in Ibaraki and Hata 2010, Section 3.3, derived anew: the same move of one axis at two places differs by
+angular errors only. With l the beam, d the displacement since the start at (x0, y0, z0) and the chain w-Y-X-b-Z-t, the
+angular errors E of each axis change a reading by
+
+    X: E.(l x (x - x0, y - y0, -z0))    Y: E.(l x (-x0, y - y0, -z0))    Z: E.(l x (x - x0, y - y0, z - z0))
+
+(lever arm of Eq. (23) and rotation of the mirror together). What depends on one axis alone cannot be distinguished from
+position errors; there remain EAX and ECX (through y) and EAZ, EBZ and ECZ (through x and y): five of nine, as the paper
+has it. The mean of a slope is determined only if the mirror stayed as it was: a tilt set anew for each order looks the
+same.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +32,24 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
     step_diagonal_of,
 )
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
-from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
-from machine_tool_calibration.methods.step_diagonal.terms import Angle, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, assemble
+from machine_tool_calibration.methods.step_diagonal.terms import sensed_tables, tilt_terms
+from machine_tool_calibration.model.model import (
+    Constraint,
+    Kind,
+    NotDetermined,
+    Parameter,
+    Term,
+    assemble,
+    motion_value,
+)
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["build", "second_order"]
+__all__ = ["angles_shown_by_orders", "build", "free_angles", "second_order"]
+
 
 # Share of the largest movement below which values that may move lie on a line.
 _SAME_LINE = 1e-6
@@ -38,18 +58,11 @@ _SAME_LINE = 1e-6
 def second_order(
     runs: Sequence[Run], setup: IntArray, displacement: Array, error: Array, end_error: Array, tilt: Array
 ) -> Array:
-    """What the first-order reading leaves out, at a first solution.
+    """(n,) exact minus first-order reading, m, at a first solution.
 
-    Args:
-        runs: the setups.
-        setup: (n,) of each reading.
-        displacement: (n, 3) nominal, since the start of the run, m.
-        error: (n, 3) position error since the start of the run, m.
-        end_error: (runs, 3) the same at the end of the run, m.
-        tilt: (runs, 3) t, across the beam; for a linear run, whose beam lies on the actual motion, it does not matter.
-
-    Returns:
-        (n,) exact minus first-order reading, m.
+    From each reading's setup, nominal displacement (n, 3) and position error (n, 3) since the start of the run, the
+    latter at the end of each run (runs, 3), m, and the mirror's tilt t (runs, 3) across the beam; for a linear run,
+    whose beam lies on the actual motion, the tilt does not matter.
     """
     beam = np.array([run.beam for run in runs])
     actual = np.array([run.motion for run in runs]) + end_error
@@ -73,13 +86,8 @@ _RANDOM = say("datum.random_map", p=f"{NONE:g}", low=f"{1e6 * SMALLEST:g}", high
 def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     """The model of a step diagonal's session (Ibaraki and Hata 2010), by weighted least squares over all readings.
 
-    Args:
-        session: diagonals and linear runs, in any number, orders and repeats; what they do not determine is found by
-            the solver.
-        model: a variant of `SPEC.models`.
-
-    Raises:
-        ModelError: an unknown model, no readings, or a machine without the axes that move.
+    Diagonals and linear runs in any number, orders and repeats; what they do not determine is found by the solver.
+    A ModelError says that there are no readings, or a machine without the axes that move.
     """
     description = step_diagonal_of(session)
     runs = runs_of(description)
@@ -128,10 +136,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
 
 
 def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> tuple[Observations, Array]:
-    """Readings with the direction in which each senses the mirror, and its displacement since the start of the run.
-
-    The path begins at the start of the run: how far the laser stood from there is dead path.
-    """
+    """Readings by the direction that each senses, and displacements from the run's start: before it is dead path."""
     run = groups(readings.setup, readings.repeat)
     position = readings.position()
     beam = np.array([r.beam for r in runs])[readings.setup]
@@ -143,7 +148,6 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
 
 
 def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
-    """For each run, in the order of their numbers."""
     pairs = np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
     named = ((session.setup_ids[setup], int(repeat)) for setup, repeat in pairs)
     return tuple(
@@ -160,10 +164,7 @@ def _complete(model: StepDiagonalModel, blocks: int) -> bool:
 
 
 def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
-    """The tables' datum, of those values that the readings determine; where none was lost, of all.
-
-    A lost last reading of a diagonal leaves some open; the line of a straightness is then that of the others.
-    """
+    """The tables' datum of the values that are determined: a lost last reading of a diagonal leaves some open."""
     assembly = assemble([model])
     loose = solve(assembly.problem).undetermined[assembly.places[0]]
     if not loose.size:
@@ -181,12 +182,7 @@ def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
 
 
 def _placed(nodes: Array, loose: Array) -> BoolArray:
-    """(k,) the values of a table that may only move along one line, or all where no three do.
-
-    Args:
-        nodes: (k,) their places, m.
-        loose: (k, r) how they may move without any reading changing.
-    """
+    """(k,) values of a table at nodes (k,) whose loose moves (k, r) lie on one line; all where no three do."""
     design = np.column_stack([np.ones(len(nodes)), nodes])
     most = float(np.abs(loose).max())
 
@@ -222,7 +218,6 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
 
 
 def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
-    """(runs, 3) tilt of each setup's mirror across its beam."""
     value = dict(zip([p.name for p in model.parameters], theta, strict=True))
     out = np.zeros((len(model.runs), 3))
     for k, run in enumerate(model.runs):
@@ -232,18 +227,19 @@ def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
     return out
 
 
+def _as_own(table: MachineTable, term: Term) -> Term:
+    """An angular error whose unknowns are the session's own, not the machine's."""
+    names = tuple(motion_value(table.name, node, "rad", shared=False, prefix="angle.") for node in table.nodes)
+    return Term(f"angle.{table.name}", names, term.columns)
+
+
 def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
-    """The model with all angular errors as small random functions."""
-    angles = []
-    for table in rotations:
-        nodes = coarse_nodes(base.blocks["XYZ".index(table.name[2])])
-        angle = Angle.of(replace(table, nodes=nodes), base.observations)
-        if np.abs(angle.columns).max(initial=0.0) > 1e-9:
-            angles.append(angle)
+    coarse = (replace(t, nodes=coarse_nodes(base.blocks["XYZ".index(t.name[2])])) for t in rotations)
+    told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
-    if not angles:
+    if not told:
         return replace(base, left_out=left_out)
-    spread = Spread(tuple(angles))
+    spread = Spread(tuple(table for table, _ in told), tuple(_as_own(table, term) for table, term in told))
     whole = replace(
         base,
         terms=base.terms + spread.terms,
@@ -252,3 +248,92 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
         datum=together((base.datum, _RANDOM), "; "),
     )
     return whole.settled()
+
+
+# Share of a column's norm beside such functions below which it says nothing of its own.
+_OWN_SHARE = 1e-3
+# Share of an undetermined direction in the angular errors above which it is theirs.
+_SHARE = 1e-4
+
+
+def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Term]) -> list[Term]:
+    """Those that show beside any functions of single axes per diagonal, which hold all else: no assumption about it."""
+    observations = model.observations
+    n = len(observations)
+    setup = observations.readings.setup
+    names = [run.name for run in model.runs]
+    family = np.array([names.index(name) for name in names])[setup]
+    columns = [_one_hot(observations.run)]
+    for axis, nodes in enumerate(model.blocks):
+        node = np.abs(observations.position[:, axis, None] - nodes[None]).argmin(axis=1)
+        columns.append(_one_hot(family * len(nodes) + node))
+    columns += [term.columns for term in model.terms if term.name.endswith(".tilt")]
+    basis = _range(np.concatenate(columns).T)
+    out = []
+    for angle in angles:
+        norm = np.linalg.norm(angle.columns, axis=1)
+        unit = angle.columns[norm > 1e-9 * np.sqrt(n)] / norm[norm > 1e-9 * np.sqrt(n), None]
+        rest = unit - (unit @ basis) @ basis.T
+        if len(unit) and np.linalg.norm(rest, axis=1).max() > _OWN_SHARE:
+            out.append(angle)
+    return out
+
+
+def _one_hot(index: IntArray) -> Array:
+    values, place = np.unique(index, return_inverse=True)
+    out = np.zeros((len(values), len(index)))
+    out[place.reshape(-1), np.arange(len(index))] = 1.0
+    return out
+
+
+def _range(columns: Array) -> Array:
+    scale = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s[0]])
+
+
+def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> StepDiagonalModel:
+    """The model with the angular errors that the orders of the moves determine as free tables; a ModelError if none."""
+    own = (replace(table, nodes=model.blocks["XYZ".index(table.name[2])]) for table in rotations)
+    candidates = {table.name: table for table in own}
+    kept = angles_shown_by_orders(model, [table.term(model.observations) for table in candidates.values()])
+    if not kept:
+        orders = sorted({run.order for run in model.runs if run.diagonal})
+        raise ModelError(
+            f"angular errors need diagonals in several orders of the moves, such as ppp_xyz, ppp_yzx and ppp_zxy; "
+            f"this session has {', '.join(orders) or 'no diagonal'}"
+        )
+    angles = tuple(candidates[term.name] for term in kept)
+    left_out = model.left_out + tuple(
+        NotDetermined(table.name, say("undetermined.no_order"))
+        for table in rotations
+        if candidates[table.name] not in angles
+    )
+    full = replace(
+        model,
+        terms=(*model.terms, *kept),
+        angles=angles,
+        constraints=model.constraints + table_datum(angles),
+        left_out=left_out,
+    )
+    return _without_loose_slopes(full, model)
+
+
+def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> StepDiagonalModel:
+    """Take to be zero, and say so, the slopes that with tilts of mirrors set anew change no reading."""
+    assembly = assemble([full])
+    loose = solve(assembly.problem).undetermined[assembly.places[0]]
+    angular = loose[len(base.parameters) :]
+    _, s, vt = np.linalg.svd(angular.T, full_matrices=False)
+    open_ones = vt[s > _SHARE]
+    if not len(open_ones):
+        return full
+    labels = [label for table in full.angles for label in table.labels]
+    constraints = tuple(
+        Constraint({label: float(w) for label, w in zip(labels, row, strict=True)}) for row in open_ones
+    )
+    ends = np.cumsum([len(table.labels) for table in full.angles])[:-1]
+    shares = np.split(np.abs(open_ones).max(axis=0), ends)
+    sharing = [table.name for table, share in zip(full.angles, shares, strict=True) if share.max() > _SHARE]
+    lost = NotDetermined(f"{len(open_ones)} slopes of {', '.join(sharing)}", say("undetermined.slopes"))
+    return replace(full, constraints=full.constraints + constraints, left_out=(*full.left_out, lost))

@@ -22,27 +22,16 @@ _NEAR = 1e-2
 
 @dataclass(frozen=True)
 class Run:
-    """One setup: a flat mirror that moves along a diagonal or along one axis.
+    """One setup: a flat mirror that moves along a diagonal or along one axis."""
 
-    Attributes:
-        id: of the setup.
-        name: the id without the order of the moves.
-        order: order of the single-axis moves, such as `yzx`; one letter for a linear run.
-        diagonal: whether the mirror's tilt enters; a linear run senses its own axis whatever the tilt.
-        start: (3,) where the run begins, m.
-        motion: (3,) nominal motion of the whole run, m.
-        beam: (3,) nominal direction of the laser beam l, a unit vector: along the motion.
-        sign: (3,) -1, 0 or +1 for each axis.
-    """
-
-    id: str
-    name: str
-    order: str
-    diagonal: bool
-    start: Array
-    motion: Array
-    beam: Array
-    sign: Array
+    id: str  # of the setup
+    name: str  # the id without the order of the moves
+    order: str  # order of the single-axis moves, such as `yzx`; one letter for a linear run
+    diagonal: bool  # whether the mirror's tilt enters; a linear run senses its own axis whatever the tilt
+    start: Array  # (3,) where the run begins, m
+    motion: Array  # (3,) nominal motion of the whole run, m
+    beam: Array  # (3,) nominal direction of the laser beam l, a unit vector: along the motion
+    sign: Array  # (3,) -1, 0 or +1 for each axis
 
     def path(self, blocks: int) -> Array:
         """(len(order) * blocks + 1, 3) nominal positions at which the run is read, in their order, m."""
@@ -54,22 +43,14 @@ class Run:
 
 
 def step_diagonal_of(session: Session) -> StepDiagonal:
-    """The session's description.
-
-    Raises:
-        ModelError: the session is of another method.
-    """
+    """The session's description; a ModelError says that it is of another method."""
     if not isinstance(session.description, StepDiagonal):
         raise ModelError(f"{session.source}: a {session.method} session has no step diagonals")
     return session.description
 
 
 def runs_of(description: StepDiagonal) -> tuple[Run, ...]:
-    """The setups' runs, in the order of the description.
-
-    Raises:
-        SessionError: a direction that does not fit the setup's kind.
-    """
+    """The setups' runs; a SessionError names a direction that does not fit the setup's kind."""
     return tuple(_run(setup, description) for setup in description.setups)
 
 

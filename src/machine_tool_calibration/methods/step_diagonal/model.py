@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -23,9 +22,8 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
     mean_shape,
     normal_posterior,
 )
-from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, motion_value, weight_row
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.words import say, together
@@ -37,15 +35,11 @@ DATUM = say("datum.step_diagonal")
 
 @dataclass(frozen=True)
 class Spread:
-    """Angular errors as small random functions.
+    """Angular errors as small random functions."""
 
-    Attributes:
-        angles: the nine angular error motions.
-        posterior: what the readings say of them; None before the model is settled.
-    """
-
-    angles: tuple[Angle, ...]
-    posterior: AngularPosterior | None = None
+    tables: tuple[MachineTable, ...]  # the nine angular error motions
+    terms: tuple[Term, ...]  # with unknowns of the session's own
+    posterior: AngularPosterior | None = None  # what the readings say of them; None before the model is settled
 
     @property
     def size(self) -> float:
@@ -55,49 +49,26 @@ class Spread:
     @property
     def nodes(self) -> tuple[tuple[Array, int], ...]:
         """For each its nodes, m, and the index of the one at which it is zero."""
-        return tuple((angle.table.nodes, 0) for angle in self.angles)
+        return tuple((table.nodes, 0) for table in self.tables)
 
     @property
     def names(self) -> list[list[str]]:
         """Names of their unknowns."""
         return [[parameter.name for parameter in term.parameters] for term in self.terms]
 
-    @cached_property
-    def terms(self) -> tuple[Term, ...]:
-        """Their terms."""
-        return tuple(
-            Term(
-                f"angle.{angle.table.name}",
-                tuple(
-                    motion_value(angle.table.name, node, "rad", shared=False, prefix="angle.")
-                    for node in angle.table.nodes
-                ),
-                angle.columns,
-            )
-            for angle in self.angles
-        )
-
 
 @dataclass(frozen=True)
 class StepDiagonalModel(MethodModel):
-    """Readings of a flat mirror's displacement along a few diagonals and axes.
+    """Readings of a flat mirror's displacement along a few diagonals and axes."""
 
-    Attributes:
-        runs: the setups.
-        blocks: block positions of x, y, z, m.
-        tables: position errors of the axes and squareness, the first terms of the model.
-        angles: angular errors that are free unknowns.
-        spread: angular errors as small random functions; None where the model takes them to be zero or free.
-        nominal: (n,) reading with all unknowns zero, m.
-        offsets: the zero of every run (setup and repeat): its first reading, from which it counts, has an error too.
-    """
-
-    runs: tuple[Run, ...]
-    blocks: tuple[Array, Array, Array]
-    tables: tuple[MachineTable, ...]
-    angles: tuple[Angle, ...]
+    runs: tuple[Run, ...]  # the setups
+    blocks: tuple[Array, Array, Array]  # block positions of x, y, z, m
+    tables: tuple[MachineTable, ...]  # position errors of the axes and squareness, the first terms of the model
+    angles: tuple[MachineTable, ...]  # angular errors that are free unknowns
+    # angular errors as small random functions; None where the model takes them to be zero or free
     spread: Spread | None
-    nominal: Array
+    nominal: Array  # (n,) reading with all unknowns zero, m
+    # the zero of every run (setup and repeat): its first reading, from which it counts, has an error too
     offsets: tuple[Parameter, ...]
 
     @property
@@ -128,12 +99,10 @@ class StepDiagonalModel(MethodModel):
         place = {parameter.name: k for k, parameter in enumerate(plain.parameters)}
         rows = [weight_row(place, constraint.weights, len(place)) for constraint in self.constraints]
         offsets = (self.observations.run == np.arange(len(self.offsets))[:, None]).astype(float)
-        columns = (
-            np.concatenate([offsets, plain.dense(), *(angle.columns for angle in self.spread.angles)]) / self.sigma
-        )
+        columns = np.concatenate([offsets, plain.dense(), *(term.columns for term in self.spread.terms)]) / self.sigma
         right = columns @ ((self.observations.readings.displacement - self.nominal) / self.sigma)
         posterior = normal_posterior(self.spread.nodes, columns @ columns.T, right, np.array(rows))
-        spread = Spread(self.spread.angles, posterior)
+        spread = replace(self.spread, posterior=posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
     def expecting(self, size: float) -> Self:
@@ -154,21 +123,17 @@ class StepDiagonalModel(MethodModel):
 
     def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
         """Error motions that make up the position errors, and the names of their unknowns."""
-        tables = [*self.tables, *(angle.table for angle in self.angles)]
+        tables = [*self.tables, *self.angles]
         names = [label for table in tables for label in table.labels]
         if self.spread is not None:
-            tables += [angle.table for angle in self.spread.angles]
+            tables += self.spread.tables
             names += [label for labels in self.spread.names for label in labels]
         return tuple(tables), names
 
     def _map_rows(self) -> tuple[Array, IntArray]:
-        """Position errors at the block positions per unit of the unknowns that they depend on.
+        """(K, M) position errors at the block positions per unit of unknowns, and (K,) places of these in the model.
 
-        Angular errors count by the lever arms that they have along the edges that meet in the first block positions;
-        these arms vanish where the corner is the machine's zero.
-
-        Returns:
-            (K, M), oriented by the tables' own datum, and the (K,) places of the unknowns among the model's.
+        Angular errors count by their lever arms along the edges that meet in the first block positions.
         """
         places = []
         for axis, nodes in enumerate(self.blocks):
@@ -184,12 +149,8 @@ class StepDiagonalModel(MethodModel):
     def _oriented(self, rows: Array, undetermined: Array) -> tuple[Array, str]:
         """(M, K) rows of the map in the coordinate system of Eq. (17), and in words what orients it in another way.
 
-        The last block positions orient it; where that leaves a part of the map undetermined, those before them with
-        which the least is.
-
-        Args:
-            rows: (K, M) in any orientation.
-            undetermined: (K, k) directions of the unknowns that nothing fixes.
+        The last block positions orient it; where that leaves a part of the map open in the directions
+        `undetermined` (K, k), those before them with which the least is.
         """
         last = (-1, -1, -1)
         loose, every = undetermined.T @ rows, np.eye(rows.shape[1])
@@ -228,7 +189,7 @@ class StepDiagonalModel(MethodModel):
             out.append(there.ravel())
         return np.concatenate(out)
 
-    def profiles(self, fit: Fit, method: str = "least_squares") -> Profiles:
+    def profiles(self, fit: Fit) -> Profiles:
         """Position errors at the block positions in the coordinate system of Eq. (17), with their covariance."""
         error, mine = self._map_rows()
         rows, oriented = self._oriented(error, fit.undetermined[mine])
@@ -236,7 +197,7 @@ class StepDiagonalModel(MethodModel):
         loose = rows @ fit.undetermined[mine]
         value = rows @ fit.theta[mine] * self._there()
         covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
-        return Profiles(method, self.blocks, value, covariance, loose, oriented)
+        return Profiles(self.blocks, value, covariance, loose, oriented)
 
 
 def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:
@@ -289,12 +250,12 @@ def _angular(model: StepDiagonalModel, fit: Fit) -> dict[str, Any]:
     for axis, letter in enumerate("xyz"):
         nodes = model.blocks[axis]
         value, uncertainty = np.full((len(nodes), 3), np.nan), np.full((len(nodes), 3), np.nan)
-        for angle in model.angles:
-            motion = parse_motion(angle.table.name)
-            at = [place[label] for label in angle.table.labels]
+        for table in model.angles:
+            motion = parse_motion(table.name)
+            at = [place[label] for label in table.labels]
             if motion.axis != letter.upper() or not fit.determined[at].all():
                 continue
-            weights = interpolation(angle.table.nodes, nodes)
+            weights = interpolation(table.nodes, nodes)
             column = "ABC".index(motion.component)
             value[:, column] = weights.T @ fit.theta[at]
             uncertainty[:, column] = np.sqrt(
@@ -320,5 +281,4 @@ def _why(model: StepDiagonalModel, measured: Array, determined: Array) -> str:
 
 
 def _paired(values: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Each `name` with its `name_u`."""
     return {key: v for name, (value, u) in values.items() for key, v in ((name, value), (f"{name}_u", u))}

@@ -27,45 +27,28 @@ _LOOSE = 1e-6
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the paper's Table 1.
+    """A figure of the paper's Table 1."""
 
-    Attributes:
-        name: EXX … (position error at the last block position), EYX … (straightness), C0Y, B0Z, A0Z.
-        kind: positioning, straightness or squareness.
-        value: m; rad for a squareness. NaN where it is not determined.
-        uncertainty: standard uncertainty, k = 1.
-    """
-
-    name: str
-    kind: str
-    value: float
-    uncertainty: float
+    name: str  # EXX … (position error at the last block position), EYX … (straightness), C0Y, B0Z, A0Z
+    kind: str  # positioning, straightness or squareness
+    value: float  # m; rad for a squareness. NaN where it is not determined
+    uncertainty: float  # standard uncertainty, k = 1
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """Position errors at the block positions of each axis.
+    """Position errors at the block positions of each axis."""
 
-    Attributes:
-        method: how they were estimated.
-        blocks: block positions of x, y, z, m.
-        value: (M,) errors, axis after axis, position after position, component after component, m; NaN where nothing
-            was measured.
-        covariance: (M, M) of these, m^2.
-        loose: (M, k) directions in which the errors may change without any reading changing.
-        oriented: in words, where the errors are zero instead of at the last block positions; usually empty.
-    """
-
-    method: str
-    blocks: tuple[Array, Array, Array]
+    blocks: tuple[Array, Array, Array]  # block positions of x, y, z, m
+    # (M,) errors, axis after axis, position after position, component after component, m; NaN where nothing was
+    # measured
     value: Array
-    covariance: Array
-    loose: Array
-    oriented: str = ""
+    covariance: Array  # (M, M) of these, m^2
+    loose: Array  # (M, k) directions in which the errors may change without any reading changing
+    oriented: str = ""  # in words, where the errors are zero instead of at the last block positions; usually empty
 
     @cached_property
     def _known(self) -> Array:
-        """(M,) the errors; NaN where not determined."""
         return np.where(is_open(np.eye(len(self.value)), self.loose), np.nan, self.value)
 
     @cached_property
@@ -117,7 +100,6 @@ class Profiles:
         return found if np.isfinite(found.value) else self._figure(name, kind, row(self._known))
 
     def _places(self, component: int, axis: int) -> IntArray:
-        """Places, among all values, of those of an error along its axis."""
         first = 3 * sum(len(blocks) for blocks in self.blocks[:axis])
         return np.asarray(first + 3 * np.arange(len(self.blocks[axis])) + component, dtype=np.int64)
 
@@ -167,16 +149,11 @@ def is_open(rows: Array, loose: Array) -> BoolArray:
 
 
 def eq17(blocks: Sequence[Array], error: Array, last: tuple[int, int, int] = (-1, -1, -1)) -> Array:
-    """Position errors in the coordinate system of Eq. (17).
+    """(…, M) position errors in the coordinate system of Eq. (17): zero at each first block, turned as a whole.
 
-    Args:
-        blocks: block positions of x, y, z, m.
-        error: (…, M) errors in any orientation: axis after axis, position after position, component after component;
-            all zero where an axis has no positions of its own.
-        last: numbers of the positions at which e_y(x), e_z(x) and e_y(z) (e_z(y) where z did not move) are zero.
-
-    Returns:
-        (…, M) the same, zero at the first position of each axis and turned as a whole.
+    They are in any orientation: axis after axis, position after position, component after component; zero where an
+    axis has no positions. `last`: numbers of those at which e_y(x), e_z(x), e_y(z) (e_z(y) where z did not move)
+    are zero.
     """
     sizes = [3 * len(b) for b in blocks]
     parts = [p.reshape(*p.shape[:-1], -1, 3).copy() for p in np.split(error, np.cumsum(sizes)[:-1], axis=-1)]

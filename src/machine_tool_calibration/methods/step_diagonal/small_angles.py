@@ -79,26 +79,18 @@ _FLOOR = 1e-6
 
 @dataclass(frozen=True)
 class AngularPosterior(RandomPosterior):
-    """What the readings say of the angular errors.
+    """What the readings say of the angular errors."""
 
-    Attributes:
-        priors: for each error (k, k): the covariance of the random function, its mean over all that is possible, rad^2.
-    """
-
+    # for each error (k, k): the covariance of the random function, its mean over all that is possible, rad^2
     priors: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
 class SmallAngles:
-    """Angular errors as unknowns that are random functions, for what is published of a fit.
+    """Angular errors as unknowns that are random functions, for what is published of a fit."""
 
-    Attributes:
-        names: of their unknowns, error after error.
-        nodes: for each error its nodes, m, and the index of the one at which it is zero.
-    """
-
-    names: tuple[str, ...]
-    nodes: tuple[tuple[Array, int], ...]
+    names: tuple[str, ...]  # of their unknowns, error after error
+    nodes: tuple[tuple[Array, int], ...]  # for each error its nodes, m, and the index of the one at which it is zero
 
     @property
     def root(self) -> Array:
@@ -124,14 +116,7 @@ def coarse_nodes(blocks: Array) -> Array:
 
 
 def shape_covariance(nodes: Array, length: float, share: float, zero: int = 0) -> Array:
-    """(k, k) covariance of a smooth random function that is 0 at one node and has a mean variance of 1.
-
-    Args:
-        nodes: (k,) positions on the axis, m.
-        length: correlation length of the short waves, as a share of the travel.
-        share: of the variance that is the long waves'.
-        zero: the node at which it is 0; the first if absent.
-    """
+    """(k, k) of a smooth random function, 0 at one node, mean variance 1; by the share of long waves."""
     return (1.0 - share) * _waves(nodes, length, zero) + share * _waves(nodes, _LONG, zero)
 
 
@@ -171,19 +156,14 @@ def _shapes(nodes: tuple[float, ...], zero: int) -> tuple[tuple[Array, Array], .
 
 @lru_cache(maxsize=16)
 def _roots(places: tuple[tuple[tuple[float, ...], int], ...]) -> tuple[Array, ...]:
-    """For every shape, the root of the covariance of the angles of all places."""
     return tuple(block_diag(*(_shapes(*place)[j][1] for place in places)) for j in range(len(_SHAPES)))
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """Random functions of one shape, in the directions in which the readings determine their coefficients one by one.
+    """Random functions of one shape in directions (q, r) whose coefficients the readings determine one by one.
 
-    Attributes:
-        directions: (q, r) angles per unit of each coefficient, whose standard deviation is the size.
-        told: (r,) information of the readings on each.
-        right: (r,) its right-hand side.
-        log_likelihood: (sizes,) of the readings for each size, over that without angular errors.
+    `told` (r,) is the information on each, `right` its right-hand side; `log_likelihood` is of each size over none.
     """
 
     directions: Array
@@ -217,17 +197,11 @@ def normal_posterior(
     values: Array | None = None,
     squares: Array | None = None,
 ) -> AngularPosterior:
-    """Angular errors and all other unknowns over all sizes and shapes that are possible, from normal equations N x = b.
+    """Angular errors and all other unknowns over all sizes and shapes, from normal equations N x = b.
 
-    The unknowns of the angular errors are the last, and count from zero.
-
-    Args:
-        nodes: for each angular error its nodes, m, and the index of the one at which it is zero.
-        matrix: (K + q, K + q) N, without what is expected of the angles.
-        right: (K + q,) b.
-        constraints: (c, K) the datum of the other unknowns.
-        values: (c,) its values; zero if absent.
-        squares: (K,) for the rank, as in `solve_normal`.
+    The q unknowns of the angular errors are the last, count from zero, and nothing is expected of them in N;
+    `nodes` has for each error its nodes, m, and the index of the one at which it is zero. `constraints` (c, K) with
+    their values (zero if absent) are the datum of the K others; `squares` (K,) as in `solve_normal`.
     """
     k = constraints.shape[1]
     cross = matrix[:k, k:]
@@ -263,12 +237,7 @@ def normal_posterior(
 
 
 def angular_priors(names: Sequence[Sequence[str]], covariances: Sequence[Array]) -> tuple[Prior, ...]:
-    """What is known of the angular errors beside the readings, for a single fit: smooth, zero at first, of their size.
-
-    Args:
-        names: of the unknowns of each error.
-        covariances: (k, k) of each.
-    """
+    """What is known of each angular error (names, covariance) beside the readings, for a single fit."""
     priors = []
     for labels, covariance in zip(names, covariances, strict=True):
         deviation, shapes = _modes(covariance)

@@ -14,7 +14,6 @@ displacement E x arm that the same rotation gives the functional point.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,46 +25,15 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.words import say
 
-__all__ = ["Angle", "sensed_tables", "tilt_terms"]
+__all__ = ["sensed_tables", "tilt_terms"]
 
 _SENSED = 1e-6
-
-
-@dataclass(frozen=True)
-class Angle:
-    """An angular error motion with its table.
-
-    Attributes:
-        table: the motion's table.
-        columns: (k, n) change of each reading per unit of each node's value.
-    """
-
-    table: MachineTable
-    columns: Array
-
-    @classmethod
-    def of(cls, table: MachineTable, observations: Observations) -> Angle:
-        """What the motion displaces and turns in these readings."""
-        motion, position = parse_motion(table.name), observations.position
-        turned = observations.rotation_direction
-        assert turned is not None
-        along = table.scalar(position, observations.direction) + turned[:, "ABC".index(motion.component)]
-        return cls(table, table.weights(position) * along)
 
 
 def sensed_tables(
     tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations
 ) -> tuple[tuple[MachineTable, ...], tuple[NotDetermined, ...]]:
-    """Tables of translations at those block positions at which a reading senses them; squareness as it is.
-
-    Args:
-        tables: translations and squareness errors of the machine.
-        blocks: block positions of x, y, z, m.
-        observations: the readings.
-
-    Returns:
-        The tables that readings depend on, and what no reading depends on.
-    """
+    """Tables at those block positions at which a reading senses them, squareness as it is, and what none senses."""
     kept, left_out, position = [], [], observations.position
     for table in tables:
         if table.is_squareness:
@@ -96,17 +64,10 @@ def _visited(nodes: Array, position: Array) -> BoolArray:
 def tilt_terms(
     runs: Sequence[Run], observations: Observations, displacement: Array, one_mirror: bool
 ) -> tuple[Term, ...]:
-    """Two tilts of the mirror for each of its settings.
+    """Terms `ppp.tilt` of two tilts, rad, for each setting of the mirror, which `one_mirror` keeps between orders.
 
-    Args:
-        runs: the setups.
-        observations: the readings.
-        displacement: (n, 3) of the mirror since the start of the run, m.
-        one_mirror: whether the mirror stays as it is between the orders of the same diagonal.
-
-    Returns:
-        Terms `ppp.tilt` with `ppp.tilt_1` towards the horizontal direction across the beam and `ppp.tilt_2` towards
-        the other (`geometry.across`), rad. A tilt that no reading shows (a diagonal in a plane) is left out.
+    `ppp.tilt_1` is towards the horizontal direction across the beam, `ppp.tilt_2` towards the other
+    (`geometry.across`). A tilt that no reading shows (a diagonal in a plane) is left out.
     """
     setup = observations.readings.setup
     settings: dict[str, list[int]] = {}

@@ -1,16 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What readings between stations and targets cannot fix: a shift and a turn of the whole network."""
+"""Readings between stations and targets as a part of a least-squares problem, and what they cannot fix.
+
+That is a shift and a turn of the whole network. Unknown are every target's position, every station's rotation centre
+and its dead path (Ibaraki et al. 2014, Eqs. (2)-(4)). Directions are calculated chunk by chunk, so that memory holds
+little more than the readings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, best_motion
+from machine_tool_calibration.estimation.elimination import Rows
+from machine_tool_calibration.estimation.problem import Group, Part
 from machine_tool_calibration.words import say
 
-__all__ = ["MAP_DATUM", "NetworkMotion", "OwnSight", "carried_stations", "turned_back"]
+__all__ = ["MAP_DATUM", "MultilaterationPart", "NetworkMotion", "OwnSight", "carried_stations", "turned_back"]
+
 
 MAP_DATUM = say("datum.map")
 
@@ -52,20 +60,11 @@ class NetworkMotion:
 
 
 def carried_stations(point: IntArray, station: IntArray, n_points: int, n_stations: int, dimension: int) -> BoolArray:
-    """Stations that the network carries, so that the datum may rest on them.
+    """(S,) stations that the network carries, so that the datum may rest on them; all that were read if none.
 
-    A target read from more than d stations says something of these; a station read on more than d such targets is
-    held by them. What hangs on fewer could take up a condition of the datum without any reading changing.
-
-    Args:
-        point: (n,) target of each reading.
-        station: (n,) station of each reading.
-        n_points: number of targets.
-        n_stations: S.
-        dimension: d.
-
-    Returns:
-        (S,); all stations that were read at all, where no network is left.
+    A target (`point`, of N) read from more than d stations (`station`, of S) says something of these; a station
+    read on more than d such targets is held by them. What hangs on fewer could take up a condition of the datum
+    without any reading changing.
     """
     seen = np.zeros((n_points, n_stations), dtype=bool)
     seen[point, station] = True
@@ -89,13 +88,7 @@ class OwnSight:
     """
 
     def __init__(self, direction: Array, station: IntArray, n_stations: int) -> None:
-        """Look at the readings.
-
-        Args:
-            direction: (n, d) unit vectors from the station to the target.
-            station: (n,) station of each reading.
-            n_stations: S.
-        """
+        """Look along the unit vectors (n, d) from the station (n,) of each reading to its target."""
         size = direction.shape[1] + 1
         self._values = np.zeros((n_stations, size))
         self._vectors = np.tile(np.eye(size), (n_stations, 1, 1))
@@ -121,18 +114,91 @@ class OwnSight:
 
 
 def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Array]:
-    """Turn and shift places so that they have no common motion against the nominal ones.
+    """Actual places (n, d), and others (k, d) that go with them, without common motion against the nominal (n, d).
 
-    The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the linear
-    datum would leave its square, half a micrometre on a metre.
-
-    Args:
-        nominal: (n, d).
-        actual: (n, d).
-        others: (k, d) places that go with them.
-
-    Returns:
-        The actual and the other places after the motion.
+    The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the
+    linear datum would leave its square, half a micrometre on a metre.
     """
     turn, shift = best_motion(actual, nominal)
     return actual @ turn.T + shift, others @ turn.T + shift
+
+
+class MultilaterationPart(Part):
+    """Targets seen from stations; d dimensions; d + 1 unknowns a station: rotation centre and dead path.
+
+    The unknowns are corrections of the nominal target, of the first estimate of the station, and of the path
+    between these two at the datum reading.
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[Group],
+        path: Array,
+        sigma: Array,
+        target: Array,
+        station: Array,
+        beam: Array | None,
+        dense: Array,
+        block_index: IntArray,
+        dense_index: IntArray,
+    ) -> None:
+        """Lay the readings out in slots.
+
+        `groups` are from `group_points`, blocks are stations; `path` (n,) is the reading plus the first
+        estimate of the dead path, m; `target` (d, n_points) and `station` (d, stations) are first estimates, m;
+        `beam` (d, n) holds unit vectors of the commanded directions, None where the beam follows the target;
+        `dense` (K, n) the columns of further unknowns.
+        """
+        self.groups = groups
+        self.block_index = block_index
+        self.dense_index = dense_index
+        self.dimension, self.n_points = target.shape
+        self.n_readings = len(path)
+        self.linear = beam is not None
+        self._target = target
+        self._station = station
+        weight = 1.0 / sigma
+        self._weight = [np.where(group.rows >= 0, weight[group.rows], 0.0) for group in groups]
+        self._path, self._dense = self._in_slots(path), self._in_slots(dense)
+        self._beam = None if beam is None else self._in_slots(beam)
+
+    def _in_slots(self, values: Array) -> list[Array]:
+        """Values of the readings (…, n) by slot and point (…, S, n) of every group, times their weights."""
+        out = []
+        for group, weight in zip(self.groups, self._weight, strict=True):
+            # A missing reading has the index -1 and the weight 0.
+            out.append(np.take(values, group.rows, axis=-1, mode="wrap"))
+            out[-1] *= weight
+        return out
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """Linearise at the given positions."""
+        d = self.dimension
+        layout = self.groups[group]
+        points = layout.pick(chunk)
+        weight = self._weight[group][:, chunk]
+        unknown = theta[self.block_index[layout.block]]
+        station = self._station[:, layout.block] + unknown[:, :d].T
+        where = self._target[:, points] + local[:, points]
+        line = where[:, None] - station[:, :, None]
+        path = self._path[group][:, chunk]
+        if self._beam is None:
+            length = np.einsum("dsn,dsn->sn", line, line)
+            np.sqrt(length, out=length)
+            columns = line
+            columns *= weight / length
+            residual = np.subtract(unknown[:, d, None], length, out=length)
+            residual *= weight
+            residual += path
+        else:
+            columns = self._beam[group][:, :, chunk]
+            residual = unknown[:, d, None] * weight
+            residual += path
+            residual -= np.einsum("dsn,dsn->sn", line, columns)
+        dense = self._dense[group][:, :, chunk]
+        if len(self.dense_index):
+            residual -= np.tensordot(theta[self.dense_index], dense, axes=1)
+        block = np.empty((d + 1, *weight.shape))
+        np.negative(columns, out=block[:d])
+        np.negative(weight, out=block[d])
+        return Rows(residual, columns, block, dense)

@@ -2,29 +2,50 @@
 """Tracking interferometer: multilateration from several stations (Ibaraki et al. 2014).
 
 `free`: the position of every target is unknown. `rigid_body`: the targets' errors are those of the machine's
-error motions and squareness; what these cannot explain stays in the residuals.
+error motions and squareness; what these cannot explain stays in the residuals. The map has every target's position
+error in the datum in which they have no common motion, and the stations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
+from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
-from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
-from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
-from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, dead_path_of, place_of
+from machine_tool_calibration.methods.tracking.datum import (
+    MAP_DATUM,
+    MultilaterationPart,
+    NetworkMotion,
+    OwnSight,
+    carried_stations,
+    turned_back,
+)
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import (
+    Constraint,
+    MethodModel,
+    NotDetermined,
+    Parameter,
+    Prior,
+    dead_path_of,
+    place_of,
+)
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import (
     RIGID_BODY_DATUM,
     MachineTable,
     axis_nodes,
+    in_space,
     linear_axis_errors,
     machine_terms,
+    map_field,
+    position_errors,
     read_nodes,
     table_datum,
 )
@@ -32,7 +53,8 @@ from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session, distinct_places
 from machine_tool_calibration.words import say
 
-__all__ = ["TrackingModel", "build"]
+__all__ = ["TrackingModel", "build", "error_map"]
+
 
 # Stations are set up to this by any means, m. Declared uncertainties below it are not relied on: the readings place a
 # station far better, except for motions that they do not sense.
@@ -43,25 +65,15 @@ _INVOLVED = 0.03
 
 @dataclass(frozen=True)
 class TrackingModel(MethodModel):
-    """Targets read from stations.
+    """Targets read from stations."""
 
-    Attributes:
-        targets: (N, 3) distinct commanded positions, m.
-        point: (n,) which of them each reading belongs to.
-        stations: (S, 3) first estimates of the rotation centres, m.
-        path: (S,) first estimates of the path at the datum reading (dead path), m.
-        sight: how well each station's own readings place it.
-        carried: (S,) stations that the network holds.
-        tables: the machine's error motions in the model; None where every target is free.
-    """
-
-    targets: Array
-    point: IntArray
-    stations: Array
-    path: Array
-    sight: OwnSight
-    carried: BoolArray
-    tables: tuple[MachineTable, ...] | None
+    targets: Array  # (N, 3) distinct commanded positions, m
+    point: IntArray  # (n,) which of them each reading belongs to
+    stations: Array  # (S, 3) first estimates of the rotation centres, m
+    path: Array  # (S,) first estimates of the path at the datum reading (dead path), m
+    sight: OwnSight  # how well each station's own readings place it
+    carried: BoolArray  # (S,) stations that the network holds
+    tables: tuple[MachineTable, ...] | None  # the machine's error motions in the model; None where every target is free
 
     @property
     def description(self) -> TrackingInterferometer:
@@ -165,12 +177,7 @@ def _linearised(
 
 
 def build(session: Session, model: str = "free") -> TrackingModel:
-    """The model of a tracking interferometer's session.
-
-    Args:
-        session: the measurement.
-        model: `free` or `rigid_body`.
-    """
+    """The model of a tracking interferometer's session, with free targets or the machine's tables."""
     description = session.description.as_a(TrackingInterferometer)
     d = description.dimension
     # A target whose readings were all lost is a target all the same: it keeps its place in the map.
@@ -244,3 +251,149 @@ def _known_places(model: TrackingModel) -> Iterator[Prior]:
     for k, vector in model.loose_stations:
         weights = {str(n): float(v) for n, v in zip(names[k], vector, strict=True) if v}
         yield Prior(weights, 0.0, float(model.known[k]))
+
+
+# Standard uncertainty above which a position error counts as not determined, m.
+_VAGUE = 1e-4
+# Stations lie in a plane or on a line where their least extent is below this share of the largest.
+_FLAT = 0.05
+
+
+@dataclass(frozen=True)
+class _Network:
+    """Targets and stations in the map's datum."""
+
+    error: Array  # (n, d) position error of the targets
+    covariance: Array  # (n, d, d)
+    good: BoolArray  # (n,) whether a target is determined
+    own: Array  # (S (d + 1),) the stations' unknowns
+    own_u: Array  # their standard uncertainties
+    why: Mapping[int, str]  # reason for each target that is not determined
+
+
+def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+    """Position error of every target in the datum in which they have no common motion."""
+    return _free_map(model, fit) if model.tables is None else _table_map(model, fit, model.tables)
+
+
+def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+    d, own = model.dimension, fit.places[: len(model.own)]
+    stated = fit.joint.marginal
+    local, theta = stated.solution.local[fit.index], stated.solution.theta
+    nominal, stations = model.targets[:, :d].T, model.stations[:, :d]
+    where, at = nominal, stations
+    if model.follows:
+        # The motions that change no reading are those of the places found.
+        where, at = nominal + local, stations + theta[own].reshape(-1, d + 1)[:, :d]
+    theta_motion = np.zeros((len(theta), model.motion.count))
+    theta_motion[own] = model.motion.of_stations(at)
+    result = points_in_inner_datum(
+        stated.parts[fit.index], stated.solution, fit.index, model.motion.of_targets(where), theta_motion
+    )
+    good, error, unknown = result.determined, result.value.T, result.theta[own]
+    if model.follows and good.any():
+        places = np.vstack([where.T[~good], at])
+        error = np.full_like(error, np.nan)
+        turned, others = turned_back(nominal.T[good], where.T[good], places)
+        error[good] = turned - nominal.T[good]
+        unknown = theta[own].reshape(-1, d + 1).copy()
+        unknown[:, :d] = others[-len(at) :] - stations
+    why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
+    own_u = stated.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
+    covariance = stated.scatter**2 * result.covariance.transpose(2, 0, 1)
+    return _published(model, fit, _Network(error, covariance, good, unknown.reshape(-1), own_u, why))
+
+
+def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
+    if fit.solution.local_determined[fit.index][:, target].all():
+        count = len(np.unique(model.observations.readings.setup))
+        if count <= model.dimension:
+            return say("undetermined.more_stations", needed=model.dimension + 1, count=count)
+        return say("undetermined.station_missing")
+    stations = np.unique(model.observations.readings.setup[model.point == target])
+    if len(stations) >= model.dimension:
+        return say("undetermined.narrow")
+    if not len(stations):
+        return say("undetermined.not_read", needed=model.dimension)
+    names = ", ".join(model.description.setups[s].id for s in stations)
+    return say("undetermined.read_from", names=names, needed=model.dimension)
+
+
+def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
+    d, n = model.dimension, len(model.targets)
+    field = map_field(tables, model.targets)[:, :, :d]
+    first = len(model.own)
+    place = slice(first, first + len(field))
+    raw = field.reshape(len(field), -1)
+    common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1)
+    loose = fit.solution.loose_directions()[fit.places][place]
+
+    def told(field: Array) -> BoolArray:
+        """(n,) the targets of which every coordinate is determined."""
+        return np.asarray((np.linalg.norm(field.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1))
+
+    def without_common(targets: BoolArray) -> tuple[Array, Array]:
+        """The common motion of some targets, and the field of all without it."""
+        rows = np.repeat(targets, d)
+        fitted = np.linalg.lstsq(common[targets].reshape(-1, common.shape[2]), raw[:, rows].T, rcond=None)[0]
+        return np.asarray(fitted), raw - (common.reshape(n * d, -1) @ fitted).T
+
+    fitted, flat = without_common(np.ones(n, dtype=bool))
+    if (sure := told(raw)).sum() > told(flat).sum():
+        # What is not determined at some targets must not shift and turn all others.
+        fitted, flat = without_common(sure)
+    good = told(flat)
+    error, covariance = position_errors(flat.reshape(len(field), n, d), fit.theta[place], fit.covariance[place, place])
+    # The stations move with the common motion that is taken out of the targets.
+    change = np.eye(len(fit.theta))[:first]
+    change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
+    own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
+    why = {int(k): say("undetermined.motion_missing") for k in np.flatnonzero(~good)}
+    return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))
+
+
+def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
+    d, good = model.dimension, network.good
+    error = np.where(good[:, None], network.error, np.nan)
+    covariance = np.where(good[:, None, None], network.covariance, np.nan)
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
+    fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
+    own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
+    own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
+    # A direction known no better than this says nothing of a machine, and a linear fit little of it.
+    vague = uncertainty > _VAGUE
+    error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
+    covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
+    content = {
+        "points": model.targets,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "station_ids": [setup.id for setup in model.description.setups],
+        "stations": in_space(model.stations[:, :d] + own[:, :d]),
+        "stations_u": in_space(own_u[:, :d]),
+        "dead_path": model.path + own[:, d],
+        "dead_path_u": own_u[:, d],
+        "datum": MAP_DATUM,
+    }
+    lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
+    lost += tuple(_vague(model, vague, j) for j in range(d) if vague[:, j].any())
+    names = [parameter.name for parameter in model.own]
+    moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
+    return ErrorMap(content, model.targets, in_space(error), in_space(uncertainty), in_space(covariance), lost, moved)
+
+
+def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
+    """A direction that the arrangement of the stations hardly senses."""
+    count = int(vague[:, j].sum())
+    where = "all targets" if count == len(vague) else f"{count} of {len(vague)} targets"
+    centred = model.stations[:, : model.dimension] - model.stations[:, : model.dimension].mean(axis=0)
+    extents = np.linalg.svd(centred, compute_uv=False)
+    # A third or second direction in which the stations hardly differ.
+    flat = len(extents) < model.dimension or extents[-1] < _FLAT * extents[0]
+    kind = "_line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "_plane"
+    why = say(f"undetermined.vague{kind if flat else ''}", size=f"{1e3 * _VAGUE:g}")
+    return NotDetermined(f"position_error along {'xyz'[j]} of {where}", why)
+
+
+def _place(position: Array) -> str:
+    return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"

@@ -39,25 +39,15 @@ _DONE = 1e-13
 
 @dataclass(frozen=True)
 class Centre:
-    """The rotation centre of a pointer.
+    """The rotation centre of a pointer."""
 
-    Attributes:
-        centre: (2,) x and y of the axis average line, machine frame, m.
-        offset: (2,) of the retroreflector from it, m: where the axes say that it stands, less the centre.
-        covariance: (2, 2) of the centre, m^2.
-        contributions: by name, (2,) standard uncertainties of x and y, m; they add in squares.
-        radial: RMS of the radial error motion of two waves a turn and more, m.
-        scatter: standard deviation of a reading, m.
-        residuals: (n,) what eccentricity leaves of the readings, m: radial error motion and scatter.
-    """
-
-    centre: Array
-    offset: Array
-    covariance: Array
-    contributions: Mapping[str, Array]
-    radial: float
-    scatter: float
-    residuals: Array
+    centre: Array  # (2,) x and y of the axis average line, machine frame, m
+    offset: Array  # (2,) of the retroreflector from it, m: where the axes say that it stands, less the centre
+    covariance: Array  # (2, 2) of the centre, m^2
+    contributions: Mapping[str, Array]  # by name, (2,) standard uncertainties of x and y, m; they add in squares
+    radial: float  # RMS of the radial error motion of two waves a turn and more, m
+    scatter: float  # standard deviation of a reading, m
+    residuals: Array  # (n,) what eccentricity leaves of the readings, m: radial error motion and scatter
 
     @property
     def u(self) -> Array:
@@ -67,19 +57,12 @@ class Centre:
 
 @dataclass(frozen=True)
 class ZeroAngle:
-    """The zero angle of a pointer.
+    """The zero angle of a pointer."""
 
-    Attributes:
-        offset: azimuth of the beam less the commanded one, rad; from the normal of Y, positive from +X towards +Y.
-        u: its standard uncertainty, rad.
-        scatter: standard deviation of a reading, m: straightness of Y across it included.
-        residuals: (n,) what straight lines leave of the readings, m.
-    """
-
-    offset: float
-    u: float
-    scatter: float
-    residuals: Array
+    offset: float  # azimuth of the beam less the commanded one, rad; from the normal of Y, positive from +X towards +Y
+    u: float  # its standard uncertainty, rad
+    scatter: float  # standard deviation of a reading, m: straightness of Y across it included
+    residuals: Array  # (n,) what straight lines leave of the readings, m
 
 
 def rotation_centre(
@@ -91,22 +74,14 @@ def rotation_centre(
     machine: float = 0.0,
     zero: ZeroAngle | None = None,
 ) -> Centre:
-    """The rotation centre from the path over the azimuth, the retroreflector standing still near the axis.
+    """The rotation centre from the path (n,) over the azimuth (n,), the retroreflector standing still near the axis.
 
     The radial error motion is a sum of waves of random size, all orders alike; how large it is, and how much the
     readings scatter, follow from the readings (restricted likelihood), and that it is not known well is in the
-    uncertainty.
-
-    Args:
-        azimuth: (n,) commanded, rad.
-        displacement: (n,) m, larger where the path is longer.
-        place: (2,) commanded x and y of the retroreflector, m.
-        run: (n,) readings of one run count from a common zero; one run if absent.
-        machine: standard uncertainty of the machine's position along x and along y, m.
-        zero: of the pointer, if it is known: the eccentricity is turned by it.
-
-    Raises:
-        ModelError: the beam turns by less than half a turn, or there are too few azimuths or readings.
+    uncertainty. Metres and radians, the path growing with its length; `place` (2,) is the commanded one of the
+    retroreflector; readings of one run (n,) count from a common zero; `machine` is the standard uncertainty of the
+    machine's position along x and along y; the eccentricity is turned by the pointer's zero, if it is known. A
+    ModelError says that the beam turns by less than half a turn, or that there are too few azimuths or readings.
     """
     angle = azimuth if zero is None else azimuth + zero.offset
     own = _constants(np.zeros(len(angle), dtype=np.int64) if run is None else run)
@@ -151,29 +126,16 @@ def rotation_centre(
 
 @dataclass(frozen=True)
 class _Mixed:
-    """Fixed unknowns, random ones of a common variance, and scatter, in the space that both span.
+    """Fixed unknowns, random ones of a common variance, and scatter, in the space that both span."""
 
-    Attributes:
-        fixed: (m, p).
-        random: (m, q).
-        inner: (m,) the readings there.
-        outside: sum of squares of what is beside it.
-        count: number of readings.
-    """
-
-    fixed: Array
-    random: Array
-    inner: Array
-    outside: float
-    count: int
+    fixed: Array  # (m, p)
+    random: Array  # (m, q)
+    inner: Array  # (m,) the readings there
+    outside: float  # sum of squares of what is beside it
+    count: int  # number of readings
 
     def at(self, ratio: float) -> tuple[Array, float, float]:
-        """For a ratio of the variances of a random unknown and of a reading.
-
-        Returns:
-            (p, m) the best linear unbiased estimator, the variance of a reading, and the logarithm of the restricted
-            likelihood but for a constant.
-        """
+        """(p, m) best linear unbiased estimator, variance of a reading, logarithm of the restricted likelihood."""
         weight = self._weight(ratio)
         information = self.fixed.T @ weight @ self.fixed
         solve = np.linalg.solve(information, self.fixed.T @ weight)
@@ -184,11 +146,10 @@ class _Mixed:
         return np.asarray(solve), variance, float(logs - dof * np.log(max(variance, _LEAST))) / 2
 
     def averaged(self) -> tuple[Array, Array, Array, tuple[float, float]]:
-        """The fixed unknowns whatever the ratio is, by the probability of each (flat in the random ones' size).
+        """The fixed unknowns (p,), averaged over the ratio by its probability (flat in the random ones' size).
 
-        Returns:
-            (p,) values, (p, p) their covariance from scatter, (p, p) from the random unknowns and from not knowing how
-            large these are, and the variances of a reading and of a random unknown.
+        Also (p, p) covariances from scatter and from the random unknowns, and variances of a reading and a
+        random unknown.
         """
         ratios = 10.0 ** np.linspace(-_DECADES, _DECADES, _RATIOS)
         fits = [self.at(ratio) for ratio in ratios]
@@ -210,16 +171,10 @@ class _Mixed:
 
 
 def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | None = None) -> ZeroAngle:
-    """The zero angle from the path over y, the beam being held.
+    """The zero angle from the path (n,) over commanded y (n,), m, the beam being held at azimuths (n,), rad.
 
-    Args:
-        y: (n,) commanded, m; x stands still.
-        displacement: (n,) m, larger where the path is longer.
-        azimuth: (n,) commanded direction of the beam, rad.
-        run: (n,) readings of one run count from a common zero; those of one azimuth if absent.
-
-    Raises:
-        ModelError: Y does not move in a run, the beam runs along Y, or there are too few readings.
+    Readings of one run count from a common zero; those of one azimuth if no run is given. A ModelError says that Y
+    does not move in a run, the beam runs along Y, or there are too few readings.
     """
     same = groups(np.round(azimuth / _NOTHING).astype(np.int64))
     run = same if run is None else groups(same, run)

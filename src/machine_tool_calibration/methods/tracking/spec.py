@@ -1,47 +1,223 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracking interferometer as a record."""
+"""The tracking interferometer: its traits, and readings against the stations as they are stated."""
 
-from machine_tool_calibration.methods.tracking.checks import TrackingChecks
-from machine_tool_calibration.session.description import TrackingInterferometer
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, unit_vectors
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.checks.mistakes import (
+    LENGTHS,
+    SENSES,
+    UNITS,
+    described,
+    exchanged_axes,
+    in_degrees,
+    scaled,
+    with_columns,
+)
+from machine_tool_calibration.session.checks.nominal_geometry import (
+    badly_exchanged,
+    enough_stations,
+    judged_by_worst,
+    lines_of_sight,
+    off_prediction,
+    on_a_line,
+    refuse_one_line,
+    relative_misfit,
+    wrapped,
+)
+from machine_tool_calibration.session.checks.places import allowed
+from machine_tool_calibration.session.description import Place, TrackingInterferometer
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.method import MethodSpec
+from machine_tool_calibration.session.session import Session, distinct_places
+from machine_tool_calibration.words import say
 
 __all__ = ["SPEC"]
 
-
-def _columns(description: TrackingInterferometer) -> tuple[str, ...]:
-    angles: tuple[str, ...] = ()
-    if description.pointing == "open_loop":
-        angles = ("azimuth",) if description.dimension == 2 else ("azimuth", "elevation")
-    return ("time", "setup", "repeat", *"xyz"[: description.dimension], *angles, "displacement")
-
-
-def _words(description: TrackingInterferometer) -> str:
-    pointing = "following the target" if description.pointing == "tracking" else "pointed open loop"
-    return f"tracking interferometer in {description.dimension} dimensions, {pointing}"
+# By how much the beam's axis may miss the retroreflector's centre, and a path be off, beside the station's place, m.
+_MISSED, _ERROR = 0.02, 0.01
+# Share of a station's beams that may point elsewhere: they are commanded, but single ones are set aside like a reading.
+_SINGLE = 0.03
+# Share of an azimuth's error within which it is the same at all readings.
+_SAME = 0.1
+# Zero of all azimuths beyond which the turn of the network is no longer small: its square is a micrometre on a metre.
+_ZERO = 1.5e-3
 
 
-SPEC = MethodSpec(
-    description=TrackingInterferometer,
-    columns=_columns,
-    checks=TrackingChecks(),
-    model="machine_tool_calibration.methods.tracking.model",
-    map="machine_tool_calibration.methods.tracking.map",
-    models={
+class TrackingSpec(MethodSpec):
+    """A tracking interferometer."""
+
+    description = TrackingInterferometer
+    model = "machine_tool_calibration.methods.tracking.model"
+    models: ClassVar = {
         "free": "the default: every target has a position of its own, whatever moves the tool; each needs one "
         "station more than there are dimensions",
         "rigid_body": "the axes are rigid bodies, their errors tables over their positions: few stations do, other "
         "sessions can share the tables, and places between the targets are told",
-    },
-    words=_words,
-    mounted=lambda description: "the instrument",
-    turned_part=("the retroreflector", ("retroreflector_form",)),
-    free_order=True,
-    tables="rigid_body",
-    by_axes=("rigid_body",),
-    no_tables="the model 'free' has none; identify with --model rigid_body",
-    steps="machine_tool_calibration.procedure.steps:path_steps",
-    further_places="machine_tool_calibration.planning.places:further_stations",
-    planned="machine_tool_calibration.planning.forecast:from_stations",
-    optics="machine_tool_calibration.nodes.optics:on_tool",
-    pictures="machine_tool_calibration.plots.tracking",
-)
+    }
+    turned_part = ("the retroreflector", ("retroreflector_form",))
+    free_order = True
+    tables = "rigid_body"
+    by_axes = ("rigid_body",)
+    no_tables = "the model 'free' has none; identify with --model rigid_body"
+    steps = "machine_tool_calibration.procedure.steps:path_steps"
+    further_places = "machine_tool_calibration.planning.places:further_stations"
+    planned = "machine_tool_calibration.planning.forecast:from_stations"
+    optics = "machine_tool_calibration.nodes.optics:on_tool"
+    pictures = "machine_tool_calibration.plots.tracking"
+
+    def columns(self, description: TrackingInterferometer) -> tuple[str, ...]:
+        """The commanded direction of the beam, where it does not follow the target."""
+        angles = ("azimuth", "elevation")[: description.dimension - 1] if description.pointing == "open_loop" else ()
+        return ("time", "setup", "repeat", *"xyz"[: description.dimension], *angles, "displacement")
+
+    def words(self, description: TrackingInterferometer) -> str:
+        """How the beam points, in how many dimensions."""
+        pointing = "following the target" if description.pointing == "tracking" else "pointed open loop"
+        return f"tracking interferometer in {description.dimension} dimensions, {pointing}"
+
+    def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
+        """Stations and targets.
+
+        Raises:
+            SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
+        """
+        description = session.description.as_a(TrackingInterferometer)
+        method = f"tracking_interferometer in {description.dimension} dimensions"
+        enough_stations(session, description.setups, measured, place, needed=2, method=method)
+        if description.dimension == 3:
+            refuse_one_line(description.setups, place)
+        _enough_targets(session, description.dimension, measured, place, method)
+
+    def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
+        """Judgements of a tracking interferometer."""
+        description = session.description.as_a(TrackingInterferometer)
+        if description.pointing == "open_loop":
+            yield judged_by_worst(_off_beam, _beam_mistakes(session, description.dimension))
+        yield judged_by_worst(_off_path, _path_mistakes(session, description))
+
+    def held(self, session: Session) -> Iterator[Held]:
+        """Commanded beams and displacements against the stations as they are stated."""
+        description, readings = session.description.as_a(TrackingInterferometer), session.readings
+        reach = np.linalg.norm(lines_of_sight(session, readings.position())[:, : description.dimension], axis=1)
+        place = np.array([allowed(session, setup.position_uncertainty) for setup in description.setups])[readings.setup]
+        if description.pointing == "open_loop":
+            yield Held(
+                "the beam (azimuth)" if description.dimension == 2 else "the beam (azimuth, elevation)",
+                "the direction from the stated place of the station to the target",
+                _off_beam(session),
+                (place + _MISSED) / np.maximum(reach, 1e-9),
+                "rad",
+                share=_SINGLE,
+                hint=lambda setup: _zero_angle(session, setup),
+            )
+        yield Held(
+            "displacement",
+            "the change of distance from the stated place of the station to the target",
+            off_prediction(session, reach, readings.setup),
+            2.0 * place + _ERROR,
+        )
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """An azimuth that all stations count from another zero: the map's turn would take up only its first order."""
+        description = session.description.as_a(TrackingInterferometer)
+        used = np.unique(session.readings.setup)
+        if description.pointing != "open_loop" or len(used) < 2:
+            return
+        zeros = np.array([np.median(_azimuth_off(session, setup)) for setup in used])
+        middle = float(np.median(zeros))
+        if abs(middle) > _ZERO and np.abs(zeros - middle).max() < _SAME * abs(middle):
+            yield say("suspicion.azimuth", off=f"{1e3 * middle:.3g}")
+
+
+SPEC = TrackingSpec()
+
+
+def _enough_targets(session: Session, dimension: int, measured: BoolArray, place: Place, method: str) -> None:
+    positions = session.readings.position()[measured][:, :dimension]
+    first, index = distinct_places(positions)
+    points = positions[first]
+    if len(points) < 3 or (dimension == 3 and on_a_line(points)):
+        what = "there are fewer than three targets" if len(points) < 3 else "all targets lie on a line"
+        raise SessionError(f"{place.readings}: {what}; {method} needs targets spread over a plane")
+    stations = session.readings.setup[measured]
+    pairs = np.flatnonzero(np.bincount(index * len(session.setup_ids) + stations))
+    redundant = np.clip(np.bincount(pairs // len(session.setup_ids)) - dimension, 0, None).sum()
+    count = len(np.unique(stations))
+    unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
+    # Rigid bodies have three or six error motions at every position of every axis, however many targets there are.
+    rigid = (dimension + 1) * count + _unknown_of_axes(points)
+    if redundant < unknown and len(pairs) < rigid:
+        raise SessionError(
+            f"{place.readings}: too few readings: {len(points)} targets and {count} stations leave {redundant} "
+            f"conditions for the {unknown} unknowns of the stations; measure more targets from all stations"
+        )
+
+
+def _unknown_of_axes(points: Array) -> int:
+    """Values of the linear axes' error motions at the positions of targets (n, d)."""
+    positions = sum(len(distinct_places(points[:, j : j + 1])[0]) for j in range(points.shape[1]))
+    return (3 if points.shape[1] == 2 else 6) * positions
+
+
+def _off_beam(session: Session) -> Array:
+    description, readings = session.description.as_a(TrackingInterferometer), session.readings
+    upright = 0.0 if description.dimension == 2 else 1.0
+    elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
+    beam = unit_vectors(readings.columns["azimuth"], elevation)
+    line = lines_of_sight(session, readings.position()) * (1.0, 1.0, upright)
+    cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def _beam_mistakes(session: Session, dimension: int) -> Iterator[Supposition]:
+    azimuth = session.readings.columns["azimuth"]
+    elevation = session.readings.columns.get("elevation", np.zeros(len(azimuth)))
+    yield in_degrees(session, "azimuth and elevation look", "azimuth", "elevation")
+    what = "azimuth and elevation point from the target to the station"
+    yield with_columns(session, what, azimuth=azimuth + np.pi, elevation=-elevation)
+    what = "azimuth looks as if it was counted clockwise; it is counter-clockwise from +X, seen from +Z"
+    yield with_columns(session, what, azimuth=-azimuth)
+    yield with_columns(session, "azimuth looks as if it was off by half a turn", azimuth=azimuth + np.pi)
+    yield from exchanged_axes(session, dimension)
+    yield from badly_exchanged(session, _off_beam, "setup")
+
+
+def _off_path(session: Session) -> Array:
+    dimension = session.description.as_a(TrackingInterferometer).dimension
+    line = lines_of_sight(session, session.readings.position())[:, :dimension]
+    return relative_misfit(session, np.linalg.norm(line, axis=1), session.readings.setup)
+
+
+def _path_mistakes(session: Session, description: TrackingInterferometer) -> Iterator[Supposition]:
+    yield from scaled(session, *UNITS, *SENSES)
+    setups = [
+        setup.model_copy(update={"position": tuple(1e-3 * v for v in setup.position)}) for setup in description.setups
+    ]
+    yield described(session, f"the stations' positions look {LENGTHS}", setups=tuple(setups))
+    metres = dict(zip("xyz", 1e-3 * session.readings.position().T, strict=True))
+    yield with_columns(session, f"x, y and z look {LENGTHS}", **metres)
+    yield from exchanged_axes(session, description.dimension)
+    yield from badly_exchanged(session, _off_path, "setup")
+
+
+def _azimuth_off(session: Session, setup: int) -> Array:
+    """Azimuths of a station against the directions to the targets, rad."""
+    mine = session.readings.setup == setup
+    line = lines_of_sight(session, session.readings.position())[mine]
+    return wrapped(session.readings.columns["azimuth"][mine] - np.arctan2(line[:, 1], line[:, 0]))
+
+
+def _zero_angle(session: Session, setup: int) -> str:
+    """Whether a pointer counts its azimuth from another zero."""
+    off = _azimuth_off(session, setup)
+    middle = float(np.median(off))
+    if np.median(np.abs(off - middle)) > _SAME * abs(middle):
+        return ""
+    return f"azimuth is {middle:.3g} rad too large throughout: is it counted from +X?"

@@ -8,8 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
-from machine_tool_calibration.session.checks.contradictions import refuse_contradictions
-from machine_tool_calibration.session.checks.mistakes import check_consistency
+from machine_tool_calibration.session.checks.mistakes import check_consistency, refuse_contradictions
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
@@ -21,19 +20,13 @@ _TOLD_BY_TIME = 0.4
 
 
 def check_session(session: Session, place: Place | None = None) -> None:
-    """Refuse a session that cannot be right or is not enough for its method.
+    """Refuse (SessionError) a session that cannot be right or is not enough for its method.
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
     times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
-    targets and readings that the method needs (`Checks.enough`); readings that contradict the nominal geometry while
-    a common mistake would explain them (`check_consistency`), or by more than can be (`refuse_contradictions`).
-
-    Args:
-        session: the measurement.
-        place: how messages name its parts; by default all is named by the session's source.
-
-    Raises:
-        SessionError: one line that names the place and the defect, or the suspicion.
+    targets and readings that the method needs (`MethodSpec.enough`); readings that contradict the nominal geometry
+    while a common mistake would explain them (`check_consistency`), or by more than can be
+    (`refuse_contradictions`).
     """
     place = place or Place(session.source, session.source)
     _check_missing(session, place)
@@ -43,7 +36,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_doubled(session, place)
     check_units(session, place)
     read = np.isfinite(session.readings.displacement)
-    spec_of(session).checks.enough(session, read, place)
+    spec_of(session).enough(session, read, place)
     if not session.description.trust_units:
         with suspected():
             check_consistency(session, place)

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readings against the nominal geometry of their method, only as good as needed to see a mistake.
+"""Readings against the nominal geometry of their method, only as good as needed to see a mistake, and enough stations.
 
 The nominal geometry predicts every reading to about the uncertainty of the stations. How far a reading is off is told
 in shares of what is predicted, so that it does not depend on the unit.
+
+The papers ask for 3 stations in the plane and 4 in space (Ibaraki et al. 2014, Section 2; Zhang et al. 2015, Section
+2). With fewer, a machine of rigid bodies can still be identified, and three stations see all of a rotary axis with
+three targets. What a session leaves undetermined is the estimator's to find and name.
 """
 
 from __future__ import annotations
@@ -11,16 +15,22 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, group_ranges
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, group_ranges
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import exchanged
+from machine_tool_calibration.session.description import Place, StationSetup
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session, places_among
 
 __all__ = [
     "badly_exchanged",
+    "counted",
+    "enough_stations",
     "judged_by_worst",
     "lines_of_sight",
     "off_prediction",
+    "on_a_line",
+    "refuse_one_line",
     "relative_misfit",
     "turned",
     "typical_extent",
@@ -70,10 +80,7 @@ def _by_group(session: Session, off: Off, kind: str) -> tuple[list[str], Array]:
 
 
 def relative_misfit(session: Session, predicted: Array, group: IntArray) -> Array:
-    """(n,) how far displacements are off a prediction (n,), m, each group having a zero of its own.
-
-    As a share of half the prediction's range in a group.
-    """
+    """(n,) how far displacements are off a prediction (n,), m, by group, as a share of half its range in a group."""
     return off_prediction(session, predicted, group) / typical_extent(predicted, group)
 
 
@@ -95,3 +102,60 @@ def lines_of_sight(session: Session, points: Array) -> Array:
     """(n, 3) from each reading's station to its point (n, 3), m; of a method with stations."""
     stations = np.array([getattr(setup, "position") for setup in session.description.setups])  # noqa: B009
     return np.asarray(points - stations[session.readings.setup])
+
+
+_SAME_PLACE = 1e-6  # m: below any remounting, so a copied entry
+_LINE = 1e-3  # second extent over the first
+
+
+def on_a_line(points: Array) -> bool:
+    """Whether all points (n, d) lie on one line (or at one place), to a thousandth of their extent."""
+    if len(points) < 3:
+        return True
+    # extents come from the small moment matrix: its square root resolves 1e-8, far below the threshold
+    centred = points - points.mean(axis=0)
+    extents = np.sqrt(np.clip(np.linalg.eigvalsh(centred.T @ centred), 0.0, None))
+    return bool(extents[-2] <= _LINE * extents[-1])
+
+
+def enough_stations(
+    session: Session,
+    setups: tuple[StationSetup, ...],
+    measured: BoolArray,
+    place: Place,
+    *,
+    needed: int,
+    method: str,
+) -> None:
+    """Refuse stations at one place, and fewer than the method (in words) needs that were read (SessionError)."""
+    positions = np.array([setup.position for setup in setups])
+    for second in range(1, len(setups)):
+        distance = np.linalg.norm(positions[:second] - positions[second], axis=1)
+        first = int(np.argmin(distance))
+        if distance[first] <= _SAME_PLACE:
+            raise SessionError(
+                f"{place.description}: setups[{second}].position: station {setups[second].id!r} "
+                f"stands at the place of station {setups[first].id!r}"
+            )
+    used = np.unique(session.readings.setup[measured])
+    if len(used) < needed:
+        silent = [setup.id for index, setup in enumerate(setups) if index not in used]
+        without = f" (no reading from {', '.join(silent[:8])})" if silent else ""
+        raise SessionError(
+            f"{place.description if not silent else place.readings}: {counted(len(used), 'station')}; "
+            f"{method} needs at least {needed}{without}"
+        )
+
+
+def refuse_one_line(setups: tuple[StationSetup, ...], place: Place) -> None:
+    """Raise a SessionError where all of three stations or more stand on one line."""
+    if len(setups) > 2 and on_a_line(np.array([setup.position for setup in setups])):
+        raise SessionError(
+            f"{place.description}: all stations stand on one line: no reading shows a turn about it; move one of them "
+            "off the line"
+        )
+
+
+def counted(number: int, thing: str) -> str:
+    """`1 station`, `2 stations`."""
+    return f"{number} {thing}" + ("" if number == 1 else "s")

@@ -31,23 +31,14 @@ _FRAME = 3
 
 @dataclass(frozen=True)
 class Misplaced:
-    """A station or target that is not found where it is stated to be.
+    """A station or target that is not found where it is stated to be."""
 
-    Attributes:
-        what: it is, `station` or `target`.
-        id: its own.
-        off: how far, m.
-        along: on which axis the most.
-        uncertainty: standard uncertainty of that distance, the stated one within, m.
-        stated: standard uncertainty that is stated; None where none is.
-    """
-
-    what: str
-    id: str
-    off: float
-    along: str
-    uncertainty: float
-    stated: float | None
+    what: str  # it is, `station` or `target`
+    id: str  # its own
+    off: float  # how far, m
+    along: str  # on which axis the most
+    uncertainty: float  # standard uncertainty of that distance, the stated one within, m
+    stated: float | None  # standard uncertainty that is stated; None where none is
 
     @property
     def words(self) -> str:
@@ -72,10 +63,8 @@ def allowed(session: Session, stated: float | None) -> float:
 def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]:
     """Places off by more than their uncertainties make likely, the farthest off first.
 
-    Args:
-        session: states them.
-        found: `stations` and `targets`, each (k, 3) in the order of the description, m, with their standard
-            uncertainties `stations_u`, `targets_u`; NaN of what is not determined. Those that it lacks are not judged.
+    `found` has `stations` and `targets`, each (k, 3) in the order of the description, m, with standard
+    uncertainties `stations_u`, `targets_u`; NaN of what is not determined. Those that it lacks are not judged.
     """
     out = []
     for key, name, word in (("stations", "setups", "station"), ("targets", "targets", "target")):
@@ -98,11 +87,7 @@ def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]
 
 
 def refuse_misplaced(session: Session, found: Mapping[str, Any]) -> None:
-    """Refuse places that are found where no survey errs by as much; arguments as for `misplaced`.
-
-    Raises:
-        ModelError: the place that is the farthest off.
-    """
+    """Refuse (ModelError) places that are found where no survey errs by as much; arguments as for `misplaced`."""
     for one in misplaced(session, found):
         if one.off > allowed(session, one.stated):
             raise ModelError(

@@ -27,7 +27,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
     another unit. Places off the machine's travel. Fewer or more repeats than stated. Directions of approach against
-    the moves. And what the method finds (`Checks.suspicious`).
+    the moves. And what the method finds (`MethodSpec.suspicious`).
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
@@ -93,4 +93,4 @@ def _approached(session: Session) -> Iterator[str]:
 
 
 def _of_method(session: Session) -> Iterator[str]:
-    return spec_of(session).checks.suspicious(session)
+    return spec_of(session).suspicious(session)

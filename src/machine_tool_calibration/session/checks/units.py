@@ -34,12 +34,8 @@ _LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 19
 
 
 def check_units(session: Session, place: Place) -> None:
-    """Refuse magnitudes that can only be a wrong unit, unless the session says `trust_units`.
-
-    Raises:
-        SessionError: the file, key or column and row, the value, and the unit that is suspected.
-    """
-    spec_of(session).checks.magnitudes(session, place)
+    """Refuse magnitudes that can only be a wrong unit (SessionError), unless the session says `trust_units`."""
+    spec_of(session).magnitudes(session, place)
     if session.description.trust_units:
         return
     with suspected():
@@ -52,11 +48,7 @@ def check_units(session: Session, place: Place) -> None:
 
 
 def check_sizes(session: Session, place: Place) -> None:
-    """Refuse numbers whose squares would not be numbers any more, which nothing that was measured has.
-
-    Raises:
-        SessionError: the row, the column and the number.
-    """
+    """Refuse (SessionError) numbers whose squares would not be numbers any more: nothing that was measured."""
     readings = session.readings
     for name, values in {**readings.columns, "displacement": readings.displacement}.items():
         size = np.abs(values)
