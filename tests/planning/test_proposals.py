@@ -13,10 +13,9 @@ from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.planning import what_to_measure
-from machine_tool_calibration.planning.advice import Advice, Visibility
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Sensed
-from machine_tool_calibration.planning.what_to_measure import _separation, visibilities
+from machine_tool_calibration.planning.what_to_measure import Advice, Visibility, _separation, visibilities
 
 PAIR = ("one", "other")
 

@@ -3,8 +3,8 @@
 
 import pytest
 
-from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.planning.dominant import Dominant, Remedy
+from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.diagnosis import diagnosis_report, dominant_words
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec

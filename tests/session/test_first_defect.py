@@ -12,7 +12,7 @@ from machine_tool_calibration.importing.text_table import parse_form
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.reports.history_file import read_history
 from machine_tool_calibration.simulation.machine_file import read_machine
-from machine_tool_calibration.simulation.options import read_spec, spec_from
+from machine_tool_calibration.simulation.spec import read_spec, spec_from
 
 EFFECT = "effects:\n- {{id: creep, enters: reading, formula: r * time, coefficients: {{r: {{unit: m/s, {} 1e-9}}}}}}\n"
 

@@ -14,8 +14,7 @@ import yaml
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.procedure.choices import Choices, expanded
-from machine_tool_calibration.procedure.description import Procedure, parse_procedure
+from machine_tool_calibration.procedure.description import Choices, Procedure, expanded, parse_procedure
 from machine_tool_calibration.procedure.plan import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
 from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml

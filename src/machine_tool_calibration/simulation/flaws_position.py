@@ -60,7 +60,7 @@ def _expansion(size: float, given: Parameters, scene: Scene, axis: str) -> Array
 
 def _warmup(size: float, given: Parameters, scene: Scene, _: str) -> Array:
     """The spindle or carriage moves off as the machine warms up, and settles."""
-    return size * (1.0 - np.exp(-scene.time / given["tau"]))
+    return np.asarray(size * (1.0 - np.exp(-scene.time / given["tau"])))
 
 
 def _pitch(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
