@@ -29,11 +29,7 @@ _MOST_VALUES = 200
 
 
 def shared_errors(observed: Observations) -> SharedErrors | None:
-    """What the budget that a session states does to its readings; None where it states none.
-
-    Args:
-        observed: the readings of a model that follows the declared uncertainty.
-    """
+    """What the budget that a session states does to its readings, for choosing a plan; None where it states none."""
     if not observed.session.description.budget:
         return None
     sigma = observed.session.sigma
@@ -97,10 +93,6 @@ class Pattern:
 
 def pattern(contributor: Contributor, observed: Sequence[Observations]) -> Pattern:
     """A contributor at the readings of one or several sessions.
-
-    Args:
-        contributor: the line of the budget.
-        observed: of each session.
 
     Raises:
         ModelError: it is of an instrument that none of the sessions has.

@@ -156,10 +156,7 @@ class Offer:
 def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
     """What the text of a procedure's file offers.
 
-    Args:
-        text: of the file.
-        source: its name, for messages.
-        both_senses: whether repeats that run the path backwards are candidates of their own: they tell something else.
+    With `both_senses` repeats that run the path backwards are candidates of their own: they tell something else.
 
     Raises:
         SessionError: as `parse_procedure`, or a candidate that is none.

@@ -35,12 +35,7 @@ _MOUNTED = "mounting the mirror again"
 
 
 def further_runs(session: Session, description: StepDiagonal) -> Iterator[Option]:
-    """Runs that were not made: missing space diagonals, linear runs off the edges, diagonals in other orders of moves.
-
-    Args:
-        session: what was measured.
-        description: of it.
-    """
+    """Runs that were not made: missing space diagonals, linear runs off the edges, other orders of moves."""
     runs = runs_of(description)
     used = np.unique(session.readings.setup).tolist()
     yield from _diagonals(session, description, runs, used)
@@ -120,15 +115,7 @@ def _reach(runs: Sequence[Run], used: Sequence[int]) -> tuple[Array, Array]:
 def _option(
     session: Session, description: StepDiagonal, new: Sequence[tuple[int, Run]], kind: str, words: str
 ) -> Option:
-    """Runs that are made once, each at the pace of one that was made.
-
-    Args:
-        session: what was measured.
-        description: of it.
-        new: for each run the setup that it is like, and the run.
-        kind: of the option.
-        words: what to do.
-    """
+    """Runs that are made once, each at the pace of the setup of one that was made."""
     setups = list(description.setups)
     rows, position, sign, displacement, setup = [], [], [], [], []
     for like, run in new:

@@ -125,12 +125,7 @@ def _travel(procedure: Procedure, axis: str) -> tuple[float, float]:
 
 
 def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
-    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z.
-
-    Args:
-        description: the session.
-        index: of the setup.
-    """
+    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z."""
     setup = description.setups[index]
     suffix = setup.id.rsplit("_", 1)[-1]
     order = suffix if sorted(suffix) == ["x", "y", "z"] and "_" in setup.id else "xyz"

@@ -62,12 +62,7 @@ class Drift:
         return value
 
     def lagged(self, time: Array, lag: float) -> Array:
-        """What follows the quantity with a first-order lag, and was as it at time zero: lag y' = value - y.
-
-        Args:
-            time: (n,) s.
-            lag: time constant, s.
-        """
+        """(n,) what follows the quantity with a first-order lag, s, and was as it at time zero: lag y' = value - y."""
         faded = np.exp(-time / lag)
         value = self.mean + self.slope * (time - lag * (1.0 - faded))
         for amplitude, period, phase in self.waves:
@@ -99,13 +94,7 @@ class Environment:
 def random_environment(
     rng: np.random.Generator, *, swing: float = 1.0, columns: tuple[str, ...] = COLUMNS
 ) -> Environment:
-    """A workshop whose temperatures wander by about a kelvin within hours, each in its own way.
-
-    Args:
-        rng: source of chance.
-        swing: factor on all changes over time; 0 for a laboratory where nothing changes.
-        columns: what is recorded.
-    """
+    """A workshop whose temperatures wander by about a kelvin within hours, times `swing`, each in its own way."""
     drifts = {}
     for name in COLUMNS:
         mean = _MEAN.get(name, 20.0) + _OFFSET.get(name, 0.45) * rng.normal()

@@ -136,12 +136,7 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
 
 
 def measured_again(simulated: Simulated, seed: int) -> Session:
-    """The same measurement with other noise and nothing else random: fast, for Monte Carlo.
-
-    Args:
-        simulated: a simulated session.
-        seed: of the noise.
-    """
+    """The same measurement with noise of another seed and nothing else random: fast, for Monte Carlo."""
     clean, readings = simulated.truth.clean, simulated.session.readings
     total = clean + simulated.session.sigma * np.random.default_rng(seed).normal(size=len(clean))
     displacement = np.where(np.isnan(readings.displacement), np.nan, since_first(total, simulated.truth.datum))

@@ -63,12 +63,7 @@ class Size:
 def sizes_of(
     result: Result | JointResult, progress: Callable[[str, float | None], None] = lambda what, share: None
 ) -> tuple[Size, ...]:
-    """All sizes that a result determines, with an uncertainty.
-
-    Args:
-        result: of an identification.
-        progress: told what is done, and which share of it.
-    """
+    """All sizes that a result determines, with an uncertainty."""
     fitted = fitted_sessions(result)
     found = conformity(fitted, dict.fromkeys(_FIGURES, _ANY), progress=progress)
     sizes = [Size(one.name, one.value, one.u, one.unit) for one in found.each]
