@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from machine_tool_calibration.budget.enough import Reached, Until, after_each_setup
-from machine_tool_calibration.budget.shared_errors import shared_errors
+from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.measurement import Setting, measure
 from machine_tool_calibration.nodes.shared import procedure_file

@@ -36,7 +36,7 @@ ROSDEP = {"mcap": "mcap-ros2-support", "zstandard": "mcap-ros2-support", "lz4": 
 # Look there before a line is added.
 KNOWN_KEYS = {
     *(f"python3-{name}" for name in (
-        "click", "ezdxf", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pil", "pydantic", "pyparsing",
+        "click", "ezdxf", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pil", "pydantic",
         "pytest", "pytest-timeout", "pytest-xdist", "rich", "rosbags-pip", "scipy", "serial", "weasyprint-pip",
         "yaml")),
     "mcap-ros2-support",

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
+from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.budget.propagate import propagate
-from machine_tool_calibration.budget.shared_errors import shared_errors
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
@@ -23,7 +23,7 @@ from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import bound, search
 from machine_tool_calibration.procedure import parse_procedure, plan
-from machine_tool_calibration.procedure.choices import expanded
+from machine_tool_calibration.procedure.description import expanded
 
 PLANE = """
 format: mtcal-procedure/1

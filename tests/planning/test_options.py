@@ -44,7 +44,7 @@ def test_every_option_is_a_session_that_the_method_understands(simulated: Simula
         assert (np.diff(readings.columns["time"]) >= 0).all()
         assert option.seconds is not None
         assert option.seconds > 0
-        assert option.words
+        assert option.measure
         # More readings of the same machine leave more to be seen, whatever setups they bring.
         after = fit_models([build_model(option.session)[0]]).solution
         assert after.degrees_of_freedom > before.degrees_of_freedom

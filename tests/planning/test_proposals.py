@@ -13,10 +13,9 @@ from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.planning import what_to_measure
-from machine_tool_calibration.planning.advice import Advice, Visibility
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Sensed
-from machine_tool_calibration.planning.what_to_measure import _separation, visibilities
+from machine_tool_calibration.planning.what_to_measure import Advice, Visibility, _separation, visibilities
 
 PAIR = ("one", "other")
 
@@ -30,7 +29,8 @@ def pair(cosine: float, norm: float = 100.0, names: tuple[str, ...] = PAIR) -> S
 
 def option(kind: str, seconds: float, words: str = "") -> Option:
     nothing: Any = None
-    return Option(kind, words or f"{kind}, {seconds:g} s", nothing, 0, seconds, f"besides {kind}")
+    words = words or f"{kind}, {seconds:g} s"
+    return Option(kind=kind, measure=words, seconds=seconds, aside=f"besides {kind}", session=nothing, first_row=0)
 
 
 def test_of_measurements_that_separate_well_the_quickest_is_proposed() -> None:
@@ -119,7 +119,10 @@ def seldom(
 
 def test_what_shows_an_effect_shows_it_by_the_root_of_its_information() -> None:
     (found,) = seldom(1e3, ("much", 1e5))
-    assert found == Visibility("play", "b0", "m", SMALLEST, found.after, "swing", "much", 60.0, "besides swing")
+    assert found == Visibility(
+        effect="play", coefficient="b0", unit="m", before=SMALLEST, after=found.after,
+        kind="swing", measure="much", seconds=60.0, aside="besides swing",
+    )  # fmt: skip
     assert found.after == pytest.approx(0.1 * SMALLEST)
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.planning.advice import Advice, Separation, alias_groups_of
-from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.planning.what_to_measure import Advice, Separation, alias_groups_of, what_to_measure
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 

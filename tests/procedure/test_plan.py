@@ -81,7 +81,7 @@ def test_procedures_that_the_package_brings_can_be_planned(file):
         ("dwell: 1.0", "dwell: 0", "small.yaml line 16: motion.dwell must be greater than 0"),
         ("dimension: 2", "dimension: 4", "small.yaml line 6: dimension is 4, not 2 or 3"),
         ("id: B", "id: A", "small.yaml: setups has the id 'A' twice"),
-        ("y: [0.1, 0.2]", "y: [0.1, 0.5]", "procedure small: target 3 at y = 0.5 is outside the travel 0 to 0.4"),
+        ("y: [0.1, 0.2]", "y: [0.1, 0.5]", "procedure small: target 3 is at y = 0.5, outside the travel 0 to 0.4"),
         ("y: [0.1, 0.2]", "a: [0.1, 0.2]", "procedure small: path names the axis 'a'; the machine has c, x, y, z"),
         ("y: [0.1, 0.2]", "y: []", "small.yaml line 14: path: grid.y has no position"),
         ("count: 3", "count: 1000000", "small.yaml line 14: path: grid has 2000000 targets; at most 1000000"),

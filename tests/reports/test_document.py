@@ -14,8 +14,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.what_to_measure import conclude
+from machine_tool_calibration.planning.what_to_measure import Advice, conclude
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 

@@ -3,8 +3,8 @@
 
 import pytest
 
-from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.planning.dominant import Dominant, Remedy
+from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.diagnosis import diagnosis_report, dominant_words
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec
@@ -14,7 +14,8 @@ from ..diagnosed import diagnosed
 SHARES = {"readings": 0.1, "angular errors": 0.84, "time": 0.06}
 FOUND = Dominant(
     "angular errors", 4e-7, SHARES, 5e-6, 1e-9, 3.9e-7,
-    (Remedy("diagonal", "add the diagonal nnp", 2e-7, 360.0, "mounting the mirror again"),),
+    (Remedy(kind="diagonal", measure="add the diagonal nnp", uncertainty=2e-7, seconds=360.0,
+            aside="mounting the mirror again"),),
 )  # fmt: skip
 
 

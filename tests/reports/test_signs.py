@@ -11,7 +11,7 @@ from rich.console import Console
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.identification import show_result
 from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.reports.verdict import verdict_words

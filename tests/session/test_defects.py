@@ -18,7 +18,7 @@ from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.reports.history_file import read_history
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation.machine_file import read_machine
-from machine_tool_calibration.simulation.options import read_spec, spec_from
+from machine_tool_calibration.simulation.spec import read_spec, spec_from
 
 Y, C = "session.yaml", "observations.csv"
 

@@ -18,7 +18,7 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify, identify_sessions
-from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.session.checks import check_session

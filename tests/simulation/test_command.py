@@ -11,7 +11,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import MachineSpec, SimulationSpec, TrackingPlan, build_machine, read_machine
 from machine_tool_calibration.simulation.machine_file import machine_document
-from machine_tool_calibration.simulation.options import parse_effect, parse_setting, read_spec, spec_from
+from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
 
 MACHINES = sorted((Path(__file__).parents[2] / "config" / "machines").glob("*.yaml"))
 

@@ -16,8 +16,8 @@ from machine_tool_calibration.simulation import (
     simulate,
 )
 from machine_tool_calibration.simulation.disturbance import Sight
-from machine_tool_calibration.simulation.environment import COLUMNS, Environment, random_environment
 from machine_tool_calibration.simulation.live import LiveMachine
+from machine_tool_calibration.simulation.scene import COLUMNS, Environment, random_environment
 from machine_tool_calibration.simulation.sensors import sensed_path
 
 

@@ -16,7 +16,7 @@ from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.trends.logbook import Entry, Logbook, date_of, entry_of, is_logbook
-from machine_tool_calibration.trends.sizes import sizes_of
+from machine_tool_calibration.trends.statement import sizes_of
 
 
 @pytest.fixture(scope="module")

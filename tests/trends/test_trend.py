@@ -9,7 +9,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.trends.logbook import Entry
-from machine_tool_calibration.trends.sizes import Size
+from machine_tool_calibration.trends.statement import Size
 from machine_tool_calibration.trends.trend import trend
 
 U = 0.2e-6

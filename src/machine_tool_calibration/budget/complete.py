@@ -79,13 +79,9 @@ def conclude(
     seed: int = 1,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Conclusions:
-    """What follows from a diagnosis, the sizes of effects with their complete uncertainty.
+    """What follows from a diagnosis, the sizes of effects with their complete uncertainty, from `SEARCH` on.
 
-    Args:
-        found: the diagnosis.
-        contributors: of the budget; those that the sessions state if absent. The readings' uncertainty without any.
-        seed: of random draws.
-        progress: called with what is being done and the share of the whole, which begins at `SEARCH`.
+    By the contributors of a budget, else those that the sessions state; that of the readings without any.
     """
     lines = stated(found.chosen.sessions) if contributors is None else contributors
 
@@ -106,12 +102,7 @@ def completed_steps(done: Improvement, contributors: Sequence[Contributor], seed
 
 
 def completed(result: Either, budget: Budget) -> Either:
-    """The same with half the expanded uncertainty for 95.45 % in place of every standard uncertainty.
-
-    Args:
-        result: of an identification.
-        budget: of its fit.
-    """
+    """The same with half the expanded uncertainty for 95.45 %, by its budget, for every standard uncertainty."""
     more = _added(budget)
     content = _content(result.error_map.content, more, budget.numbers.by_name)
     own = more.get(POSITION_ERROR)

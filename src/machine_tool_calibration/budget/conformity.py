@@ -205,11 +205,7 @@ class _Conformity:
         return [self.verdict(figure, tolerance, rule, level) for figure in figures]
 
     def figures(self, name: str) -> list[_Figure]:
-        """What a tolerance of that name is for; nothing where this measurement does not publish it.
-
-        Raises:
-            ModelError: nothing of that name has a tolerance.
-        """
+        """What a tolerance of that name is for; nothing where this measurement does not publish it."""
         known = self.numbers.by_name
         if name == VOLUMETRIC:
             return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []

@@ -94,13 +94,7 @@ class Reached:
 
 
 def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
-    """What the readings of one session tell.
-
-    Args:
-        chosen: the session, and the model.
-        until: what is to be reached.
-        wanted: how many coordinates of the map are to be determined.
-    """
+    """What the readings of one session tell, of which so many coordinates of the map are `wanted`."""
     session = chosen.sessions[0]
     readings, time = session.readings, session.readings.columns.get("time")
     seconds = None if time is None else float(np.ptp(time))

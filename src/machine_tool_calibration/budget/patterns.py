@@ -13,13 +13,38 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.instruments.refractive_index import STANDARD_AIR, refractivity
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.planning.design import SharedErrors
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import distinct_places
 
-__all__ = ["Pattern", "effect_on_readings", "measured_length", "pattern", "sharing"]
+__all__ = ["Pattern", "effect_on_readings", "measured_length", "pattern", "shared_errors", "sharing"]
+
+
+# Values of a contributor beyond which its readings are taken to scatter each by itself.
+_MOST_VALUES = 200
+
+
+def shared_errors(observed: Observations) -> SharedErrors | None:
+    """What the budget that a session states does to its readings, for choosing a plan; None where it states none."""
+    if not observed.session.description.budget:
+        return None
+    sigma = observed.session.sigma
+    squares, change = 0.0, []
+    for contributor in known_contributors([observed.session])[0]:
+        own = pattern(contributor, [observed])
+        if own.curvature.any():
+            change.append(own.mean)
+        if contributor.varies == "reading" or own.count > _MOST_VALUES:
+            squares += float(np.mean(own.size**2)) / sigma**2
+            continue
+        signed = np.where(own.slope + own.curvature < 0, -own.size, own.size)
+        change += [signed * (own.group == g) for g in np.unique(own.group[own.size > 0])]
+    return SharedErrors(float(np.sqrt(squares)), np.array(change).reshape(len(change), len(observed)))
+
 
 # Directions that differ by less are one, and the shortest length that a beam has across which something is off, m.
 _SAME_DIRECTION = 1e6
@@ -68,10 +93,6 @@ class Pattern:
 
 def pattern(contributor: Contributor, observed: Sequence[Observations]) -> Pattern:
     """A contributor at the readings of one or several sessions.
-
-    Args:
-        contributor: the line of the budget.
-        observed: of each session.
 
     Raises:
         ModelError: it is of an instrument that none of the sessions has.

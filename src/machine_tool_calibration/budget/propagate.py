@@ -266,14 +266,7 @@ def propagate(
 
 
 def draw_readings(fitted: FittedSessions, contributors: Sequence[Contributor], draws: int, seed: int) -> Drawn:
-    """Deviations of everything that is published for readings that are drawn with the contributors' values, linear.
-
-    Args:
-        fitted: the sessions.
-        contributors: the lines of the budget.
-        draws: how many.
-        seed: of the draws.
-    """
+    """Deviations of everything that is published for readings that are drawn with the contributors' values, linear."""
     return _Propagation(fitted, contributors, seed, lambda what, share: None).drawn(draws, again=False)
 
 

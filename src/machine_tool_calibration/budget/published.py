@@ -135,22 +135,12 @@ def check_names(fitted: FittedSessions, names: Sequence[str]) -> None:
 
 
 def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:
-    """What is published of a fit, or of a restated one of the same models.
-
-    Args:
-        fitted: the sessions' models.
-        joint: a fit of these.
-    """
+    """What is published of the sessions' fit, or of a restated one of the same models."""
     return _listed(_of_fit(fitted, joint))
 
 
 def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array]) -> Numbers:
-    """Figures of ISO 230-2 that follow when something is added to the readings, without uncertainty.
-
-    Args:
-        fitted: the sessions' models.
-        shifts: for each session (n,) what is added to its readings, m.
-    """
+    """Figures of ISO 230-2 when (n,) shifts, m, are added to each session's readings, without uncertainty."""
     return _listed(_of_runs(fitted, shifts))
 
 

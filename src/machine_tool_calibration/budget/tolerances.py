@@ -58,12 +58,7 @@ def read_tolerances(path: Path) -> dict[str, float]:
 
 
 def tolerance(name: str, value: float | str, source: str = "") -> float:
-    """A tolerance in m or rad.
-
-    Args:
-        name: of the figure.
-        value: in m or rad, or a text with its unit.
-        source: before the name in messages.
+    """A tolerance in m or rad, from a number of these or a text with its unit; `source` begins a message.
 
     Raises:
         SessionError: a text without a unit, or with one of another dimension.

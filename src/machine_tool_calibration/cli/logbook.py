@@ -60,7 +60,7 @@ def add(
     A session that is in BOOK already, by the SHA-256 of its data, is said and changes nothing.
     """
     from machine_tool_calibration.trends.logbook import Logbook, entry_of
-    from machine_tool_calibration.trends.sizes import sizes_of
+    from machine_tool_calibration.trends.statement import sizes_of
     from machine_tool_calibration.words import say
 
     if date is not None and len(sessions) > 1:

@@ -117,7 +117,7 @@ def _optimised(
     seed: int,
     as_json: bool,
 ) -> None:
-    from machine_tool_calibration.budget.shared_errors import shared_errors
+    from machine_tool_calibration.budget.patterns import shared_errors
     from machine_tool_calibration.planning.best_plan import best_plan
     from machine_tool_calibration.plots.best_plan import draw_best_plan
     from machine_tool_calibration.reports.best_plan import show_best_plan

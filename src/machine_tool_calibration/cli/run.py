@@ -23,7 +23,7 @@ __all__ = ["command"]
 
 def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
     """The procedure with the setups that come soonest to what is wanted, written into a folder."""
-    from machine_tool_calibration.budget.shared_errors import shared_errors
+    from machine_tool_calibration.budget.patterns import shared_errors
     from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
     from machine_tool_calibration.session.text import read_text
 

@@ -88,7 +88,7 @@ def command(
 ) -> None:
     """Simulate a measurement on a virtual machine."""
     from machine_tool_calibration.simulation import simulate
-    from machine_tool_calibration.simulation.options import parse_effect, parse_setting, read_spec, spec_from
+    from machine_tool_calibration.simulation.spec import parse_effect, parse_setting, read_spec, spec_from
 
     if listed:
         _list(as_json)

@@ -95,7 +95,7 @@ def _outline(
 
 def _write(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path) -> None:
     from machine_tool_calibration.nodes.shared import procedure_file
-    from machine_tool_calibration.procedure.workpiece.points_file import points_csv, points_yaml, procedure_with
+    from machine_tool_calibration.procedure.workpiece.description import points_csv, points_yaml, procedure_with
 
     if output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")

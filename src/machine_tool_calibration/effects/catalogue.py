@@ -4,30 +4,39 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from machine_tool_calibration.effects.air import DeadPath, RefractiveIndex
-from machine_tool_calibration.effects.backlash import Backlash, RotaryBacklash
-from machine_tool_calibration.effects.drift import LinearDrift, StationDrift
-from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
-from machine_tool_calibration.effects.growth import TableThermalGrowth, WorkpieceThermal
-from machine_tool_calibration.effects.harmonics import ProbePretravel
-from machine_tool_calibration.effects.lost_motion import LostMotion
-from machine_tool_calibration.effects.mirror import MirrorMisalignment
+from machine_tool_calibration.effects.drift import (
+    LinearDrift,
+    RotaryAxisDrift,
+    SquarenessDrift,
+    SquarenessThermal,
+    StationDrift,
+)
+from machine_tool_calibration.effects.effect import AxisEffect, Effect
+from machine_tool_calibration.effects.error_motion import AxisScale, ErrorMotionEffect, Scale, Squareness
+from machine_tool_calibration.effects.instrument import (
+    DeadPath,
+    MirrorMisalignment,
+    PointerAxisOffset,
+    PointerRadialError,
+    PointerZeroOffset,
+    ProbePretravel,
+    RefractiveIndex,
+    RetroreflectorForm,
+)
 from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
-from machine_tool_calibration.effects.pointer import PointerAxisOffset, PointerRadialError, PointerZeroOffset
-from machine_tool_calibration.effects.retroreflector import RetroreflectorForm
-from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
-from machine_tool_calibration.effects.rotary_drift import RotaryAxisDrift
-from machine_tool_calibration.effects.scale import AxisScale, Scale
-from machine_tool_calibration.effects.squareness_drift import SquarenessDrift, SquarenessThermal
-from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
-from machine_tool_calibration.effects.thermal_lag import ThermalLag
-from machine_tool_calibration.effects.warmup import Warmup
+from machine_tool_calibration.effects.reversal import REVERSALS, Backlash, LostMotion, Reversal, RotaryBacklash
+from machine_tool_calibration.effects.thermal import (
+    TableThermalGrowth,
+    ThermalExpansion,
+    ThermalLag,
+    Warmup,
+    WorkpieceThermal,
+)
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 
@@ -36,37 +45,25 @@ __all__ = ["catalogue", "find_effects", "own_effects"]
 ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
 
-def _built_in() -> list[Effect]:
-    axes = "xyz"
-    return [
-        *(Backlash(axis) for axis in axes),
-        *(RotaryBacklash(axis) for axis in "abc"),
-        *(LostMotion(axis) for axis in axes),
-        *(Reversal(name) for name in REVERSALS),
-        *(ThermalExpansion(axis) for axis in axes),
-        *(ThermalLag(axis) for axis in axes),
-        *(Warmup(axis) for axis in axes),
-        *(PitchPeriodic(axis) for axis in axes),
-        RefractiveIndex(),
-        DeadPath(),
-        LinearDrift(),
-        StationDrift(),
-        MirrorMisalignment(),
-        PointerRadialError(),
-        PointerZeroOffset(),
-        PointerAxisOffset(),
-        RetroreflectorForm(),
-        TableThermalGrowth(),
-        RotaryAxisDrift(),
-        WorkpieceThermal(),
-        ProbePretravel(),
-        Scale(),
-        *(AxisScale(axis) for axis in axes),
-        *(ErrorMotionEffect(f"E{c}{axis}") for axis in "XYZ" for c in "XYZABC"),
-        *(ErrorMotionEffect(name) for name in SQUARENESS),
-        *(SquarenessDrift(name) for name in SQUARENESS),
-        *(SquarenessThermal(name) for name in SQUARENESS),
-    ]
+_MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC")
+# The effects in their order, with the axes or errors of axes of which there is one each.
+_BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
+    (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"), (Reversal, REVERSALS),
+    (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"), (PitchPeriodic, "xyz"),
+    RefractiveIndex, DeadPath, LinearDrift, StationDrift, MirrorMisalignment,
+    PointerRadialError, PointerZeroOffset, PointerAxisOffset, RetroreflectorForm,
+    TableThermalGrowth, RotaryAxisDrift, WorkpieceThermal, ProbePretravel,
+    Scale, (AxisScale, "xyz"), (ErrorMotionEffect, _MOTIONS), (Squareness, SQUARENESS),
+    (SquarenessDrift, SQUARENESS), (SquarenessThermal, SQUARENESS),
+)  # fmt: skip
+
+
+def _built_in() -> Iterator[Effect]:
+    for entry in _BUILT_IN:
+        if isinstance(entry, tuple):
+            yield from map(*entry)
+        else:
+            yield entry()
 
 
 @cache

@@ -16,6 +16,8 @@ from machine_tool_calibration.words import Said
 
 __all__ = ["AxisEffect", "Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "table_axis"]
 
+_STILL = 1e-6  # m, below which an axis has not moved
+
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -73,6 +75,8 @@ class Effect(ABC):
         covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
         contains: ids of simpler effects that are a special case of it: a model does not hold both.
+        chain: letters of linear axes that the machine must have.
+        moves: letter of one of them that must have moved in the readings.
         definition: of one by formula, what makes it anew; None of one that is a class.
     """
 
@@ -81,7 +85,7 @@ class Effect(ABC):
     formula: str
     source: str
     kind: Literal["position", "reading"]
-    coefficients: tuple[Coefficient, ...]
+    coefficients: tuple[Coefficient, ...] = ()
     shapes: tuple[Shape, ...] = ()
     needs: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
@@ -90,6 +94,8 @@ class Effect(ABC):
     tolerance: float = 0.1
     setup_level: bool = False
     contains: tuple[str, ...] = ()
+    chain: str = ""
+    moves: str = ""
     definition: Mapping[str, Any] | None = None
 
     @property
@@ -104,6 +110,9 @@ class Effect(ABC):
 
     def why_not(self, observations: Observations) -> str | None:
         """Why the effect cannot be looked for in these readings; None if it can."""
+        for axis in self.chain:
+            if axis not in observations.session.description.machine.kinematics.linear:
+                return f"the chain has no axis {axis}"
         if self.methods and observations.session.method not in self.methods:
             return f"does not occur with {observations.session.method.replace('_', ' ')}"
         instrument = observations.session.instrument
@@ -117,6 +126,8 @@ class Effect(ABC):
                 return f"the column {name} was not recorded"
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"
+        if self.moves and np.ptp(observations.readings.column(self.moves.lower())) < _STILL:
+            return f"{self.moves} did not move"
         return None
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
@@ -151,20 +162,22 @@ class AxisEffect(Effect):
 
     Attributes:
         axis: x, y, z, a, b or c.
+        name: the axis, or the error of it (EYX, C0Y) that the effect changes: `{name}` in the texts.
     """
 
     axis: str
+    name: str
 
-    def __init__(self, axis: str) -> None:
-        """That of one axis."""
-        self.axis = axis
-        for name in ("id", "title", "formula"):
-            setattr(self, name, self._named(getattr(self, name)))
-        for name in ("needs", "covariates", "contains"):
-            setattr(self, name, tuple(map(self._named, getattr(self, name))))
+    def __init__(self, name: str) -> None:
+        """That of one axis, or of one of its errors."""
+        self.name, self.axis = name, name[-1].lower()
+        for text in ("id", "title", "formula", "chain", "moves"):
+            setattr(self, text, self._named(getattr(self, text)))
+        for texts in ("needs", "covariates", "contains"):
+            setattr(self, texts, tuple(map(self._named, getattr(self, texts))))
 
     def _named(self, text: str) -> str:
-        named = {"axis": self.axis, "AXIS": self.axis.upper()}
+        named = {"axis": self.axis, "AXIS": self.axis.upper(), "name": self.name}
         return text.of(**named) if isinstance(text, Said) else text.format(**named)
 
     def along(self, observations: Observations) -> Array:

@@ -23,16 +23,10 @@ __all__ = ["add_effects", "best_shape", "common_shape", "displacement_field", "e
 def displacement_field(
     effect: Effect, observations: Observations, evaluate: Callable[[Observations], Array]
 ) -> Array | None:
-    """Displacement of the functional point per unit of each of an effect's unknowns.
+    """(k, n, 3) displacement of the functional point per unit of each of an effect's unknowns.
 
-    Args:
-        effect: the effect.
-        observations: the readings.
-        evaluate: (k, n) columns of the effect's unknowns for other observations.
-
-    Returns:
-        (k, n, 3), found by looking at the same readings along each axis; None for an effect on the reading itself, and
-        for methods whose map holds no effects.
+    Found by looking at the same readings along each axis (`evaluate` gives the columns); None for an effect on the
+    reading itself, and for methods whose map holds no effects.
     """
     if effect.kind != "position" or not spec_of(observations.session).reads_machine:
         return None
@@ -102,15 +96,7 @@ def _coefficient(effect: Effect, of: Coefficient, reference: float, shared: bool
 
 
 def best_shape(fit: Fit, effect: Effect) -> tuple[tuple[float, ...], Array]:
-    """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there.
-
-    Args:
-        fit: of a single session.
-        effect: the effect.
-
-    Raises:
-        ModelError: the positions are too few to look for the effect.
-    """
+    """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there."""
     shape, sizes = common_shape(fit.joint, effect, effect.shape_grid(fit.model.observations))
     return shape, sizes[fit.index]
 

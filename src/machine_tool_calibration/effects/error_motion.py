@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error motions and squareness of ISO 230-1 that the chosen model leaves out."""
+"""Error motions, squareness and scales of ISO 230-1 that the chosen model leaves out."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Effect
 from machine_tool_calibration.machine.error_motions import (
-    SQUARENESS,
     ErrorMotion,
     interpolation,
     motion_field,
@@ -19,7 +18,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]
+__all__ = ["AxisScale", "ErrorMotionEffect", "Scale", "Squareness", "polynomials", "sensed_lever_arms", "sensed_motion"]
 
 _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
@@ -51,8 +50,26 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
     return np.asarray(along if turned is None else along + turned[:, component])
 
 
-class ErrorMotionEffect(Effect):
-    """A smooth error motion: a polynomial of the axis's position; a squareness is one number.
+class Squareness(AxisEffect):
+    """The angle between two linear axes, less a right one."""
+
+    id = "{name}"
+    title = say("effect.squareness")
+    formula = say("formula.squareness")
+    kind = "position"
+    source = "ISO 230-1"
+    tolerance = 0.0  # geometry, and no law
+    coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3, say("coefficient.right_angle")),)
+    needs = ("{axis}",)
+    chain = moves = "{AXIS}"
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """What it displaces, as far as it is sensed."""
+        return observations.sense(squareness_field(self.name, observations.position)[None])
+
+
+class ErrorMotionEffect(AxisEffect):
+    """A smooth error motion: a polynomial of the axis's position.
 
     The lever arm of a rotation is that of the chain. Where the chain gives none in the measured plane, the carriage is
     taken to turn about the machine's zero: a carriage that yields instead of moving as a rigid body.
@@ -62,44 +79,27 @@ class ErrorMotionEffect(Effect):
     sessions, which were at other positions, are fitted with them.
     """
 
+    id = "{name}"
+    title = say("effect.motion")
+    formula = say("formula.motion", name="{name}", axis="{axis}", n=_DEGREES)
     kind = "position"
     source = "ISO 230-1"
     tolerance = 0.0  # geometry, and no law
+    needs = ("{axis}",)
+    chain = moves = "{AXIS}"
 
     def __init__(self, name: str) -> None:
-        """An error motion (EXX … ECZ) or a squareness (A0Z, B0Z, C0Y)."""
-        self.id = name
-        self.is_squareness = name in SQUARENESS
-        if self.is_squareness:
-            self.title = say("effect.squareness", name=name)
-            self.formula = say("formula.squareness", name=name)
-            self.coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3, say("coefficient.right_angle")),)
-            self.needs = (name[2].lower(),)
-            return
-        motion = parse_motion(name)
-        unit, limit = ("rad", 1e-3) if motion.is_rotation else ("m", 1e-4)
-        self.axis = motion.axis.lower()
-        self.title = say("effect.motion", name=name)
-        self.formula = say("formula.motion", name=name, axis=self.axis, n=_DEGREES)
+        """An error motion (EXX … ECZ)."""
+        super().__init__(name)
+        self.motion = parse_motion(name)
+        unit, limit = ("rad", 1e-3) if self.motion.is_rotation else ("m", 1e-4)
         self.coefficients = tuple(
             Coefficient(f"p{k}", unit, -limit, limit, say(f"coefficient.{_POWERS[k]}")) for k in range(1, _DEGREES + 1)
         )
-        self.needs = (self.axis,)
-        if motion.component == motion.axis:
+        if self.motion.component == self.motion.axis:
             self.contains = (f"scale_{self.axis}", "scale")
-        elif not motion.is_rotation:
-            self.contains = (_SQUARE["".join(sorted(motion))],)
-
-    def why_not(self, observations: Observations) -> str | None:
-        """Needs the axis in the chain, and a rotary axis is not meant."""
-        chain = observations.session.description.machine.kinematics
-        axis = self.id[2]
-        if axis not in chain.linear:
-            return f"the chain has no axis {axis}"
-        why = super().why_not(observations)
-        if why is None and np.ptp(observations.readings.column(axis.lower())) == 0:
-            return f"{axis} did not move"
-        return why
+        elif not self.motion.is_rotation:
+            self.contains = (_SQUARE["".join(sorted(self.motion))],)
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Of the polynomial, or as many as a single axis has positions."""
@@ -115,9 +115,8 @@ class ErrorMotionEffect(Effect):
 
     def _nodes(self, observations: Observations) -> Array | None:
         """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""
-        if self.is_squareness or self.id[1] in "ABC" or not spec_of(observations.session).reads_machine:
-            return None
-        if observations.covered is not None:
+        direct = spec_of(observations.session).reads_machine
+        if self.motion.is_rotation or not direct or observations.covered is not None:
             return None
         moved = np.ptp(observations.position, axis=0) > _STILL
         if moved.sum() != 1 or not moved["xyz".index(self.axis)]:
@@ -128,7 +127,7 @@ class ErrorMotionEffect(Effect):
     def _first(self, observations: Observations) -> int:
         """The lowest degree that the instrument's datum does not take up."""
         datum = getattr(observations.session.description, "datum", "none")
-        return {"none": 0, "offset": 1}.get(datum, 2 if self.id[1] != self.id[2] else 1)
+        return {"none": 0, "offset": 1}.get(datum, 2 if self.motion.is_straightness else 1)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Legendre polynomials of the axis's position over its travel times the displacement of a unit.
@@ -136,18 +135,14 @@ class ErrorMotionEffect(Effect):
         For a single axis read repeatedly: functions with straight lines between its positions; after a constant and
         a straight line any others that are orthogonal to these.
         """
-        position = observations.position
-        if self.is_squareness:
-            return observations.sense(squareness_field(self.id, position)[None])
-        motion = parse_motion(self.id)
         nodes = self._nodes(observations)
         if nodes is not None:
-            along = observations.direction[:, "XYZ".index(motion.component)]
+            along = observations.direction[:, "XYZ".index(self.motion.component)]
             table = interpolation(nodes, observations.readings.column(self.axis)) * along
             start = np.column_stack([np.ones(len(nodes)), (nodes - nodes.mean()) / np.ptp(nodes), np.eye(len(nodes))])
             basis = np.linalg.qr(start)[0][:, : len(nodes)] * np.sqrt(len(nodes))
             return np.asarray(basis.T[self._first(observations) :] @ table)
-        along = sensed_motion(observations, motion)
+        along = sensed_motion(observations, self.motion)
         series = polynomials(observations.readings.column(self.axis), observations.span(self.axis))
         return np.asarray(series.T * along)
 
@@ -177,3 +172,43 @@ def _is_sensed(observations: Observations, field: Array) -> bool:
         return True
     seen = np.abs(observations.direction).max(axis=0) > 0
     return bool(np.abs(field[:, seen]).max(initial=0.0) >= _ARM)
+
+
+class Scale(Effect):
+    """The part or the machine was not at 20 degrees Celsius when it was made or measured."""
+
+    id = "scale"
+    title = say("effect.one_scale")
+    formula = say("formula.one_scale")
+    source = "ISO 1; linear expansion of part or machine"
+    kind = "position"
+    tolerance = 0.0  # geometry, and no law
+    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
+    covariates = ("x", "y", "z", "path", "displacement")
+    methods = ("step_diagonal", "tracking_interferometer", "probing", "direct")
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """The position, as far as it is sensed."""
+        return np.asarray(np.einsum("nj,nj->n", observations.position, observations.direction))[None]
+
+
+class AxisScale(AxisEffect):
+    """The scale of one axis: lead, encoder, or the axis was not at 20 degrees Celsius.
+
+    Only for direct deviations: elsewhere the machine's positioning is an error motion as a whole.
+    """
+
+    id = "scale_{axis}"
+    title = say("effect.scale")
+    formula = "e_{axis} = s {axis}"
+    kind = "position"
+    tolerance = 0.0  # geometry, and no law
+    source = "ISO 230-1:2012, 3.4.3, linear part of the positioning error"
+    methods = ("direct",)
+    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
+    needs = ("{axis}",)
+    covariates = ("{axis}", "path", "displacement")
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """The position of the axis, as far as it is sensed."""
+        return np.asarray(observations.readings.column(self.axis) * self.along(observations))[None]

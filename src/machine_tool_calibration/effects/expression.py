@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Formulas of a user's own effects: parsed by a small grammar, never evaluated as Python.
+"""Formulas of a user's own effects: read by Python's parser, and worked out here; nothing of them is run as Python.
 
 Numbers, names, + - * / ** ^, parentheses, and the functions sin, cos, tan, exp, log, sqrt, abs, sign.
 """
 
 from __future__ import annotations
 
+import ast
 import operator
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -14,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pint
-import pyparsing as pp
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
@@ -23,41 +24,24 @@ __all__ = ["Expression", "parse", "registry"]
 
 _MOST_CHARACTERS = 1000
 _SHOWN = 80  # characters of a formula in a message
-_MOST_DEPTH = 250  # operations inside one another; evaluating them takes as many frames
+_LARGEST = 1e308
+_MOST_DEPTH = 250  # operations inside one another; working them out takes as many frames
 
 _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log,
     "sqrt": np.sqrt, "abs": np.abs, "sign": np.sign,
 }  # fmt: skip
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": operator.pow,
+_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: lambda a, b: _like(a, b) + _like(b, a), ast.Sub: lambda a, b: _like(a, b) - _like(b, a),
+    ast.Mult: operator.mul, ast.Div: operator.truediv, ast.Pow: operator.pow,
 }  # fmt: skip
+_OTHER = re.compile(r"[^A-Za-z0-9_+\-*/().\s]")
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 
 
-@dataclass(frozen=True)
-class _Number:
-    value: float
-
-
-@dataclass(frozen=True)
-class _Name:
-    name: str
-
-
-@dataclass(frozen=True)
-class _Call:
-    function: str
-    argument: _Node
-
-
-@dataclass(frozen=True)
-class _Operation:
-    symbol: str
-    left: _Node
-    right: _Node
-
-
-_Node = _Number | _Name | _Call | _Operation
+def _like(value: Any, other: Any) -> Any:
+    """A bare number in a sum has the unit of what it is added to: temperature_x - 20."""
+    return value * other.units if hasattr(other, "units") and not hasattr(value, "units") else value
 
 
 @cache
@@ -68,20 +52,22 @@ def registry() -> pint.UnitRegistry[Any]:
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed formula."""
+    """A parsed formula; its tree has every name with a letter more, so that none is a word of Python's (lambda)."""
 
     text: str
-    node: _Node
+    node: ast.expr
 
     @property
     def names(self) -> frozenset[str]:
-        """All names in it."""
-        return frozenset(_names(self.node))
+        """All names in it, but for those of functions."""
+        called = {id(node.func) for node in ast.walk(self.node) if isinstance(node, ast.Call)}
+        named = (node for node in ast.walk(self.node) if isinstance(node, ast.Name) and id(node) not in called)
+        return frozenset(node.id[:-1] for node in named)
 
     def evaluate(self, values: Mapping[str, Array | float]) -> Array:
         """The formula's value for arrays of equal length."""
         with np.errstate(all="ignore"):
-            return np.asarray(_evaluate(self.node, values), dtype=float)
+            return np.asarray(_evaluate(self.node, {n: np.asarray(values[n], float) for n in self.names}), dtype=float)
 
     def unit(self, units: Mapping[str, str]) -> Any:
         """Unit of the value.
@@ -97,7 +83,15 @@ class Expression:
         """
         if not self.names <= set(units):
             return None
-        return _unit(self.node, units, self.text)
+        quantity = registry().Quantity
+        one = {n: quantity(1.0, "" if units[n] == "1" else units[n]).to_base_units() for n in self.names}
+        try:
+            with np.errstate(all="ignore"):
+                value = _evaluate(self.node, one)
+        except pint.DimensionalityError as error:
+            found, needed = (unit or "dimensionless" for unit in (error.units1, error.units2))
+            raise ModelError(f"formula {self.text!r}: a quantity in {found} where one in {needed} must be") from None
+        return quantity(value).units
 
 
 def parse(text: str) -> Expression:
@@ -108,118 +102,39 @@ def parse(text: str) -> Expression:
     """
     if len(text) > _MOST_CHARACTERS:
         raise ModelError(f"formula of {len(text)} characters; at most {_MOST_CHARACTERS} are read")
+    shown = repr(text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "...")
+    plain = _NAME.sub(r"\g<0>_", re.sub(r"\s", " ", text.replace("^", "**"))).strip()
     try:
-        node = _grammar().parse_string(text.replace("^", "**"), parse_all=True)[0]
-        too_deep = _depth(node) > _MOST_DEPTH
-    except pp.ParseException as error:
-        raise ModelError(f"formula {_shown(text)}: not understood at character {error.loc + 1}") from None
-    except RecursionError:
-        too_deep = True
-    if too_deep:
-        raise ModelError(f"formula {_shown(text)}: nested too deeply, or too long a sum")
-    return Expression(text, node)
-
-
-def _shown(text: str) -> str:
-    return repr(text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "...")
-
-
-def _depth(node: _Node) -> int:
-    if isinstance(node, _Call):
-        return 1 + _depth(node.argument)
-    if isinstance(node, _Operation):
-        return 1 + max(_depth(node.left), _depth(node.right))
-    return 1
-
-
-@cache
-def _grammar() -> pp.ParserElement:
-    number = pp.common.fnumber.copy().set_parse_action(lambda t: _Number(float(t[0])))
-    identifier = pp.Word(pp.alphas + "_", pp.alphanums + "_")
-    name = identifier.copy().set_parse_action(lambda t: _Name(t[0]))
-    expression = pp.Forward()
-    call = (
-        pp.one_of(list(_FUNCTIONS), as_keyword=True) + pp.Suppress("(") + expression + pp.Suppress(")")
-    ).set_parse_action(lambda t: _Call(t[0], t[1]))
-    atom = call | number | name | pp.Suppress("(") + expression + pp.Suppress(")")
-    unary = pp.Forward()
-    power = atom + pp.Optional(pp.Suppress("**") + unary)
-    power = power.set_parse_action(lambda t: _Operation("**", t[0], t[1]) if len(t) == 2 else t[0])
-    minus = (pp.Suppress("-") + unary).set_parse_action(lambda t: _Operation("*", _Number(-1.0), t[0]))
-    unary <<= minus | power
-    product = _chain(unary, "* /")
-    expression <<= _chain(product, "+ -")
+        if (other := _OTHER.search(plain)) is not None:
+            raise SyntaxError("", ("", 1, other.start() + 1, plain))
+        expression = Expression(text, ast.parse(plain, mode="eval").body)
+        if _depth(expression.node) > _MOST_DEPTH:
+            raise RecursionError
+        expression.evaluate(dict.fromkeys(expression.names, 1.0))
+    except SyntaxError as error:
+        place = max(error.offset or 1, 1)
+        place -= len(_NAME.findall(plain[: place - 1]))
+        raise ModelError(f"formula {shown}: not understood at character {place}") from None
+    except (RecursionError, MemoryError):
+        raise ModelError(f"formula {shown}: nested too deeply, or too long a sum") from None
     return expression
 
 
-def _chain(operand: pp.ParserElement, symbols: str) -> pp.ParserElement:
-    sign = pp.one_of(symbols)
-    if "*" in symbols:
-        sign = ~pp.Literal("**") + sign
-
-    def fold(tokens: pp.ParseResults) -> _Node:
-        items = list(tokens)
-        node: _Node = items[0]
-        for symbol, right in zip(items[1::2], items[2::2], strict=True):
-            node = _Operation(symbol, node, right)
-        return node
-
-    return (operand + pp.ZeroOrMore(sign + operand)).set_parse_action(fold)
+def _depth(node: ast.AST) -> int:
+    return 1 + max(map(_depth, ast.iter_child_nodes(node)), default=0)
 
 
-def _names(node: _Node) -> set[str]:
-    if isinstance(node, _Name):
-        return {node.name}
-    if isinstance(node, _Call):
-        return _names(node.argument)
-    if isinstance(node, _Operation):
-        return _names(node.left) | _names(node.right)
-    return set()
-
-
-def _evaluate(node: _Node, values: Mapping[str, Array | float]) -> Any:
-    if isinstance(node, _Number):
-        return node.value
-    if isinstance(node, _Name):
-        return np.asarray(values[node.name], dtype=float)
-    if isinstance(node, _Call):
-        return _FUNCTIONS[node.function](_evaluate(node.argument, values))
-    return _OPERATORS[node.symbol](
-        np.asarray(_evaluate(node.left, values), dtype=float), np.asarray(_evaluate(node.right, values), dtype=float)
-    )
-
-
-def _unit(node: _Node, units: Mapping[str, str], text: str) -> Any:
-    one = registry().Unit("dimensionless")
-    if isinstance(node, _Number):
-        return one
-    if isinstance(node, _Name):
-        return registry().Unit(units[node.name] if units[node.name] != "1" else "dimensionless")
-    if isinstance(node, _Call):
-        inner = _unit(node.argument, units, text)
-        if node.function == "sign":
-            return one
-        if node.function == "abs":
-            return inner
-        if node.function == "sqrt":
-            return inner**0.5
-        if not inner.dimensionless:
-            raise ModelError(f"formula {text!r}: {node.function} of a quantity in {inner}")
-        return one
-    left, right = _unit(node.left, units, text), _unit(node.right, units, text)
-    if node.symbol == "*":
-        return left * right
-    if node.symbol == "/":
-        return left / right
-    if node.symbol == "**":
-        if not isinstance(node.right, _Number):
-            if not (left.dimensionless and right.dimensionless):
-                raise ModelError(f"formula {text!r}: a power whose exponent is not a number needs pure numbers")
-            return one
-        return left**node.right.value
-    # A bare number in a sum has the unit of what it is added to: temperature_x - 20.
-    if isinstance(node.left, _Number) or isinstance(node.right, _Number):
-        return right if isinstance(node.left, _Number) else left
-    if left.dimensionality != right.dimensionality:
-        raise ModelError(f"formula {text!r}: {left} and {right} cannot be added")
-    return left
+def _evaluate(node: ast.expr, values: Mapping[str, Any]) -> Any:
+    """The value, of numbers or of quantities with units; SyntaxError where something of Python's is no formula."""
+    match node:
+        case ast.Constant(value=int() | float() as number) if number < _LARGEST:
+            return np.float64(number)
+        case ast.Name(id=name):
+            return values[name[:-1]]
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
+            return -_evaluate(operand, values) if isinstance(sign, ast.USub) else _evaluate(operand, values)
+        case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name[:-1] in _FUNCTIONS:
+            return _FUNCTIONS[name[:-1]](_evaluate(argument, values))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_evaluate(left, values), _evaluate(right, values))
+    raise SyntaxError("", ("", 1, node.col_offset + 1, ""))

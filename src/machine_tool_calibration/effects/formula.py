@@ -216,11 +216,7 @@ class FormulaEffect(Effect):
 
 
 def formula_effect(definition: dict[str, Any], source: str = "formula") -> FormulaEffect:
-    """An effect from its definition.
-
-    Args:
-        definition: what a file says of it.
-        source: what messages begin with.
+    """An effect from its definition; messages begin with the source.
 
     Raises:
         ModelError: something in it is wrong; one line that says what and where.

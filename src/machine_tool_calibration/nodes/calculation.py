@@ -17,8 +17,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.services import Progress
-from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Advice, Conclusions
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session

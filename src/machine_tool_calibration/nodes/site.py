@@ -24,13 +24,12 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
 from machine_tool_calibration.simulation.disturbance import Sight
-from machine_tool_calibration.simulation.environment import Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_record
-from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.scene import Environment, Scene, random_environment
 from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
 

@@ -203,17 +203,8 @@ def quickest_plan(
 ) -> str:
     """The file of a procedure whose setups are those that come soonest to what is wanted, the most useful ones first.
 
-    Args:
-        text: of the procedure's file.
-        source: its name, for messages.
-        assumed: of the measurement.
-        u: largest standard uncertainty of a coordinate of the map, m; or
-        told: effects whose sizes are to be determined to a share of what is plausible.
-        seed: of the random starts.
-        progress: told what is being done and the share that is finished.
-
-    Raises:
-        SessionError, ModelError: as for `best_plan`.
+    That is a largest standard uncertainty `u` of a coordinate of the map, m, or that the sizes of effects are `told`
+    to a share of what is plausible. The rest is as for `best_plan`.
     """
     offered = offer(text, source, both_senses=bool(told))
     progress("what every candidate tells", 0.0)

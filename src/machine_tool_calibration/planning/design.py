@@ -153,14 +153,7 @@ class Candidates:
     """All that could be measured, and how well a choice of it determines what is to be known."""
 
     def __init__(self, joint: JointFit, unit: IntArray, known: Known, errors: SharedErrors | None = None) -> None:
-        """Form the products of each candidate's columns.
-
-        Args:
-            joint: a fit of one session with the readings of every candidate once.
-            unit: (n,) candidate of each of the model's readings, from 0.
-            known: what the plan is to determine.
-            errors: of the readings, beside their declared scatter; none if absent.
-        """
+        """Form the products of each candidate's columns, from a fit with all; `unit` (n,) is that of each reading."""
         problem, part = joint.assembly.problem, joint.assembly.problem.parts[0]
         self.size, self.constraints = problem.size, problem.constraints
         self._functions = known.among([p.name for p in joint.assembly.parameters])
@@ -194,19 +187,11 @@ class Candidates:
         self._least = everything
 
     def variances(self, weights: Array) -> Array:
-        """(q,) variance of each number; infinite where it is not determined.
-
-        Args:
-            weights: (count,) how often each candidate is measured, 0 for not at all.
-        """
+        """(q,) variance of each number, each candidate measured (count,) times; infinite where it is not determined."""
         return self.judged(weights)[0]
 
     def judged(self, weights: Array) -> tuple[Array, float]:
-        """(q,) variances, and the share of the readings, each counted once, that check others.
-
-        Args:
-            weights: (count,) how often each candidate is measured, 0 for not at all.
-        """
+        """(q,) variances, and the share of the readings, each counted once, that check others, as for `variances`."""
         variance, x_shared, x_local, redundancy = self._solved(weights, responses=bool(self._errors))
         if not self._errors:
             return variance, redundancy

@@ -69,12 +69,9 @@ def detectable(
     *,
     progress: Callable[[str, float], object] = lambda what, share: None,
 ) -> Detectable:
-    """The smallest sizes of effects that would be found, if the readings scatter as declared.
+    """The smallest sizes of effects that would be found, if the readings of a fit scatter as declared.
 
-    Args:
-        joint: a fit; of the readings only where they are taken matters.
-        effects: those to be looked for.
-        progress: told what is being done, and the share that is finished.
+    Of the readings only where they are taken matters.
     """
     screened, excluded = _screened(Pool(joint), effects, progress)
     needed = float(np.log(max(len(screened), 1.0 / priors.EFFECT)))

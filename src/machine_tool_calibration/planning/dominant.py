@@ -29,7 +29,7 @@ from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.planning.options import Option, further_options
+from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "angular_size", "dominant", "expected_model", "limits_of"]
@@ -45,23 +45,15 @@ _BETTER = 0.9
 _MOST = 3
 
 
-@dataclass(frozen=True)
-class Remedy:
+@dataclass(frozen=True, kw_only=True)
+class Remedy(Proposal):
     """A further measurement that makes what dominates smaller.
 
     Attributes:
-        kind: of the measurement.
-        measure: what to measure, in words.
         uncertainty: root mean square standard uncertainty of the map's coordinates with it, m.
-        seconds: its time; None without a time column.
-        aside: what comes on top of that, in words.
     """
 
-    kind: str
-    measure: str
     uncertainty: float
-    seconds: float | None
-    aside: str = ""
 
 
 @dataclass(frozen=True)
@@ -147,12 +139,7 @@ def dominant(
 
 
 def limits_of(session: Session, model: str | None = None) -> Dominant | None:
-    """What dominates the uncertainty of a session that was measured, with what it says of angular errors and warming.
-
-    Args:
-        session: the measurement.
-        model: variant of the method's model.
-    """
+    """What dominates the uncertainty of a measured session, with what it says of angular errors and warming."""
     try:
         built = build_model(session, model)[0]
     except CalibrationError:
@@ -180,7 +167,7 @@ def _warming(session: Session) -> float:
 def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
     again = next((after for option, after in tried if option.kind == "again"), found.uncertainty)
     better = sorted((t for t in tried if t[1] < _BETTER * again), key=lambda t: t[1])
-    remedies = tuple(Remedy(o.kind, o.words, after, o.seconds, o.aside) for o, after in better[:_MOST])
+    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST])
     return replace(found, again=again, remedies=remedies)
 
 
@@ -194,10 +181,7 @@ def _after(option: Option, model: str | None, angular: float, drift: float) -> f
 
 
 def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:
-    """Root mean square standard uncertainty of the map, m, with what a drift that the model lacks does to it.
-
-    Angular errors are in it with an expected size.
-    """
+    """Root mean square standard uncertainty of the map, m, with what a drift that the model lacks does to it."""
     built = expected_model(session, model, angular)
     still = _map(built)
     square = still.uncertainty**2
@@ -212,14 +196,9 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
 
 
 def expected_model(session: Session, model: str | None, angular: float = ANGULAR) -> MethodModel:
-    """The model of a session with angular errors of an expected size, whatever the readings say of them.
+    """A session's model with angular errors of an expected root mean square, rad, whatever the readings say.
 
-    The readings of a further measurement are not there yet.
-
-    Args:
-        session: the measurement.
-        model: variant of the method's model.
-        angular: expected root mean square of the machine's angular errors, rad.
+    Those of a further measurement are not there yet.
     """
     built = build_model(session, model)[0]
     return built.expecting(angular) if isinstance(built, StepDiagonalModel) else built

@@ -14,8 +14,7 @@ import yaml
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.procedure.choices import Choices, expanded
-from machine_tool_calibration.procedure.description import Procedure, parse_procedure
+from machine_tool_calibration.procedure.description import Choices, Procedure, expanded, parse_procedure
 from machine_tool_calibration.procedure.plan import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
 from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
@@ -157,10 +156,7 @@ class Offer:
 def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
     """What the text of a procedure's file offers.
 
-    Args:
-        text: of the file.
-        source: its name, for messages.
-        both_senses: whether repeats that run the path backwards are candidates of their own: they tell something else.
+    With `both_senses` repeats that run the path backwards are candidates of their own: they tell something else.
 
     Raises:
         SessionError: as `parse_procedure`, or a candidate that is none.

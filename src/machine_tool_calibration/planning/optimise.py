@@ -94,12 +94,9 @@ class _Judge:
         return self.known[choice]
 
     def smooth(self, choice: Choice) -> float:
-        return self._cost(choice, _POWER)
+        return self.largest(choice, _POWER)
 
-    def largest(self, choice: Choice) -> float:
-        return self._cost(choice, np.inf)
-
-    def _cost(self, choice: Choice, power: float) -> float:
+    def largest(self, choice: Choice, power: float = np.inf) -> float:
         variances, redundancy = self.judged(choice)
         return _mean(variances, power) + (_UNCHECKED if redundancy < _CHECKED else 0.0)
 
@@ -170,17 +167,9 @@ def quickest(
     seed: int = 0,
     progress: Progress = lambda what, share: None,
 ) -> Choice:
-    """The plan that comes to an uncertainty in the shortest time, followed by what would help most after it.
+    """The plan that comes to a largest standard uncertainty soonest, followed by what would help most after it.
 
-    Args:
-        offered: what could be measured.
-        candidates: what each adds to the knowledge.
-        goal: largest standard uncertainty of the numbers asked for.
-        seed: of the random starts.
-        progress: told what is being done and the share that is finished.
-
-    Returns:
-        The setups in an order in which each is the best after those before it; as many as are allowed.
+    Its setups are in an order in which each is the best after those before it; as many as are allowed.
     """
     judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
     exchange = _Exchange(offered, offered.choices.seconds or np.inf)
@@ -217,13 +206,9 @@ class _Exchange:
     """What can be changed of a plan within what is allowed."""
 
     def __init__(self, offered: Offer, seconds: float) -> None:
-        """Keep the rules.
-
-        Args:
-            offered: what could be measured.
-            seconds: the most that the parts of a plan may take together.
-        """
+        """The parts of a plan may take so many seconds together."""
         self.offered, self.seconds = offered, seconds * (1.0 + _BETTER)
+        self.always: dict[str, tuple[int, ...]] = {"setups": (), "targets": offered.always}
         self.most_setups, self.most_targets = _most(offered)
         self.repeats = sorted({*offered.choices.repeats, offered.present.repeats})
 
@@ -238,13 +223,7 @@ class _Exchange:
     def improving(
         self, choice: Choice, cost: Callable[[Choice], float], *, exchanges: bool = False
     ) -> Iterator[Choice]:
-        """Better and better plans, until no single change makes one better; the first is the one given.
-
-        Args:
-            choice: where to begin.
-            cost: what is to become smaller.
-            exchanges: whether the numbers of setups, targets and repeats stay as they are.
-        """
+        """Better and better plans, until no single change (no `exchanges`) makes one better; first the one given."""
         yield choice
         value = cost(choice)
         while True:
@@ -261,12 +240,11 @@ class _Exchange:
 
     def neighbourhoods(self, choice: Choice, *, exchanges: bool) -> Iterator[Callable[[Choice], list[Choice]]]:
         """What can be changed, one thing after the other."""
-        for place in range(len(choice.setups)):
-            yield partial(self.other_setup, place=place)
-        for place in range(len(choice.targets)):
-            yield partial(self.other_target, place=place)
+        for which in ("setups", "targets"):
+            for place in range(len(getattr(choice, which))):
+                yield partial(self.exchanged, which=which, place=place)
         if not exchanges:
-            yield from (self.repeated, self.other_numbers, self.other_targets)
+            yield from (self.repeated, partial(self.resized, which="setups"), partial(self.resized, which="targets"))
 
     def repeated(self, now: Choice) -> list[Choice]:
         """Other numbers of repeats, also with a setup less where time would not do."""
@@ -277,40 +255,26 @@ class _Exchange:
             out += [again, *fewer] if repeats != now.repeats else []
         return out
 
-    def other_setup(self, now: Choice, place: int) -> list[Choice]:
-        """One setup exchanged for each other one."""
-        return [replace(now, setups=_with(_without(now.setups, place), s)) for s in self._idle_setups(now)]
-
-    def other_numbers(self, now: Choice) -> list[Choice]:
-        """One setup more or less."""
-        more = [replace(now, setups=_with(now.setups, s)) for s in self._idle_setups(now)]
-        return [*more, *(replace(now, setups=_without(now.setups, k)) for k in range(len(now.setups)))]
-
-    def other_target(self, now: Choice, place: int) -> list[Choice]:
-        """One target exchanged for each other one."""
-        if now.targets[place] in self.offered.always:
+    def exchanged(self, now: Choice, which: str, place: int) -> list[Choice]:
+        """One setup, or one target that need not be there, in exchange for each other one."""
+        chosen: tuple[int, ...] = getattr(now, which)
+        if chosen[place] in self.always[which]:
             return []
-        rest = _without(now.targets, place)
-        return [replace(now, targets=_with(rest, t)) for t in self._idle_targets(now)]
+        return [_having(now, which, _with(_without(chosen, place), k)) for k in self.idle(now, which)]
 
-    def other_targets(self, now: Choice) -> list[Choice]:
-        """One target more or less."""
-        more = [replace(now, targets=_with(now.targets, t)) for t in self._idle_targets(now)]
-        free = [k for k, t in enumerate(now.targets) if t not in self.offered.always]
-        return [*more, *(replace(now, targets=_without(now.targets, k)) for k in free)]
+    def resized(self, now: Choice, which: str) -> list[Choice]:
+        """One setup or target more or less."""
+        chosen: tuple[int, ...] = getattr(now, which)
+        free = [k for k, number in enumerate(chosen) if number not in self.always[which]]
+        others = [_with(chosen, k) for k in self.idle(now, which)] + [_without(chosen, k) for k in free]
+        return [_having(now, which, other) for other in others]
 
-    def _idle_setups(self, now: Choice) -> list[int]:
-        return [s for s in range(len(self.offered.setups)) if s not in now.setups]
-
-    def _idle_targets(self, now: Choice) -> list[int]:
-        return [t for t in range(len(self.offered.targets)) if t not in now.targets]
+    def idle(self, now: Choice, which: str) -> list[int]:
+        """Setups or targets that a plan does without."""
+        return [k for k in range(len(getattr(self.offered, which))) if k not in getattr(now, which)]
 
     def thinned(self, choice: Choice) -> Choice:
-        """The plan without its last setups and repeats, as far as time is short.
-
-        Raises:
-            ModelError: not even one setup fits in the time.
-        """
+        """The plan without its last setups and repeats, as far as time is short; ModelError if one setup takes more."""
         while not self.allowed(choice):
             if choice.repeats > self.repeats[0]:
                 choice = replace(choice, repeats=max(r for r in self.repeats if r < choice.repeats))
@@ -332,6 +296,10 @@ class _Exchange:
         return replace(choice, setups=tuple(sorted(choice.setups)))
 
 
+def _having(now: Choice, which: str, chosen: tuple[int, ...]) -> Choice:
+    return Choice(**{**vars(now), which: chosen})
+
+
 def _with(chosen: tuple[int, ...], more: int) -> tuple[int, ...]:
     return tuple(sorted((*chosen, more)))
 
@@ -351,14 +319,7 @@ def _most(offered: Offer) -> tuple[int, int]:
 def bound(
     offered: Offer, candidates: Candidates, best: Searched, *, progress: Progress = lambda what, share: None
 ) -> float:
-    """A largest standard uncertainty that no plan of an offer falls below.
-
-    Args:
-        offered: what could be measured.
-        candidates: what each adds to the knowledge.
-        best: a plan that was found.
-        progress: told what is being done and the share that is finished.
-    """
+    """A largest standard uncertainty that no plan of an offer falls below; `best` is a plan that was found."""
     every = sorted({*offered.choices.repeats, offered.present.repeats})
     scale = float(best.variances.max())
     lowest = 1.0
@@ -397,8 +358,7 @@ def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: 
 class _Relaxed:
     """What is allowed of the weights where candidates may be measured in part.
 
-    A setup of which a target is measured in part is there at least in that part, and takes so much of its mounting: no
-    more than any plan does.
+    A setup is there, and mounted, at least in the part in which a target of it is measured: no more than in any plan.
     """
 
     def __init__(self, offered: Offer, repeats: int) -> None:
@@ -430,13 +390,9 @@ class _Relaxed:
         return np.asarray(slopes.reshape(len(slopes), self.count, -1) @ self._each)
 
     def solved(self, tangents: Array, values: Array, *, whole: bool = False) -> tuple[float, Array]:
-        """What no plan falls below, and shares at which the tangents come to it.
+        """What no plan falls below, and shares at which the tangents, `values` at zero, come to it.
 
-        Args:
-            tangents: (q, count) derivatives by the shares.
-            values: (q,) the tangents at zero.
-            whole: whether setups are there as a whole or not at all, as far as branch and bound comes with a fixed
-                number of nodes.
+        Where they are to be there as a `whole` or not at all, as far as branch and bound comes with `_NODES`.
         """
         from scipy import optimize  # slow to load
 

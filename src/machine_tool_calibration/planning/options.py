@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -17,39 +17,54 @@ from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["Option", "further_options", "mounted_again"]
+__all__ = ["Option", "Proposal", "further_options", "mounted_again"]
 
 
 # What is done beside measuring, s: only to choose between measurements that are equally good.
 _EFFORT = {"swing": 3600.0, "warmer": 3 * 3600.0, "station": 900.0, "turned": 120.0}
 
 
-@dataclass(frozen=True)
-class Option:
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """A further measurement, as it is proposed.
+
+    Attributes:
+        kind: short name: again, backwards, both_ways, order, swing, warmer, turned, station, index, diagonal, offset;
+            None if none of those tried does what is wanted.
+        measure: what to measure, in words.
+        seconds: time that it takes at the session's own pace; None without a time column.
+        aside: what comes on top of that time, in words; empty if nothing does.
+    """
+
+    kind: str | None
+    measure: str
+    seconds: float | None = None
+    aside: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option(Proposal):
     """A further measurement that could be made.
 
     Attributes:
-        kind: short name: again, backwards, both_ways, order, swing, warmer, turned, station, index, diagonal, offset.
-        words: what to do, for people.
         session: the session followed by it; its displacements are only rough.
         first_row: number of its first reading.
-        seconds: time that it takes at the session's own pace; None without a time column.
-        aside: what comes on top of that time, in words; empty if nothing does.
         turned: for effects that sit in a part which is turned for it, the angle about Z, rad.
     """
 
-    kind: str
-    words: str
     session: Session
     first_row: int
-    seconds: float | None
-    aside: str = ""
     turned: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proposal(self) -> dict[str, Any]:
+        """The fields of a `Proposal`."""
+        return {one.name: getattr(self, one.name) for one in fields(Proposal)}
 
     @property
     def effort(self) -> float:
         """Time with what comes on top, s, roughly."""
-        return (self.seconds or 0.0) + _EFFORT.get(self.kind, 0.0)
+        return (self.seconds or 0.0) + _EFFORT.get(self.kind or "", 0.0)
 
     @classmethod
     def of(
@@ -63,7 +78,8 @@ class Option:
     ) -> Option:
         """An option from the session as it was and as it would be."""
         first = int(session.readings.row.max(initial=-1)) + 1
-        return cls(kind, words, extended[0], first, extended[1], aside, turned or {})
+        return cls(kind=kind, measure=words, seconds=extended[1], aside=aside, session=extended[0], first_row=first,
+                   turned=turned or {})  # fmt: skip
 
 
 def mounted_again(session: Session, rows: IntArray) -> tuple[Description, IntArray, str]:

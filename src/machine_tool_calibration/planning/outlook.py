@@ -59,12 +59,7 @@ class Outlook:
 
 
 def outlook_of(found: Forecast, words: str) -> Outlook:
-    """That of a procedure that is run by itself.
-
-    Args:
-        found: its forecast.
-        words: what it is called.
-    """
+    """That of a procedure that is run by itself, from its forecast."""
     observations, error_map = found.result.fit.model.observations, found.result.error_map
     return Outlook(
         words,
@@ -116,7 +111,7 @@ def outlooks(
         observations = joint.fits[k].model.observations
         new = observations.readings.row >= option.first_row
         found = Outlook(
-            option.words if labels is None else f"{labels[k]}: {option.words}",
+            option.measure if labels is None else f"{labels[k]}: {option.measure}",
             _to_be_read(option.session, observations.readings.select(new)),
             observations.position[new],
             published.points,
@@ -141,15 +136,13 @@ def _to_be_read(session: Session, readings: Readings) -> Session:
 
 
 def _with(chosen: FitRequest, at: int, option: Option, angular: float) -> tuple[JointFit, ErrorMap]:
-    """The fit with a further measurement in one of the sessions.
-
-    Readings in a setup that is new are first those of a perfect machine with everything where it is stated: they would
-    pull the fit, and with it the geometry on which the uncertainty rests. What the present ones predict is read there.
-    """
+    """The fit with a further measurement in one of the sessions."""
     session, old = option.session, chosen.sessions[at]
     said = session.description.standard_uncertainty
     loose = {name: said.model_copy(update={"displacement": _LOOSE}) for name in session.setup_ids[len(old.setup_ids) :]}
     if loose:
+        # Those of a perfect machine with everything where it is stated would pull the fit, and with it the geometry on
+        # which the uncertainty rests: what the present readings predict is read there.
         hardly = said.model_copy(update={"setups": {**said.setups, **loose}})
         description = session.description.model_copy(update={"standard_uncertainty": hardly})
         fit = _fitted(chosen.instead(at, replace(session, description=description)), angular)[0].fits[at]

@@ -27,12 +27,7 @@ _MOTION = ("x", "y", "z", "a", "b", "c", "azimuth", "elevation", "gx", "gy", "gz
 
 
 def first_repetition(session: Session, setups: Sequence[int] | None = None) -> IntArray:
-    """Indices of the readings of the first repetition of every setup, in the order of time.
-
-    Args:
-        session: the measurement; missing readings are left out.
-        setups: only of these.
-    """
+    """Indices of the readings of the first repetition of every setup (or of these), in the order of time."""
     readings = session.readings
     there = np.isfinite(readings.displacement)
     keep = np.zeros(len(readings), dtype=bool)
@@ -63,13 +58,7 @@ def pace(session: Session, rows: IntArray) -> Array | None:
 
 
 def approached(values: Array, group: IntArray, before: Array) -> Array:
-    """Sign of the last move of an axis before each reading.
-
-    Args:
-        values: (k,) commanded positions in the order of time.
-        group: (k,) stretches within which the order counts.
-        before: (k,) sign until the axis has moved in its stretch.
-    """
+    """(k,) sign of an axis's last move before each reading, `before` until it has moved in its group."""
     out = before.copy()
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)

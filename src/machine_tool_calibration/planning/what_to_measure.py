@@ -18,13 +18,98 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
-from machine_tool_calibration.planning.dominant import limits_of
-from machine_tool_calibration.planning.options import Option, further_options
+from machine_tool_calibration.planning.dominant import Dominant, limits_of
+from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
 from machine_tool_calibration.words import together
 
-__all__ = ["SEARCH", "Conclusions", "assumed_effects", "conclude", "present_effects", "visibilities", "what_to_measure"]
+__all__ = [
+    "ALIKE",
+    "SEARCH",
+    "Advice",
+    "Conclusions",
+    "Separation",
+    "Visibility",
+    "alias_groups_of",
+    "assumed_effects",
+    "conclude",
+    "present_effects",
+    "visibilities",
+    "what_to_measure",
+]
+
+
+ALIKE = 0.9
+"""Cosine from which two effects count as confounded."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Separation(Proposal):
+    """How to distinguish confounded effects.
+
+    Attributes:
+        effects: the group, the most probable first.
+        cosine_before: largest cosine between the first and the others now.
+        cosine_after: the same with the further measurement.
+        apart_before: least norm by which the readings differ between the first effect, at its fitted size, and the
+            nearest of the others, in standard uncertainties, now.
+        apart_after: the same with the further measurement.
+    """
+
+    effects: tuple[str, ...]
+    cosine_before: float
+    cosine_after: float
+    apart_before: float
+    apart_after: float
+
+    @property
+    def separates(self) -> bool:
+        """Whether they would no longer look alike."""
+        return self.kind is not None and self.cosine_after < ALIKE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visibility(Proposal):
+    """How to see an effect that hardly shows, or not at all.
+
+    Attributes:
+        effect: its id.
+        coefficient: the name of that coefficient which is seen best.
+        unit: its unit.
+        before: its smallest detectable size now; None if the model absorbs it.
+        after: the same with the further measurement.
+    """
+
+    effect: str
+    coefficient: str
+    unit: str
+    before: float | None
+    after: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to measure next.
+
+    Attributes:
+        separations: to distinguish confounded effects.
+        visibilities: to see effects that hardly show.
+        dominant: what dominates the map's uncertainty, and what makes it smaller; None where there is no map.
+    """
+
+    separations: tuple[Separation, ...] = ()
+    visibilities: tuple[Visibility, ...] = ()
+    dominant: Dominant | None = None
+
+
+def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """Groups of effects that this data cannot distinguish, those of the accepted effects first and led by them."""
+    accepted = diagnosis.accepted
+    groups = [
+        tuple(sorted(group, key=lambda name: accepted.index(name) if name in accepted else len(accepted)))
+        for group in diagnosis.search.groups
+    ]
+    return sorted(groups, key=lambda group: group[0] not in accepted)
 
 
 def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
@@ -115,12 +200,12 @@ def visibilities(
         after_size = float(np.sqrt(needed / information))
         if after_size > possible or (smallest is not None and after_size > _WORTH * smallest):
             continue
-        unit, words = coefficient.unit, option.words
         out.append(
             Visibility(
-                name, coefficient.name, unit, smallest, after_size, option.kind, words, option.seconds, option.aside
+                effect=name, coefficient=coefficient.name, unit=coefficient.unit, before=smallest, after=after_size,
+                **option.proposal,
             )
-        )
+        )  # fmt: skip
     return out
 
 
@@ -135,10 +220,6 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
 
     Every proposal is added to the session as readings without values; what they sense of each effect outside the
     model's freedom follows from geometry alone.
-
-    Args:
-        diagnosis: what looks alike, and how large.
-        progress: called with what is being done and the share that is finished.
     """
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
@@ -169,7 +250,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
         progress("what to measure next", number / len(options))
         found = tried(option, k)
         if found is not None:
-            named = option if labels is None else replace(option, words=together((labels[k], option.words), ": "))
+            named = option if labels is None else replace(option, measure=together((labels[k], option.measure), ": "))
             seen.append((named, found))
     separations = []
     for group in groups:
@@ -192,7 +273,10 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
         for k, (option, sensed) in enumerate(seen)
         if all(name in sensed.place for name in group)
     ]
-    found = Separation(group, None, _NOTHING, before, before, apart, apart, None)
+    found = Separation(
+        kind=None, measure=_NOTHING, effects=group,
+        cosine_before=before, cosine_after=before, apart_before=apart, apart_after=apart,
+    )  # fmt: skip
     if not tries:
         return found
     least = min(cosine for cosine, _, _ in tries)
@@ -203,7 +287,7 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
     found = replace(found, cosine_after=cosine, apart_after=_apart(group, sensed))
     if cosine >= priors.ALIKE or cosine > before - _EQUAL:
         return found
-    return replace(found, kind=option.kind, measure=option.words, seconds=option.seconds, aside=option.aside)
+    return replace(found, **option.proposal)
 
 
 def _alike(group: Sequence[str], sensed: Sensed) -> float:
@@ -236,13 +320,7 @@ class Conclusions:
 def conclude(
     found: Diagnosis, *, progress: Callable[[str, float], None], added: Added = lambda fitted: {}
 ) -> Conclusions:
-    """Draw the conclusions.
-
-    Args:
-        found: the diagnosis.
-        progress: called with what is being done and the share of the whole, which begins at `SEARCH`.
-        added: with which the uncertainties of the candidates' sizes are told.
-    """
+    """What follows from a diagnosis; `progress` begins at `SEARCH`, and sizes are told with the uncertainty `added`."""
     progress("what the candidates would change", SEARCH)
     changes = consequences(found, added)
     done = SEARCH + _CHANGES

@@ -26,7 +26,7 @@ from machine_tool_calibration.plots.residuals import (
 from machine_tool_calibration.plots.style import name_axes, new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
-from machine_tool_calibration.simulation.environment import COLUMNS
+from machine_tool_calibration.simulation.scene import COLUMNS
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:

@@ -103,13 +103,7 @@ def move(
 
 
 def brake(current: Move, time: float, limits: Mapping[str, AxisLimits]) -> Move:
-    """The move that stops on the path as soon as the axes' accelerations allow.
-
-    Args:
-        current: the move under way.
-        time: since its start, s.
-        limits: of each axis that moves.
-    """
+    """The move that stops on the path as soon as the axes' accelerations allow, from a time since its start on, s."""
     here, velocity = current.position(time), current.velocity(time)
     needed = [abs(rate) / limits[name].acceleration for name, rate in velocity.items() if abs(rate) > _NO_TRAVEL]
     if not needed:
@@ -144,13 +138,9 @@ class Trajectory:
         limits: Mapping[str, AxisLimits],
         first: Move | None = None,
     ) -> Trajectory:
-        """The trajectory through points with wanted times; later than wanted where the limits do not allow it.
+        """The trajectory through points (positions of some axes, and the time from the start, s) from standstill.
 
-        Args:
-            start: position of every axis.
-            points: positions of some or all axes and the time from the start, s.
-            limits: speed and acceleration of every axis.
-            first: a move that comes before (braking).
+        Later than wanted where the limits do not allow it; a move that brakes may come `first`.
         """
         moves: list[tuple[float, Move]] = []
         clock = arrival = 0.0

@@ -86,7 +86,7 @@ def touch_steps(procedure: Procedure) -> Iterator[Step]:
         for point in reversed(order) if back else order:
             touch = part.touch(point, setup.c, standoff)
             position = {**touch.at(standoff), "c": setup.c, **held}
-            _check(procedure, position, session.workpiece[point].id)
+            _check(procedure, position, f"point {session.workpiece[point].id!r} is touched from")
             part.meant(position, 2 * standoff)  # refuses where it could be meant for two points
             above = {**position, **safe}
             via = () if not safe else (above,) if before is None else ({**before, **safe}, above)
@@ -110,13 +110,12 @@ def _held(procedure: Procedure) -> dict[str, float]:
     return dict(points[0])
 
 
-def _check(procedure: Procedure, position: dict[str, float], point: str) -> None:
+def _check(procedure: Procedure, position: Mapping[str, float], what: str) -> None:
     for name, value in position.items():
         low, high = _travel(procedure, name)
         if not low <= value <= high:
             raise SessionError(
-                f"procedure {procedure.name}: point {point!r} is touched from {name} = {value:.6g}, outside the travel "
-                f"{low:g} to {high:g}"
+                f"procedure {procedure.name}: {what} {name} = {value:.6g}, outside the travel {low:g} to {high:g}"
             )
 
 
@@ -126,12 +125,7 @@ def _travel(procedure: Procedure, axis: str) -> tuple[float, float]:
 
 
 def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
-    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z.
-
-    Args:
-        description: the session.
-        index: of the setup.
-    """
+    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z."""
     setup = description.setups[index]
     suffix = setup.id.rsplit("_", 1)[-1]
     order = suffix if sorted(suffix) == ["x", "y", "z"] and "_" in setup.id else "xyz"
@@ -183,19 +177,18 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
     if any(set(place) != {axis} for place in forth):
         raise SessionError(f"procedure {procedure.name}: path of a rotary axis names {axis} and nothing else")
     runs = []
-    for setup in session.setups:
-        for repeat in range(session.repeats):
-            back = procedure.path.alternate and repeat % 2 == 1
-            angles = forth[::-1] if back else forth
-            if procedure.path.both_ways:
-                angles = [*angles, *angles[::-1]]
-            sense = {axis: -1.0 if back else 1.0}
-            marks = range(len(session.targets))
-            if procedure.path.targets == "at_every_angle":
-                places = [angle for angle in angles for _ in marks]
-                runs.append((setup.id, repeat, [*marks] * len(angles), places, sense))
-            else:
-                runs += [(setup.id, repeat, [mark] * len(angles), angles, sense) for mark in marks]
+    marks = range(len(session.targets))
+    for setup, repeat in product(session.setups, range(session.repeats)):
+        back = procedure.path.alternate and repeat % 2 == 1
+        angles = forth[::-1] if back else forth
+        if procedure.path.both_ways:
+            angles = [*angles, *angles[::-1]]
+        sense = {axis: -1.0 if back else 1.0}
+        if procedure.path.targets == "at_every_angle":
+            places = [angle for angle in angles for _ in marks]
+            runs.append((setup.id, repeat, [*marks] * len(angles), places, sense))
+        else:
+            runs += [(setup.id, repeat, [mark] * len(angles), angles, sense) for mark in marks]
     yield from _steps(procedure, runs, points=True)
 
 
@@ -205,22 +198,27 @@ def direct_steps(procedure: Procedure) -> Iterator[Step]:
     assert isinstance(session, Direct)
     sensing_direction(session)
     forth = targets_of(procedure)
-    runs = [
-        (setup.id, repeat, None, [*forth, *forth[::-1]], dict.fromkeys(forth[0], 1.0))
-        for setup in session.setups
-        for repeat in range(session.repeats)
-    ]
+    each = product(session.setups, range(session.repeats))
+    runs = [(setup.id, repeat, None, [*forth, *forth[::-1]], dict.fromkeys(forth[0], 1.0)) for setup, repeat in each]
     yield from _steps(procedure, runs, points=False, datum_per_run=False)
+
+
+_Run = tuple[str, int, Sequence[int] | None, Sequence[Position], Mapping[str, float]]
+"""Setup, repeat, target of each position, positions, sense of the first approach."""
 
 
 def _steps(
     procedure: Procedure,
-    runs: Sequence[tuple[str, int, Sequence[int] | None, Sequence[Mapping[str, float]], Mapping[str, float]]],
+    runs: Sequence[_Run],
     *,
     points: bool,
     datum_per_run: bool = True,
+    approached: bool = True,
 ) -> Iterator[Step]:
-    """Steps of runs (setup, repeat, target of each position, positions, sense of the first approach)."""
+    """Steps of runs.
+
+    Where they are not `approached` each from its side, the axes go from one straight to the next.
+    """
     number = 0
     last_setup = ""
     before: dict[str, float] = {}
@@ -229,9 +227,10 @@ def _steps(
         for place, position in enumerate(positions):
             target = None if targets is None else targets[place]
             via: tuple[dict[str, float], ...] = ()
-            if place == 0:  # from wherever the last run ended: a short move makes the direction certain
+            if (place == 0 and approached) or not before:
+                # from wherever the axes stand: a short move makes the direction certain
                 via = (_beyond(procedure, position, {axis: -sign for axis, sign in sense.items()}),)
-            elif position == positions[place - 1] and (targets is None or target == targets[0]):
+            elif approached and position == positions[place - 1] and (targets is None or target == targets[0]):
                 # a turning point is approached from the other side
                 via = (_beyond(procedure, position, direction),)
             for stop in (*via, position):
@@ -246,7 +245,7 @@ def _steps(
                 repeat=repeat,
                 position=dict(position),
                 direction=dict(direction),
-                via=via,
+                via=() if via == (position,) else via,
                 aim=_aim(procedure, position, target),
                 points=points,
                 datum=place == 0 and (datum_per_run or setup != last_setup),
@@ -272,24 +271,22 @@ def _aim(procedure: Procedure, position: Mapping[str, float], target: int | None
     if isinstance(session, RotaryAxis) and target is not None:
         axis = session.machine.axis or "C"
         sign = session.rotation_sign or session.machine.rotation_sign or 1
-        place = _turned(np.array(session.targets[target].position), axis, sign * position[axis.lower()])
+        angle, place = sign * position[axis.lower()], list(session.targets[target].position)
+        i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
+        u, v = place[i], place[j]
+        place[i], place[j] = np.cos(angle) * u - np.sin(angle) * v, np.sin(angle) * u + np.cos(angle) * v
         return float(place[0]), float(place[1]), float(place[2])
     return position.get("x", 0.0), position.get("y", 0.0), position.get("z", 0.0)
 
 
-def _turned(point: Array, axis: str, angle: float) -> Array:
-    """A point turned about an axis through the origin, right-handed."""
-    k = "ABC".index(axis)
-    i, j = (k + 1) % 3, (k + 2) % 3
-    out = point.copy()
-    out[i] = np.cos(angle) * point[i] - np.sin(angle) * point[j]
-    out[j] = np.sin(angle) * point[i] + np.cos(angle) * point[j]
-    return out
-
-
 def path_steps(procedure: Procedure) -> Iterator[Step]:
     """The targets of the path, from every setup and in every repeat."""
-    steps = _directed(procedure, _runs(procedure, targets_of(procedure)))
+    targets, session = targets_of(procedure), procedure.session
+    runs: list[_Run] = [
+        (setup.id, repeat, None, targets[::-1] if procedure.path.alternate and repeat % 2 else targets, {})
+        for setup, repeat in product(session.setups, range(session.repeats))
+    ]
+    steps = _steps(procedure, runs, points=True, datum_per_run=False, approached=False)
     return steps if procedure.path.azimuth is None else _held_beam(procedure, steps, procedure.path.azimuth)
 
 
@@ -304,14 +301,8 @@ def _held_beam(procedure: Procedure, steps: Iterator[Step], azimuth: Spread | tu
         back = procedure.path.alternate and step.repeat % 2 == 1
         for place, angle in enumerate(reversed(forth) if back else forth):
             x, y, z = stations[step.setup] + [np.cos(angle), np.sin(angle), 0.0]
-            first = place == 0
-            yield replace(
-                step,
-                number=number,
-                via=step.via if first else (),
-                aim=(float(x), float(y), float(z)),
-                datum=step.datum and first,
-            )
+            aimed = replace(step, number=number, aim=(float(x), float(y), float(z)))
+            yield aimed if place == 0 else replace(aimed, via=(), datum=False)
             number += 1
 
 
@@ -329,13 +320,7 @@ def targets_of(procedure: Procedure) -> list[dict[str, float]]:
                 f"procedure {procedure.name}: path names the axis {name!r}; the machine has {', '.join(sorted(axes))}"
             )
     for number, target in enumerate(targets):
-        for name, value in target.items():
-            low, high = _travel(procedure, name)
-            if not low <= value <= high:
-                raise SessionError(
-                    f"procedure {procedure.name}: target {number} at {name} = {value:g} is outside the travel "
-                    f"{low:g} to {high:g}"
-                )
+        _check(procedure, target, f"target {number} is at")
     return targets
 
 
@@ -354,38 +339,3 @@ def _ordered(path: Path) -> Iterator[dict[str, float]]:
         for value in reversed(line) if back else line:
             yield {names[0]: value, **dict(zip(reversed(slow), reversed(outer), strict=True))}
         back = not back and path.order == "serpentine"
-
-
-def _runs(procedure: Procedure, targets: list[dict[str, float]]) -> Iterator[tuple[str, int, dict[str, float]]]:
-    """Setup, repeat and target of every reading."""
-    for setup in procedure.session.setups:
-        for repeat in range(procedure.session.repeats):
-            run = reversed(targets) if procedure.path.alternate and repeat % 2 else targets
-            yield from ((setup.id, repeat, target) for target in run)
-
-
-def _directed(procedure: Procedure, runs: Iterator[tuple[str, int, dict[str, float]]]) -> Iterator[Step]:
-    """Steps with the direction from which each target is approached."""
-    direction: dict[str, int] = {}
-    before: dict[str, float] | None = None
-    setup_before: str | None = None
-    for number, (setup, repeat, target) in enumerate(runs):
-        via: tuple[Position, ...] = ()
-        if before is None:  # where the axes stand is not known: a short move makes the direction certain
-            before = _beyond(procedure, target, {})
-            via = (before,) if before != target else ()
-            direction = dict.fromkeys(target, 1)
-        for name, value in target.items():
-            if value != before[name]:
-                direction[name] = 1 if value > before[name] else -1
-        yield Step(
-            number=number,
-            setup=setup,
-            repeat=repeat,
-            position=target,
-            direction=dict(direction),
-            via=via,
-            aim=(target.get("x", 0.0), target.get("y", 0.0), target.get("z", 0.0)),
-            datum=setup != setup_before,
-        )
-        before, setup_before = target, setup

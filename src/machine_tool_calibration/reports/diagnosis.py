@@ -14,8 +14,8 @@ from machine_tool_calibration.diagnosis.search.effect_search import Absorbed
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.planning.advice import Advice, alias_groups_of
 from machine_tool_calibration.planning.dominant import Dominant
+from machine_tool_calibration.planning.what_to_measure import Advice, alias_groups_of
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.quantities import (
     duration,

@@ -15,7 +15,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
-from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.residuals.pool import Pool
 

@@ -12,7 +12,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.planning.advice import Advice, Separation
+from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import fits
 from machine_tool_calibration.reports.quantities import (

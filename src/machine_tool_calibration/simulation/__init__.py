@@ -34,7 +34,6 @@ One reading at a time, as the nodes need it, with flaws, time and temperature: `
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.environment import Drift
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
 from machine_tool_calibration.simulation.flaws import FLAWS, choose_flaw
 from machine_tool_calibration.simulation.machine_file import (
@@ -47,6 +46,7 @@ from machine_tool_calibration.simulation.machine_file import (
 from machine_tool_calibration.simulation.plans import PRESETS
 from machine_tool_calibration.simulation.probing_run import PartPoint, ProbingPlan
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
+from machine_tool_calibration.simulation.scene import Drift
 from machine_tool_calibration.simulation.simulate import Simulated, Truth, measured_again, simulate
 from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan

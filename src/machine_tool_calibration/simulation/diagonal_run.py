@@ -12,11 +12,10 @@ from pydantic import Field
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, since_first
-from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
 __all__ = ["DiagonalPlan", "plan_diagonals"]

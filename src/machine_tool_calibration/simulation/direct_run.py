@@ -13,11 +13,10 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, Positive
 from machine_tool_calibration.session.values import Instrument
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import rotate
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
-from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 
 __all__ = ["DirectPlan", "plan_direct"]
 

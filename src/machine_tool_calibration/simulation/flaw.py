@@ -9,13 +9,27 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.simulation.disturbance import Disturbance
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["ALL_METHODS", "Chosen", "Flaw", "Parameters"]
+__all__ = [
+    "ALL_METHODS", "BEAM", "LINEAR", "STATIONS", "TABLE", "Chosen", "Draw", "Flaw", "Parameters", "drawn_phase",
+    "drawn_seed", "reads",
+]  # fmt: skip
 
 Parameters = Mapping[str, Any]
+Disturb = Callable[[float, Parameters, Scene], Disturbance]
+Draw = Callable[[np.random.Generator, Scene | None], Parameters]
 ALL_METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct")
+LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct")
+"""Methods that move linear axes."""
+TABLE = ("rotary_axis", "probing")
+"""Those that turn a table."""
+BEAM = ("step_diagonal", "tracking_interferometer", "rotary_axis")
+"""Those of a beam of light."""
+STATIONS = ("tracking_interferometer", "rotary_axis")
+"""Those of a beam that is pointed from a station."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +53,9 @@ class Flaw:
     formula: str
     unit: str
     typical: float
-    disturb: Callable[[float, Parameters, Scene], Disturbance]
+    disturb: Disturb
     defaults: Parameters = field(default_factory=dict)
-    draw: Callable[[np.random.Generator, Scene | None], Parameters] | None = None
+    draw: Draw | None = None
     methods: tuple[str, ...] = ALL_METHODS
     axis: str = ""
 
@@ -66,3 +80,18 @@ class Chosen:
     def document(self) -> dict[str, Any]:
         """For `truth.json`."""
         return {"id": self.flaw.id, "size": self.size, "unit": self.flaw.unit, **dict(self.parameters)}
+
+
+def reads(change: Callable[[float, Parameters, Scene, Sight], Array]) -> Disturb:
+    """A disturbance of the reading itself: (size, parameters, scene, sight) -> what is added, (n,) m."""
+    return lambda size, given, scene: Disturbance(reading=(lambda sight: change(size, given, scene, sight),))
+
+
+def drawn_phase(rng: np.random.Generator, _: Scene | None) -> Parameters:
+    """Where in its turn a wave begins."""
+    return {"phase": float(rng.uniform(0, 2 * np.pi))}
+
+
+def drawn_seed(rng: np.random.Generator, _: Scene | None) -> Parameters:
+    """Of what a flaw draws itself."""
+    return {"seed": int(rng.integers(2**31))}

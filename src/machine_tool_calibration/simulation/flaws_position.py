@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.flaw import Flaw, Parameters
+from machine_tool_calibration.simulation.flaw import LINEAR, TABLE, Draw, Flaw, Parameters, drawn_phase, drawn_seed
 from machine_tool_calibration.simulation.motions import (
     COMPONENTS,
     Table,
@@ -24,77 +24,60 @@ from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["POSITION_FLAWS", "REVERSAL_FLAWS", "THERMAL_FLAWS"]
 
-LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct")
-"""Methods that move linear axes."""
+_ABOUT = "; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
+_COLD: Parameters = {"reference": 20.0}
+
+Along = Callable[[float, Parameters, Scene, str], Array]
+"""How far the carriage of an axis is ahead of its command, from size, parameters, scene and axis, m or rad."""
 
 
-def _backlash(axis: str) -> Flaw:
+def _along(
+    name: str, formula: str, typical: float, shift: Along, given: Parameters | None = None, draw: Draw | None = None,
+    *, axes: str = "XYZ", unit: str = "m", methods: tuple[str, ...] = LINEAR,
+) -> Iterator[Flaw]:  # fmt: skip
+    """Flaws of axes along their own motion; in the formula `{a}` stands for the axis."""
+    for axis in axes:
+
+        def disturb(size: float, given: Parameters, scene: Scene, axis: str = axis) -> Disturbance:
+            return Disturbance(axis={axis: shift(size, given, scene, axis)})
+
+        text = f"position of {axis}: " + formula.format(a=axis.lower())
+        only = axis if axis in "ABC" else ""
+        yield Flaw(f"{name}_{axis.lower()}", text, unit, typical, disturb, given or {}, draw, methods, only)
+
+
+def _backlash(size: float, _: Parameters, scene: Scene, axis: str) -> Array:
     """The carriage lags behind its command by half the backlash, against the last move."""
-    rotary = axis in "ABC"
-    return Flaw(
-        f"backlash_{axis.lower()}",
-        f"position of {axis}: -size * dir_{axis.lower()} (half width)",
-        "rad" if rotary else "m",
-        1.3e-5 if rotary else 1.5e-6,
-        lambda size, _, scene: Disturbance(axis={axis: -size * scene.toward(axis)}),
-        methods=("rotary_axis", "probing") if axis == "C" else ("rotary_axis",) if rotary else LINEAR,
-        axis=axis if rotary else "",
-    )
+    return np.asarray(-size * scene.toward(axis))
 
 
-def _thermal(axis: str, *, late: bool = False) -> Flaw:
-    """The scale or screw of an axis grows with its temperature, away from where it is fixed.
-
-    Where it is `late` it is a heavy bed behind the sensor on its surface.
-    """
-    column, behind = f"temperature_{axis.lower()}", " behind by tau" if late else ""
-
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        sensed = scene.sensed_late(column, parameters["tau"]) if late else scene.sensed(column)
-        excess = sensed - parameters["reference"]
-        return Disturbance(axis={axis: size * excess * (scene.along(axis) - parameters["fixed_point"])})
-
-    return Flaw(
-        f"thermal_{'lag' if late else 'expansion'}_{axis.lower()}",
-        f"position of {axis}: size * ({column}{behind} - 20) * ({axis.lower()} - fixed_point)",
-        "1/K",
-        1e-5 if late else 8e-6,
-        disturb,
-        {**({"tau": 1200.0} if late else {}), "reference": 20.0, "fixed_point": 0.0},
-        methods=LINEAR,
-    )
+def _expansion(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
+    """The scale or screw grows with its temperature, away from where it is fixed; a heavy bed behind its sensor."""
+    column = f"temperature_{axis.lower()}"
+    sensed = scene.sensed_late(column, given["tau"]) if "tau" in given else scene.sensed(column)
+    return np.asarray(size * (sensed - given["reference"]) * (scene.along(axis) - given["fixed_point"]))
 
 
-def _warmup(axis: str) -> Flaw:
+def _warmup(size: float, given: Parameters, scene: Scene, _: str) -> Array:
     """The spindle or carriage moves off as the machine warms up, and settles."""
-    return Flaw(
-        f"warmup_{axis.lower()}",
-        f"position of {axis}: size * (1 - exp(-time / tau))",
-        "m",
-        5e-6,
-        lambda size, given, scene: Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / given["tau"]))}),
-        draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())},
-        methods=LINEAR,
-    )
+    return np.asarray(size * (1.0 - np.exp(-scene.time / given["tau"])))
 
 
-def _pitch(axis: str) -> Flaw:
+def _pitch(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
     """The screw's pitch or the encoder's grating repeats its error with every lead."""
+    return np.asarray(size * np.sin(2.0 * np.pi * scene.along(axis) / given["lead"] + given["phase"]))
 
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        phase = 2.0 * np.pi * scene.along(axis) / parameters["lead"] + parameters["phase"]
-        return Disturbance(axis={axis: size * np.sin(phase)})
 
-    return Flaw(
-        f"pitch_periodic_{axis.lower()}",
-        f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)",
-        "m",
-        1.5e-6,
-        disturb,
-        {"lead": 0.012},
-        lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))},
-        LINEAR,
-    )
+def _lost_motion(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
+    """A screw that is worn most at one place: the nut has most play there, and half of it half a travel away."""
+    low, high = scene.ends.get(axis, (0.0, 1.0))
+    away = (scene.along(axis) - low) / (high - low) - given["where"]
+    play = size * np.cos(0.5 * np.pi * away) ** 2
+    return np.asarray(-play * scene.toward(axis))
+
+
+def _warmup_time(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
+    return {"tau": float(600.0 * 5.0 ** rng.uniform())}
 
 
 def _squareness(name: str) -> Flaw:
@@ -123,73 +106,49 @@ def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tu
 
 def _motion(name: str) -> Flaw:
     angular, axis = name[1] in "ABC", name[-1]
+    is_table = axis == "C"
 
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        table = shaped(name, size, parameters, scene.ends)
-        if parameters.get("about", "chain") == "chain":
+    def disturb(size: float, given: Parameters, scene: Scene) -> Disturbance:
+        table = shaped(name, size, given, scene.ends)
+        if given.get("about", "chain") == "chain":
             return Disturbance(tables=((name, table),))
-        if parameters["about"] != "zero":
-            raise CalibrationError(f"{name}: about is {parameters['about']!r}, neither chain nor zero")
+        if given["about"] != "zero":
+            raise CalibrationError(f"{name}: about is {given['about']!r}, neither chain nor zero")
         arm = scene.position * (np.arange(3) != "XYZ".index(axis))
         turned = rotate(arm, table(scene.along(axis))[:, None] * np.eye(3)["ABC".index(name[1])])
         return Disturbance(point=turned - arm)
 
-    def draw(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
-        return {"seed": int(rng.integers(2**31))}
-
+    yields = angular and not is_table
     return Flaw(
         name,
-        f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size"
-        + (
-            "; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
-            if angular and axis != "C"
-            else ""
-        ),
+        f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size" + _ABOUT * yields,
         "rad" if angular else "m",
         2e-5 if angular else 3e-6,
         disturb,
-        {"shape": "random", "about": "chain"} if angular and axis != "C" else {"shape": "random"},
-        draw,
-        ("rotary_axis", "probing") if axis == "C" else LINEAR,
-        axis if axis == "C" else "",
+        {"shape": "random", **({"about": "chain"} if yields else {})},
+        drawn_seed,
+        TABLE if is_table else LINEAR,
+        axis if is_table else "",
     )
 
 
+def _scale(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"})
+
+
+_EXPANDS = "size * (temperature_{a} - 20) * ({a} - fixed_point)"
+_WAVES = "size * sin(2 pi {a} / lead + phase)"
 POSITION_FLAWS: tuple[Flaw, ...] = (
-    *(_backlash(axis) for axis in "XYZABC"),
-    *(make(axis) for make in (_thermal, _warmup, _pitch) for axis in "XYZ"),
-    Flaw(
-        "scale",
-        "position: size * (x, y, z)",
-        "1",
-        1e-5,
-        lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}),
-        methods=LINEAR,
-    ),
+    *_along("backlash", "-size * dir_{a} (half width)", 1.5e-6, _backlash),
+    *_along("backlash", "-size * dir_{a} (half width)", 1.3e-5, _backlash, axes="AB", unit="rad", methods=TABLE[:1]),
+    *_along("backlash", "-size * dir_{a} (half width)", 1.3e-5, _backlash, axes="C", unit="rad", methods=TABLE),
+    *_along("thermal_expansion", _EXPANDS, 8e-6, _expansion, {**_COLD, "fixed_point": 0.0}, unit="1/K"),
+    *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
+    *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
+    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale, methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
     *(_motion(component + axis) for axis in "XYZC" for component in COMPONENTS),
 )
-
-
-def _lost_motion(axis: str) -> Flaw:
-    """A screw that is worn most at one place: the nut has most play there, and half of it half a travel away."""
-
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        low, high = scene.ends.get(axis, (0.0, 1.0))
-        away = (scene.along(axis) - low) / (high - low) - parameters["where"]
-        play = size * np.cos(0.5 * np.pi * away) ** 2
-        return Disturbance(axis={axis: -play * scene.toward(axis)})
-
-    return Flaw(
-        f"lost_motion_{axis.lower()}",
-        f"position of {axis}: half the play against dir_{axis.lower()}, size at the share `where` of the travel, "
-        "half of it half a travel away",
-        "m",
-        2e-6,
-        disturb,
-        {"where": 0.2},
-        methods=LINEAR,
-    )
 
 
 def _reversal(name: str) -> Flaw:
@@ -201,19 +160,14 @@ def _reversal(name: str) -> Flaw:
         errors[:, component] = -size * scene.toward(axis)
         return Disturbance(errors={axis: errors})
 
-    angular = name[1] in "ABC"
-    return Flaw(
-        f"reversal_{name}",
-        f"error motion {name}: -size * dir_{axis.lower()} (half width)",
-        "rad" if angular else "m",
-        8e-6 if angular else 1.5e-6,
-        disturb,
-        methods=LINEAR,
-    )
+    unit, typical = ("rad", 8e-6) if name[1] in "ABC" else ("m", 1.5e-6)
+    text = f"error motion {name}: -size * dir_{axis.lower()} (half width)"
+    return Flaw(f"reversal_{name}", text, unit, typical, disturb, methods=LINEAR)
 
 
+_WORN = "half the play against dir_{a}, size at the share `where` of the travel, half of it half a travel away"
 REVERSAL_FLAWS: tuple[Flaw, ...] = (
-    *(_lost_motion(axis) for axis in "XYZ"),
+    *_along("lost_motion", _WORN, 2e-6, _lost_motion, {"where": 0.2}),
     *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
 )
 
@@ -234,48 +188,34 @@ def _squareness_drift(name: str) -> Flaw:
 
 
 def _squareness_thermal(name: str) -> Flaw:
-    columns = [f"temperature_{axis.lower()}" for axis in _AXES[name]]
+    first, second = (f"temperature_{axis.lower()}" for axis in _AXES[name])
 
-    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        warm = 0.5 * (scene.sensed(columns[0]) + scene.sensed(columns[1])) - parameters["reference"]
+    def disturb(size: float, given: Parameters, scene: Scene) -> Disturbance:
+        warm = 0.5 * (scene.sensed(first) + scene.sensed(second)) - given["reference"]
         return _turned_way(name, size * warm, scene)
 
-    return Flaw(
-        f"squareness_thermal_{name}",
-        f"squareness {name} = size * (mean of {' and '.join(columns)} - 20)",
-        "rad/K",
-        1e-5,
-        disturb,
-        {"reference": 20.0},
-        methods=LINEAR,
-    )
+    text = f"squareness {name} = size * (mean of {first} and {second} - 20)"
+    return Flaw(f"squareness_thermal_{name}", text, "rad/K", 1e-5, disturb, _COLD, methods=LINEAR)
 
 
-def _rotary_drift(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+def _rotary_drift(size: float, given: Parameters, scene: Scene) -> Disturbance:
     """The table's foundation settles: its axis moves in a direction of its own, and tilts."""
-    way = np.asarray(parameters["direction"], float)
-    tilt = parameters["tilt"] * np.cross(np.eye(3)["ABC".index(scene.axis)], way)
+    way = np.asarray(given["direction"], float)
+    tilt = given["tilt"] * np.cross(np.eye(3)["ABC".index(scene.axis)], way)
     moved = size * scene.time[:, None]
     return Disturbance(table_shift=moved * way, table_tilt=moved * tilt)
 
 
-def _direction(rng: np.random.Generator, _: Scene | None) -> dict[str, list[float]]:
+def _direction(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
     way = rng.normal(size=3)
     return {"direction": [float(v) for v in way / np.linalg.norm(way)]}
 
 
+_LATE = "size * (temperature_{a} behind by tau - 20) * ({a} - fixed_point)"
+_SETTLES = "axis of the table moves by size * time along direction, and tilts by tilt (rad/m) of it"
 THERMAL_FLAWS: tuple[Flaw, ...] = (
     *(_squareness_drift(name) for name in _AXES),
     *(_squareness_thermal(name) for name in _AXES),
-    *(_thermal(axis, late=True) for axis in "XYZ"),
-    Flaw(
-        "rotary_axis_drift",
-        "axis of the table moves by size * time along direction, and tilts by tilt (rad/m) of it",
-        "m/s",
-        2e-9,
-        _rotary_drift,
-        {"tilt": 3.0},
-        _direction,
-        ("rotary_axis", "probing"),
-    ),
+    *_along("thermal_lag", _LATE, 1e-5, _expansion, {"tau": 1200.0, **_COLD, "fixed_point": 0.0}, unit="1/K"),
+    Flaw("rotary_axis_drift", _SETTLES, "m/s", 2e-9, _rotary_drift, {"tilt": 3.0}, _direction, TABLE),
 )

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.flaw import Flaw, Parameters
+from machine_tool_calibration.simulation.flaw import BEAM, STATIONS, Flaw, Parameters, drawn_seed, reads
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import beam_direction
 
@@ -27,8 +26,7 @@ def vapour_pressure(temperature: Array | float, humidity: Array | float) -> Arra
     """Partial pressure of water vapour, Pa, in air at a temperature in °C and a relative humidity of 0 … 1."""
     kelvin = np.asarray(temperature, float) + 273.15
     exponent = 1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin
-    saturated: Array = np.exp(exponent)
-    return saturated * humidity
+    return np.asarray(np.exp(exponent) * humidity)
 
 
 def refractivity(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.0) -> Array:
@@ -44,18 +42,12 @@ def refractivity(temperature: Array | float, pressure: Array | float, humidity: 
     dispersion = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
     dry = dispersion * p / 96095.43 * (1.0 + 1e-8 * (0.601 - 0.00972 * t) * p) / (1.0 + 0.0036610 * t)
     vapour = vapour_pressure(t, humidity) * 292.75 / (t + 273.15)
-    moist: Array = dry - vapour * (3.7345 - 0.0401 * s) * 1e-10
-    return moist
+    return np.asarray(dry - vapour * (3.7345 - 0.0401 * s) * 1e-10)
 
 
 def deviation(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.5) -> Array:
     """Refractive index minus that of standard air (20 °C, 101325 Pa, 50 %)."""
-    excess: Array = refractivity(temperature, pressure, humidity) - refractivity(*STANDARD)
-    return excess
-
-
-LASERS = ("step_diagonal", "tracking_interferometer", "rotary_axis")
-STATIONS = ("tracking_interferometer", "rotary_axis")
+    return refractivity(temperature, pressure, humidity) - refractivity(*STANDARD)
 
 
 def _air(scene: Scene) -> Array:
@@ -63,47 +55,43 @@ def _air(scene: Scene) -> Array:
     return deviation(scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity"))
 
 
-def _by_setup(seed: int, setup: IntArray, draw: Any) -> Array:
+def _by_setup(seed: int, setup: IntArray, draw: Callable[[np.random.Generator], Array]) -> Array:
     """Random vectors, each setup its own and the same whenever it is asked for."""
-    table: Mapping[int, Array] = {int(s): draw(np.random.default_rng([int(seed), int(s)])) for s in np.unique(setup)}
+    table = {int(s): draw(np.random.default_rng([int(seed), int(s)])) for s in np.unique(setup)}
     return np.array([table[int(s)] for s in setup])
 
 
-def _station_drift(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+def _station_drift(size: float, given: Parameters, scene: Scene) -> Disturbance:
     """Each station's stand settles in its own direction at about `size` per second."""
 
     def velocity(rng: np.random.Generator) -> Array:
-        way = rng.normal(size=3) * np.array([1.0, 1.0, parameters["vertical"]])
+        way = rng.normal(size=3) * np.array([1.0, 1.0, given["vertical"]])
         return np.asarray(way / np.linalg.norm(way) * rng.uniform(0.5, 1.5))
 
-    moved = _by_setup(parameters["seed"], scene.setup, velocity) * scene.since_setup()[:, None]
+    moved = _by_setup(given["seed"], scene.setup, velocity) * scene.since_setup()[:, None]
     return Disturbance(station=size * moved)
 
 
-def _mirror(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+def _mirror(size: float, given: Parameters, scene: Scene) -> Disturbance:
     """The flat mirror is set up further off the beam, in each setup another way."""
 
     def tilt(rng: np.random.Generator) -> Array:
         angle = rng.uniform(0.0, 2.0 * np.pi)
         return np.array([np.cos(angle), np.sin(angle)])
 
-    return Disturbance(mirror=size * _by_setup(parameters["seed"], scene.setup, tilt))
+    return Disturbance(mirror=size * _by_setup(given["seed"], scene.setup, tilt))
 
 
-def _harmonics(angle: Array, parameters: Parameters) -> Array:
+def _harmonics(angle: Array, given: Parameters) -> Array:
     """Sum of w cos(k angle + phase) over the orders k."""
     total = np.zeros(np.shape(angle))
-    for order, weight, phase in zip(parameters["orders"], parameters["weights"], parameters["phases"], strict=True):
+    for order, weight, phase in zip(given["orders"], given["weights"], given["phases"], strict=True):
         total = total + weight * np.cos(order * angle + phase)
     return total
 
 
-def _phases(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
+def _phases(rng: np.random.Generator, _: Scene | None) -> Parameters:
     return {"phases": [float(v) for v in rng.uniform(0, 2 * np.pi, 2)]}
-
-
-def _seed(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
-    return {"seed": int(rng.integers(2**31))}
 
 
 def _level(sight: Sight) -> Array:
@@ -111,141 +99,81 @@ def _level(sight: Sight) -> Array:
     return beam_direction(sight.azimuth, np.zeros_like(sight.azimuth))
 
 
-def _pointer_radial(size: float, parameters: Parameters, _: Scene) -> Disturbance:
+def _pointer_radial(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
     """The rotation centre moves in the plane of azimuth as the pointer turns: against the beam, as seen from above."""
-
-    def along(sight: Sight) -> Array:
-        back = size * _harmonics(sight.azimuth, parameters)
-        return np.asarray(back * np.einsum("ni,ni->n", _level(sight), sight.direction))
-
-    return Disturbance(reading=(along,))
+    back = size * _harmonics(sight.azimuth, given)
+    return np.asarray(back * np.einsum("ni,ni->n", _level(sight), sight.direction))
 
 
-def _pointer_axes(size: float, parameters: Parameters, _: Scene) -> Disturbance:
+def _pointer_axes(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
     """The elevation axis stands in front of the azimuth axis, and the beam leaves beside it.
 
     Of the triangle of axis, beam and target a beam that follows reads one leg; the distance is the hypotenuse.
     """
-
-    def path(sight: Sight) -> Array:
-        line = sight.path[:, None] * sight.direction - size * _level(sight)
-        square = np.einsum("ni,ni->n", line, line) - parameters["beam"] ** 2
-        return np.asarray(np.sqrt(square) - sight.path)
-
-    return Disturbance(reading=(path,))
+    line = sight.path[:, None] * sight.direction - size * _level(sight)
+    square = np.einsum("ni,ni->n", line, line) - given["beam"] ** 2
+    return np.asarray(np.sqrt(square) - sight.path)
 
 
-def _table_growth(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-    warm = scene.sensed("temperature_table") - parameters["reference"]
-    return Disturbance(table_radial=size * warm, table_axial=size * parameters["axial"] * warm)
+def _retroreflector(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
+    return size * _harmonics(sight.incidence, given)
 
+
+def _pretravel(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
+    """The stylus gives way, by direction, before the probe triggers."""
+    return size * _harmonics(sight.azimuth, given)
+
+
+def _optical(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    """The wavelength is not compensated, or wrongly: this share of the air's deviation stays."""
+    return Disturbance(optical=size * _air(scene))
+
+
+def _dead_path(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(dead=size * _air(scene))
+
+
+def _drift(size: float, _: Parameters, scene: Scene, sight: Sight) -> Array:
+    return size * scene.time
+
+
+def _zero_offset(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(turn=np.full(len(scene), size))
+
+
+def _table_growth(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    warm = scene.sensed("temperature_table") - given["reference"]
+    return Disturbance(table_radial=size * warm, table_axial=size * given["axial"] * warm)
+
+
+def _work_growth(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(growth=size * (scene.sensed("temperature_work") - given["reference"]))
+
+
+_AIR = "reading: size * (n - n of standard air)"
+_SETTLES = "each station moves at about size, in its own direction, from its first reading on"
+_TILTED = "mirror normal off the beam by size, each setup its own way"
+_RADIAL = "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)"
+_AXES = "elevation axis in front of the azimuth axis by size, beam beside it by beam (m, where it follows the target)"
+_INCIDENCE = "reading: size * sum of w cos(k incidence + phase)"
+_NORMAL = "reading: size * sum of w cos(k direction of the normal + phase)"
+_OUT = "targets move out by size * (temperature_table - 20) * radius, and up by axial times that of their height"
+_WORK = "workpiece grows by size * (temperature_work - 20) about the table's centre"
+_FIVE, _TWO = {"orders": [5, 3], "weights": [1.0, 0.5]}, {"orders": [2, 3], "weights": [1.0, 0.5]}
+_THREE = {"orders": [2, 3], "weights": [1.0, 0.6]}
+_COLD = {"reference": 20.0}
 
 READING_FLAWS: tuple[Flaw, ...] = (
-    Flaw(
-        "refractive_index",  # the wavelength is not compensated, or wrongly: this share of the air's deviation stays
-        "reading: size * (n - n of standard air) * path",
-        "1",
-        1.0,
-        lambda size, _, scene: Disturbance(optical=size * _air(scene)),
-        methods=LASERS,
-    ),
-    Flaw(
-        "dead_path",
-        "reading: size * (n - n of standard air)",
-        "m",
-        1.0,
-        lambda size, _, scene: Disturbance(dead=size * _air(scene)),
-        methods=LASERS,
-    ),
-    Flaw(
-        "linear_drift",
-        "reading: size * time",
-        "m/s",
-        1e-9,
-        lambda size, _, scene: Disturbance(reading=(lambda sight: size * scene.time,)),
-    ),
-    Flaw(
-        "station_drift",
-        "each station moves at about size, in its own direction, from its first reading on",
-        "m/s",
-        1e-8,
-        _station_drift,
-        {"vertical": 1.0},
-        _seed,
-        STATIONS,
-    ),
-    Flaw(
-        "mirror_misalignment",
-        "mirror normal off the beam by size, each setup its own way",
-        "rad",
-        1e-3,
-        _mirror,
-        draw=_seed,
-        methods=("step_diagonal",),
-    ),
-    Flaw(
-        "pointer_radial_error",
-        "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)",
-        "m",
-        2e-6,
-        _pointer_radial,
-        {"orders": [5, 3], "weights": [1.0, 0.5]},
-        _phases,
-        STATIONS,
-    ),
-    Flaw(
-        "pointer_zero_offset",
-        "beam turned by size: cosine error",
-        "rad",
-        2e-3,
-        lambda size, _, scene: Disturbance(turn=np.full(len(scene), size)),
-        methods=("tracking_interferometer",),
-    ),
-    Flaw(
-        "pointer_axis_offset",
-        "elevation axis in front of the azimuth axis by size, beam beside it by beam (m, where it follows the target)",
-        "m",
-        2e-5,
-        _pointer_axes,
-        {"beam": 0.0},
-        methods=STATIONS,
-    ),
-    Flaw(
-        "retroreflector_form",
-        "reading: size * sum of w cos(k incidence + phase)",
-        "m",
-        1e-6,
-        lambda size, given, _: Disturbance(reading=(lambda sight: size * _harmonics(sight.incidence, given),)),
-        {"orders": [2, 3], "weights": [1.0, 0.5]},
-        _phases,
-        STATIONS,
-    ),
-    Flaw(
-        "table_thermal_growth",
-        "targets move out by size * (temperature_table - 20) * radius, and up by axial times that of their height",
-        "1/K",
-        1.2e-5,
-        _table_growth,
-        {"axial": 1.0, "reference": 20.0},
-        methods=("rotary_axis",),
-    ),
-    Flaw(
-        "workpiece_thermal",
-        "workpiece grows by size * (temperature_work - 20) about the table's centre",
-        "1/K",
-        1.2e-5,
-        lambda size, given, scene: Disturbance(growth=size * (scene.sensed("temperature_work") - given["reference"])),
-        {"reference": 20.0},
-        methods=("probing", "direct"),
-    ),
-    Flaw(
-        "probe_pretravel",  # the stylus gives way, by direction, before the probe triggers
-        "reading: size * sum of w cos(k direction of the normal + phase)",
-        "m",
-        3e-6,
-        lambda size, given, _: Disturbance(reading=(lambda sight: size * _harmonics(sight.azimuth, given),)),
-        {"orders": [2, 3], "weights": [1.0, 0.6]},
-        _phases,
-        ("probing",),
-    ),
+    Flaw("refractive_index", f"{_AIR} * path", "1", 1.0, _optical, methods=BEAM),
+    Flaw("dead_path", _AIR, "m", 1.0, _dead_path, methods=BEAM),
+    Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, reads(_drift)),
+    Flaw("station_drift", _SETTLES, "m/s", 1e-8, _station_drift, {"vertical": 1.0}, drawn_seed, STATIONS),
+    Flaw("mirror_misalignment", _TILTED, "rad", 1e-3, _mirror, draw=drawn_seed, methods=("step_diagonal",)),
+    Flaw("pointer_radial_error", _RADIAL, "m", 2e-6, reads(_pointer_radial), _FIVE, _phases, STATIONS),
+    Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3, _zero_offset, methods=STATIONS[:1]),
+    Flaw("pointer_axis_offset", _AXES, "m", 2e-5, reads(_pointer_axes), {"beam": 0.0}, methods=STATIONS),
+    Flaw("retroreflector_form", _INCIDENCE, "m", 1e-6, reads(_retroreflector), _TWO, _phases, STATIONS),
+    Flaw("table_thermal_growth", _OUT, "1/K", 1.2e-5, _table_growth, {"axial": 1.0, **_COLD}, methods=STATIONS[1:]),
+    Flaw("workpiece_thermal", _WORK, "1/K", 1.2e-5, _work_growth, _COLD, methods=("probing", "direct")),
+    Flaw("probe_pretravel", _NORMAL, "m", 3e-6, reads(_pretravel), _THREE, _phases, ("probing",)),
 )

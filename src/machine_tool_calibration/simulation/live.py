@@ -22,10 +22,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight, combine
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.scene import Environment, Scene
 from machine_tool_calibration.simulation.sensors import Pointer
 
 __all__ = ["LiveMachine"]

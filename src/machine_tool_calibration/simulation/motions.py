@@ -38,15 +38,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def rotate(vector: Array, rotation: Array) -> Array:
-    """Vectors turned by rotation vectors (Rodrigues' formula).
-
-    Args:
-        vector: (…, 3).
-        rotation: (…, 3) axis times angle, rad, right-handed.
-
-    Returns:
-        (…, 3) turned vectors.
-    """
+    """Vectors (…, 3) turned by rotation vectors (…, 3), axis times angle, rad, right-handed (Rodrigues' formula)."""
     angle = _angle(rotation)
     first = cross(rotation, vector)
     turned: Array = vector + np.sin(angle) / angle * first + _versine(angle) * cross(rotation, first)
@@ -245,14 +237,7 @@ def random_smooth(
     """Smooth random motions over [low, high]: zero at 0 if that is inside, else at `low`; each with its largest value.
 
     Natural splines through a random walk at `knots` nodes with a random slope, as guideways and ball
-    screws show: long waves with some shorter ones.
-
-    Args:
-        rng: source of chance.
-        low: lower end of the travel, m or rad.
-        high: upper end.
-        amplitudes: largest absolute value of each, m or rad.
-        knots: number of nodes; more give shorter waves.
+    screws show: long waves with some shorter ones, more of these with more nodes.
     """
     nodes, slope = np.linspace(low, high, knots), np.linspace(-1, 1, knots)
     walks = [

@@ -11,10 +11,10 @@ from pydantic import Field
 
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan, plan_diagonals
 from machine_tool_calibration.simulation.direct_run import DirectPlan, plan_direct
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.plan import Measurement
 from machine_tool_calibration.simulation.probing_run import ProbingPlan, plan_probing
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan, plan_rotary
+from machine_tool_calibration.simulation.scene import Environment
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan, plan_tracking
 
 __all__ = ["PLANS", "PRESETS", "AnyPlan", "measure"]

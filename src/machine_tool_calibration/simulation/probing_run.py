@@ -12,12 +12,11 @@ from pydantic import Field, model_validator
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.plan import Measurement, Plan
-from machine_tool_calibration.simulation.scene import Scene, last_sign, ordered_times
+from machine_tool_calibration.simulation.scene import Environment, Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
 __all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins", "plan_probing"]

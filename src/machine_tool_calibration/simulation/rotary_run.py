@@ -11,11 +11,10 @@ from pydantic import Field, model_validator
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.session.record import Finite, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, since_first, station_name
-from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import aim, distance
 
 __all__ = ["RotaryPlan", "plan_rotary"]

@@ -14,14 +14,13 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation.disturbance import Disturbance, combine
-from machine_tool_calibration.simulation.environment import random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import build_machine, machine_document
 from machine_tool_calibration.simulation.plan import Measurement, since_first
 from machine_tool_calibration.simulation.plans import measure
-from machine_tool_calibration.simulation.scene import blocks
+from machine_tool_calibration.simulation.scene import blocks, random_environment
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 
 __all__ = ["Simulated", "Truth", "measured_again", "simulate"]
@@ -137,12 +136,7 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
 
 
 def measured_again(simulated: Simulated, seed: int) -> Session:
-    """The same measurement with other noise and nothing else random: fast, for Monte Carlo.
-
-    Args:
-        simulated: a simulated session.
-        seed: of the noise.
-    """
+    """The same measurement with noise of another seed and nothing else random: fast, for Monte Carlo."""
     clean, readings = simulated.truth.clean, simulated.session.readings
     total = clean + simulated.session.sigma * np.random.default_rng(seed).normal(size=len(clean))
     displacement = np.where(np.isnan(readings.displacement), np.nan, since_first(total, simulated.truth.datum))

@@ -1,18 +1,167 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to simulate: the plan, the machine, the flaws, the noise."""
+"""What to simulate: plan, machine, flaws and noise; from a file, or from what is said on a command line."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
-from machine_tool_calibration.simulation.environment import COLUMNS
-from machine_tool_calibration.simulation.machine_file import MachineSpec
-from machine_tool_calibration.simulation.plans import AnyPlan
+from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.simulation.flaw import ALL_METHODS
+from machine_tool_calibration.simulation.flaws import find_flaw
+from machine_tool_calibration.simulation.machine_file import MachineSpec, read_machine, read_record
+from machine_tool_calibration.simulation.plans import PLANS, PRESETS, AnyPlan
+from machine_tool_calibration.simulation.scene import COLUMNS
 
-__all__ = ["Chips", "FlawSpec", "SimulationSpec", "Spread"]
+__all__ = [
+    "Chips",
+    "FlawSpec",
+    "SimulationSpec",
+    "Spread",
+    "parse_effect",
+    "parse_setting",
+    "read_spec",
+    "refuse_implausible",
+    "spec_from",
+]
+
+
+# Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.
+_LARGEST = 1e-3
+# How many times its typical size an effect may have.
+_TIMES = 1e4
+
+
+def refuse_implausible(spec: SimulationSpec) -> None:
+    """Refuse lengths that were not meant in metres, and effects of an absurd size.
+
+    Raises:
+        CalibrationError: the first of them, with what may have been meant.
+    """
+    for name, value in _lengths(spec):
+        if abs(value) > _LARGEST:
+            meant = f"did you mean {value * 1e-6:.3g}, which is {value:.3g} µm?"
+            raise CalibrationError(f"{name}: {value:g} m is implausible; lengths are in metres: {meant}")
+    for effect in spec.effects:
+        if effect.size is None:
+            continue
+        flaw = find_flaw(effect.id)
+        if flaw.typical and abs(effect.size) > _TIMES * abs(flaw.typical):
+            unit = "" if flaw.unit == "1" else f" {flaw.unit}"
+            raise CalibrationError(
+                f"effects: {effect.id}: size {effect.size:g}{unit} is implausible; it is usually about "
+                f"{flaw.typical:g}{unit}"
+            )
+
+
+def _lengths(spec: SimulationSpec) -> Iterator[tuple[str, float]]:
+    if spec.noise is not None:
+        yield "noise", spec.noise
+    yield "repeatability", spec.repeatability
+    yield from ((f"spread.{name}", value) for name, value in spec.spread.model_dump().items())
+    if spec.chips is not None:
+        yield "chips.size", spec.chips.size
+    yield from ((f"effects: {e.id}: amplitude", e.amplitude) for e in spec.effects if e.amplitude is not None)
+
+
+_COMMA = re.compile(r",(?![^\[]*\])")  # not one inside a list
+
+
+def read_spec(path: Path | str) -> SimulationSpec:
+    """The simulation that a YAML file describes.
+
+    Raises:
+        CalibrationError: one line that names file, line and key.
+    """
+    return read_record(Path(path), SimulationSpec, ALL_METHODS)
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """`key=value` with a value in YAML, such as `repeats=3` or `stations=[[0, 0, 0], [1, 0, 0]]`.
+
+    Raises:
+        CalibrationError: no `=` or a value that is not YAML.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise CalibrationError(f"{text!r} is not KEY=VALUE")
+    return key.strip(), load_yaml(value, f"the value of {key.strip()}").value
+
+
+def parse_effect(text: str) -> dict[str, Any]:
+    """`ID` or `ID:size=2e-6,tau=900` as the mapping of a `FlawSpec`.
+
+    Raises:
+        CalibrationError: something after the colon is not `key=value`.
+    """
+    name, _, rest = text.partition(":")
+    spec: dict[str, Any] = {"id": name.strip()}
+    parameters: dict[str, Any] = {}
+    for part in filter(None, (p.strip() for p in _COMMA.split(rest))):
+        key, value = parse_setting(part)
+        (spec if key in ("size", "amplitude") else parameters)[key] = value
+    return spec | ({"parameters": parameters} if parameters else {})
+
+
+def spec_from(
+    base: SimulationSpec | None,
+    *,
+    method: str | None = None,
+    preset: str | None = None,
+    plan: Mapping[str, Any] | None = None,
+    machine: Path | str | None = None,
+    effects: Sequence[Mapping[str, Any]] = (),
+    fields: Mapping[str, Any] | None = None,
+) -> SimulationSpec:
+    """A spec from options, on top of one that was read from a file.
+
+    Args:
+        base: the file's spec, if there is one.
+        method: method of a plan without preset.
+        preset: name of a plan in `PRESETS`.
+        plan: keys of the plan that differ.
+        machine: YAML file of the machine's true errors.
+        effects: mappings of `FlawSpec`; they add to the file's.
+        fields: other fields of `SimulationSpec` that differ.
+
+    Raises:
+        CalibrationError: an unknown preset or method, a value out of range or implausible, neither file nor method nor
+            preset.
+    """
+    if preset is not None and preset not in PRESETS:
+        raise CalibrationError(f"no preset {preset!r}; there are {', '.join(PRESETS)}")
+    if method is not None and method not in PLANS:
+        raise CalibrationError(f"no method {method!r}; there are {', '.join(PLANS)}")
+    if preset is not None:
+        chosen = PRESETS[preset]
+        if method is not None and chosen.method != method:
+            raise CalibrationError(f"preset {preset} is of the method {chosen.method}, not {method}")
+        planned = chosen.model_dump(exclude_unset=True) | {"method": chosen.method}
+    elif method is not None and (base is None or base.plan.method != method):
+        planned = {"method": method}
+    elif base is not None:
+        planned = base.plan.model_dump(exclude_unset=True) | {"method": base.plan.method}
+    else:
+        raise CalibrationError("say what to simulate: a SPEC.yaml, --method or --preset")
+    content: dict[str, Any] = base.model_dump(exclude_unset=True, exclude={"plan"}) if base is not None else {}
+    turning = {find_flaw(str(effect["id"])).axis for effect in effects} - {""}
+    if planned["method"] == "rotary_axis" and len(turning) == 1:
+        planned = {"axis": turning.pop()} | planned  # an effect of a table about X or Y needs one
+    content |= {"plan": planned | dict(plan or {}), **(fields or {})}
+    if machine is not None:
+        content["machine"] = read_machine(machine)
+    if effects:
+        content["effects"] = [*content.get("effects", ()), *effects]
+    spec = validated(SimulationSpec, content, "", unnamed=ALL_METHODS, refusal=CalibrationError)
+    refuse_implausible(spec)
+    return spec
 
 
 class FlawSpec(Record):

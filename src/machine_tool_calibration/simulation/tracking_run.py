@@ -11,10 +11,9 @@ from pydantic import Field, model_validator
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned, station_name
-from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
 __all__ = ["TrackingPlan", "plan_tracking"]

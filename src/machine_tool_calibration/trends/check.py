@@ -157,16 +157,10 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
 
 
 def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
-    """Standard deviation between sessions of each error, beyond what the sessions' own uncertainty explains.
+    """Standard deviation between sessions of each error by name, beyond what the sessions' own uncertainty explains.
 
     By the median of the squared changes from one session to the next, over all values of an error: a jump between two
-    of them does not make it larger.
-
-    Args:
-        history: measurements of one machine by the same method and model, in order.
-
-    Returns:
-        By name of the error; nothing where there are fewer than `SESSIONS`.
+    of them does not make it larger. Nothing where there are fewer than `SESSIONS`.
     """
     if len(history) < SESSIONS:
         return {}

@@ -122,14 +122,9 @@ class _Weighed:
 
 
 def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) -> Explanation:
-    """Weigh the explanations of one number.
+    """Weigh the explanations of one number in n sessions: values, uncertainties, and by which way it was read.
 
-    Args:
-        days: (n,) when, in order.
-        value: (n,) the number in each session.
-        u: (n,) its standard uncertainty.
-        way: (n,) number of the way of measuring, from 0.
-        among: of how many numbers this is one: the more are followed, the more each needs to raise an alarm.
+    The more numbers are followed (`among`), the more each needs to raise an alarm.
     """
     unit = float(np.median(u))
     y, sigma, place = (value - np.median(value)) / unit, u / unit, np.eye(int(way.max()) + 1)[way]
@@ -188,15 +183,7 @@ def _cases(ways: int) -> list[_Case]:
 
 
 def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) -> _Weighed:
-    """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out.
-
-    Args:
-        case: spread, shift and sizes.
-        y: (n,) values, and `sigma` their standard uncertainties.
-        sigma: (n,).
-        place: (n, ways) 1 where a value is of a way of measuring.
-        columns: (c, n) what each change does to the values.
-    """
+    """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out."""
     covariance = np.diag(sigma**2 + case.spread**2) + case.shift**2 * place @ place.T
     root = cholesky(covariance, lower=True)
     white = solve_triangular(root, np.column_stack([np.ones(len(y)), y, columns.T]), lower=True)
@@ -231,16 +218,7 @@ def _interval(begins: IntArray, weight: Array) -> tuple[int, int]:
 
 
 def _step(case: _Case, left: Array, sigma: Array, place: Array, last: int, before: int) -> tuple[float, float]:
-    """By how much one way of measuring reads more than another, and its standard uncertainty.
-
-    Args:
-        case: spread and size of the shifts.
-        left: (n,) values without what changed.
-        sigma: (n,) their standard uncertainties.
-        place: (n, ways) as for `_weigh`.
-        last: number of the one.
-        before: of the other.
-    """
+    """By how much the last way of measuring reads more than the one before, and its standard uncertainty."""
     inverse = 1.0 / (sigma**2 + case.spread**2)
     # Level and shifts together, the shifts with their prior.
     design = np.column_stack([np.ones(len(left)), place])

@@ -30,7 +30,7 @@ from machine_tool_calibration.session.folder import read_session, readings_frame
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.provenance import name_of_machine
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.trends.sizes import Size
+from machine_tool_calibration.trends.statement import Size
 
 __all__ = ["Entry", "Logbook", "date_of", "entry_of", "is_logbook"]
 

@@ -114,11 +114,7 @@ class Trend:
 
 
 def trend(entries: Sequence[Entry], limits: Mapping[str, float] | None = None) -> Trend:
-    """Follow the sizes of a machine's errors.
-
-    Args:
-        entries: of one machine, by date.
-        limits: by name, in m or rad.
+    """Follow the sizes of one machine's errors over entries by date, with limits by name, in m or rad.
 
     Raises:
         ModelError: a limit for what is in no entry, or in another unit.

@@ -14,7 +14,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import RANDOM
 from machine_tool_calibration.session.session import Session

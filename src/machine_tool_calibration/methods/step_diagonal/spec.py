@@ -59,7 +59,7 @@ class DiagonalSpec(MethodSpec):
     }
     states_runs = counts_from_run = True
     steps = "machine_tool_calibration.procedure.steps:diagonal_steps"
-    further_places = "machine_tool_calibration.planning.diagonals:further_runs"
+    further_places = "machine_tool_calibration.planning.places:further_runs"
     planned = "machine_tool_calibration.planning.forecast:along_diagonals"
     optics = "machine_tool_calibration.nodes.optics:FlatMirror"
 

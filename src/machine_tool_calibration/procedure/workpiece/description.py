@@ -15,24 +15,243 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import csv
+import io
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+import yaml
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Outline, Points
-from machine_tool_calibration.procedure.workpiece.outline import Contour, Material, Touched, probe_points, reachable
+from machine_tool_calibration.procedure.description import parse_procedure, read_procedure
+from machine_tool_calibration.procedure.workpiece.outline import (
+    Arc,
+    Contour,
+    Material,
+    Straight,
+    Touched,
+    probe_points,
+    reachable,
+)
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint
-from machine_tool_calibration.session.record import Positive, Record
+from machine_tool_calibration.session.record import NotNegative, Positive, Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["Workpiece", "read_workpiece", "workpiece_entries", "workpiece_points"]
+__all__ = [
+    "Circle",
+    "Feature",
+    "File",
+    "Line",
+    "Outline",
+    "Points",
+    "Workpiece",
+    "points_csv",
+    "points_yaml",
+    "procedure_with",
+    "read_workpiece",
+    "workpiece_entries",
+    "workpiece_points",
+]
+
+
+_LARGEST, _SMALLEST = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
+Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
+Vector2 = tuple[Finite, Finite]
+
+
+class Line(Record):
+    """A straight wall.
+
+    Attributes:
+        name: of the feature.
+        start: x, y.
+        end: x, y.
+        material: on which side of the way from start to end it is.
+        spacing: distance of points, or
+        count: how many.
+    """
+
+    kind: Literal["line"]
+    name: str = "work"
+    start: Vector2
+    end: Vector2
+    material: Literal["left", "right"]
+    spacing: Length | None = None
+    count: Annotated[int, Field(ge=1, le=100_000)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Line:
+        if self.start == self.end:
+            raise ValueError("start and end are the same")
+        if (self.spacing is None) == (self.count is None):
+            raise ValueError("must have either spacing or count")
+        return self
+
+    def contour(self, unit: float) -> Contour:
+        """The wall, m."""
+        return Contour((Straight(_scaled(self.start, unit), _scaled(self.end, unit)),), False)
+
+
+class Circle(Record):
+    """A round feature: a pin, disc or sphere is touched from outside, a hole from inside; a sphere on its equator.
+
+    Attributes:
+        name: of the feature.
+        centre: x, y.
+        diameter: of the circle in the plane of probing.
+        count: points, equally spaced.
+        first: angle of the first one, rad.
+    """
+
+    kind: Literal["pin", "disc", "sphere", "hole"]
+    name: str = "work"
+    centre: Vector2
+    diameter: Length
+    count: Annotated[int, Field(ge=1, le=100_000)]
+    first: Finite = 0.0
+
+    def contour(self, unit: float) -> Contour:
+        """The circle, m; the points lie in the middle of as many equal parts of it."""
+        part = 2.0 * np.pi / self.count
+        arc = Arc(_scaled(self.centre, unit), 0.5 * self.diameter * unit, self.first - 0.5 * part, 2.0 * np.pi)
+        return Contour((arc,), True)
+
+
+class _Drawn(Record):
+    name: str = "work"
+    closed: bool = True
+    material: Material
+    spacing: Length
+    clearance: NotNegative = 0.0
+
+
+class Outline(_Drawn):
+    """A polygon.
+
+    Attributes:
+        name: of the feature.
+        vertices: x, y of the corners in their order.
+        closed: whether the last one is joined to the first.
+        material: `inside` for a block, `outside` for a pocket; `left` or `right` for an open one.
+        spacing: distance of points.
+        clearance: what the stylus keeps from other walls.
+    """
+
+    kind: Literal["outline"]
+    vertices: Annotated[tuple[Vector2, ...], Field(min_length=2)]
+
+    def contour(self, unit: float) -> Contour:
+        """The polygon, m; corners given twice are taken once."""
+        corners = [_scaled(vertex, unit) for vertex in self.vertices]
+        ends = [*corners[1:], corners[0]] if self.closed else corners[1:]
+        pieces = [Straight(a, b) for a, b in zip(corners, ends, strict=False) if a != b]
+        return Contour(tuple(pieces), self.closed)
+
+
+class File(_Drawn):
+    """Outlines from a file, DXF or CSV with the columns x and y; spacing is in the description's unit.
+
+    Attributes:
+        path: of the file, from the description's own folder.
+        layer: of a DXF; all if absent.
+        unit: of the file's lengths; a DXF says its own.
+    """
+
+    kind: Literal["file"]
+    path: str
+    layer: str | None = None
+    unit: Literal["m", "mm", "inch"] | None = None
+
+
+class Points(Record):
+    """Points one by one, with their outward normals (of any length)."""
+
+    kind: Literal["points"]
+    name: str = "work"
+    positions: Annotated[tuple[Vector2, ...], Field(min_length=1)]
+    normals: Annotated[tuple[Vector2, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Points:
+        if len(self.positions) != len(self.normals):
+            raise ValueError("must have as many normals as positions")
+        if any(np.hypot(*normal) == 0 for normal in self.normals):
+            raise ValueError("a normal has length zero")
+        return self
+
+
+Feature = Annotated[Line | Circle | Outline | File | Points, Field(discriminator="kind")]
+
+
+def _scaled(vector: tuple[float, float], unit: float) -> tuple[float, float]:
+    return vector[0] * unit, vector[1] * unit
+
+
+_LARGEST_FILE = 64 << 20
+
+
+class _Flow(dict[str, Any]):
+    """Written in one line."""
+
+
+class _Dumper(yaml.SafeDumper):
+    """Points in one line each."""
+
+
+def _list(dumper: yaml.SafeDumper, data: list[Any]) -> yaml.Node:
+    """Lists of numbers in one line."""
+    short = all(isinstance(entry, int | float) for entry in data)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=short)
+
+
+_Dumper.add_representer(list, _list)
+_Dumper.add_representer(_Flow, lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, True))
+
+
+def points_csv(points: Sequence[WorkpiecePoint]) -> str:
+    """A table with the columns id, feature, x, y, nx, ny; m."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["id", "feature", "x", "y", "nx", "ny"])
+    rows.writerows([p.id, p.feature, *p.position, *p.normal] for p in points)
+    return text.getvalue()
+
+
+def points_yaml(points: Sequence[WorkpiecePoint]) -> str:
+    """The key `workpiece` of a session."""
+    return _dumped(_workpiece(points))
+
+
+def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
+    """A procedure's text with these points as its workpiece; comments are lost.
+
+    Raises:
+        SessionError: the file is no procedure of probing, or does not allow these points.
+    """
+    if not method_spec(read_procedure(file).session.method).probes_surface:
+        raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
+    content = dict(load_yaml(read_text(file, _LARGEST_FILE), str(file)).value)
+    content["session"] = {**content["session"], **_workpiece(points)}
+    text = _dumped(content)
+    parse_procedure(text, str(file))
+    return text
+
+
+def _workpiece(points: Sequence[WorkpiecePoint]) -> dict[str, Any]:
+    return {"workpiece": [_Flow(entry) for entry in workpiece_entries(tuple(points))]}
+
+
+def _dumped(content: dict[str, Any]) -> str:
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=1000, allow_unicode=True)
+
 
 # Kinds of features, by which records are distinguished: no keys of the file.
 _KINDS = frozenset({"line", "pin", "disc", "sphere", "hole", "outline", "file", "points"})

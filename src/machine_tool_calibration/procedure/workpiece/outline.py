@@ -256,13 +256,9 @@ def _smooth_runs(contour: Contour) -> list[list[Segment]]:
 def reachable(
     touched: Touched, obstacles: Sequence[Segment], stylus_radius: float, clearance: float = 0.0
 ) -> BoolArray:
-    """(n,) whether the stylus sphere touches there and nowhere else.
+    """(n,) whether the stylus sphere touches there and nowhere else, of all outlines in the plane of probing.
 
-    Args:
-        touched: the points.
-        obstacles: all outlines in the plane of probing.
-        stylus_radius: m.
-        clearance: distance that the sphere must keep from everything but its contact, m.
+    From everything but its contact it keeps the clearance, m.
     """
     centre = touched.position + stylus_radius * touched.normal
     free = np.ones(len(centre), dtype=bool)
