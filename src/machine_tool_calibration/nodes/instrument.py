@@ -35,11 +35,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     Level,
     from_message,
     now,
-    place_of,
-    rotation_of,
     seconds,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.poses import place_of, rotation_of
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, Window

@@ -28,11 +28,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     joint_state,
     nanoseconds,
     now,
-    pose_message,
-    quaternion_along,
     seconds,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of messages that all nodes need: quality of service, stamps, status, poses, point clouds."""
+"""Parts of messages that all nodes need: quality of service, stamps, status, trajectories, point clouds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2, PointField
@@ -40,13 +40,8 @@ __all__ = [
     "joint_state",
     "nanoseconds",
     "now",
-    "place_of",
     "point",
-    "pose_message",
     "positions",
-    "quaternion_along",
-    "quaternion_of",
-    "rotation_of",
     "seconds",
     "stamp_among",
     "stamp_now",
@@ -170,50 +165,6 @@ def positions(message: JointState) -> dict[str, float]:
     return {name: place for name, place in pairs if math.isfinite(place)}
 
 
-def quaternion_along(direction: Array) -> Quaternion:
-    """The rotation that turns +X onto a direction (3,): first about Z, then down or up."""
-    x, y, z = map(float, direction)
-    azimuth, elevation = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
-    cz, sz = math.cos(0.5 * azimuth), math.sin(0.5 * azimuth)
-    cy, sy = math.cos(-0.5 * elevation), math.sin(-0.5 * elevation)
-    return Quaternion(x=-sz * sy, y=cz * sy, z=sz * cy, w=cz * cy)
-
-
-def quaternion_of(rotation: Array) -> Quaternion:
-    """The quaternion of a rotation matrix (3, 3); the largest part is found first, so that nothing cancels."""
-    trace = float(np.trace(rotation))
-    parts = np.array([trace, *np.diag(rotation)])
-    k = int(np.argmax(parts))
-    q = np.zeros(4)  # w, x, y, z
-    if k == 0:
-        root = math.sqrt(1.0 + trace)
-        q[0] = 0.5 * root
-        q[1:] = np.array(
-            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-        ) / (2.0 * root)
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        root = math.sqrt(1.0 + rotation[i, i] - rotation[j, j] - rotation[m, m])
-        q[1 + i] = 0.5 * root
-        q[0] = (rotation[m, j] - rotation[j, m]) / (2.0 * root)
-        q[1 + j] = (rotation[j, i] + rotation[i, j]) / (2.0 * root)
-        q[1 + m] = (rotation[m, i] + rotation[i, m]) / (2.0 * root)
-    w, x, y, z = map(float, q)
-    return Quaternion(x=x, y=y, z=z, w=w)
-
-
-def rotation_of(quaternion: Quaternion) -> Array:
-    """(3, 3) matrix of a quaternion."""
-    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def dated(message: Message, stamp: int, frame: str = MACHINE) -> Message:
     """The message, with a header of that time, ns, and frame."""
     message.header.stamp = to_message(stamp)
@@ -244,20 +195,10 @@ def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) 
     return dated(message, stamp)
 
 
-def pose_message(stamp: int, place: Array, turn: Quaternion) -> PoseStamped:
-    """A pose in the machine's frame at a time, ns."""
-    return dated(PoseStamped(pose=Pose(position=point(place), orientation=turn)), stamp)
-
-
 def point(place: Iterable[float]) -> Point:
     """A place (3,)."""
     x, y, z = map(float, place)
     return Point(x=x, y=y, z=z)
-
-
-def place_of(point: Point) -> Array:
-    """(3,) place of a point."""
-    return np.array([point.x, point.y, point.z])
 
 
 def cloud(stamp: int, fields: Mapping[str, Array]) -> PointCloud2:
