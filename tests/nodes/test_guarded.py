@@ -357,26 +357,6 @@ def test_a_touch_can_be_refused(made):
     assert not response.success and "services_move_axes is false" in response.message
 
 
-def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
-    node = made(ProcedureNode)
-
-    def say(resets):
-        said = status("estimator", Level.OK, "", {"readings": 5, "resets": resets})
-        hear(node, "estimator/status", DiagnosticArray(status=[said]))
-
-    say(1)
-    node._start()
-    assert "reset" not in shown(node).message
-    say(2)
-    entry = shown(node)
-    assert entry.message.endswith("; estimator/reset after 0 readings: the estimator has lost them")
-    assert entry.level == bytes([Level.WARN])
-    node._abort()
-    node._start()
-    assert "reset" not in shown(node).message
-    node._abort()
-
-
 @pytest.mark.parametrize("first", ["answer", "outcome"])
 def test_a_reading_counts_whichever_of_answer_and_outcome_comes_first(made, first):
     node, events = made(ProcedureNode), []
@@ -447,12 +427,6 @@ def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
     operator.wait = wait
     with pytest.raises(CalibrationError, match=r"started anew in the middle .*: run the procedure again"):
         measurement._run(operator, 128, lambda text, done, total: None)
-
-
-def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():
-    operator = Gone(readings="28", missing="100", resets="1", session="described")
-    with pytest.raises(CalibrationError, match="100 of 128 readings are lost to the estimator"):
-        measurement._identify(operator, None, 128, lambda text, done, total: None)
 
 
 def test_a_count_that_is_none_is_zero():

@@ -347,16 +347,13 @@ def _identify(client: Client, listeners: _Listeners, total: int, progress: Progr
 
     def collected() -> bool:  # the description may come later than the readings
         status = client.estimator
-        has = status.number("readings")
-        if status.number("resets") and has < total and (not has or has + status.number("missing") >= total):
-            lost = f"{total - has} of {total} readings are lost"
-            raise CalibrationError(f"estimator/reset was called during the measurement: {lost} to the estimator")
-        return has >= total and status.entries.get("session") == "described"
+        return status.number("readings") >= total and status.entries.get("session") == "described"
 
     while True:
         if not client.wait(collected, _COLLECT):
-            has = client.estimator.number("readings")
-            raise CalibrationError(f"the estimator has {has} of {total} readings")
+            has, resets = (client.estimator.number(name) for name in ("readings", "resets"))
+            why = "; estimator/reset was called during the measurement" if resets else ""
+            raise CalibrationError(f"the estimator has {has} of {total} readings{why}")
         if _is_identified(client, listeners):
             break
     if not client.wait(lambda: bool(client.heard.published.document), _COLLECT):

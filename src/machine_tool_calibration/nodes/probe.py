@@ -21,7 +21,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
 from machine_tool_calibration.nodes.commanded import Executions
@@ -51,21 +50,9 @@ from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["Pretravel", "Probe", "SimulatedPart"]
+__all__ = ["Probe", "SimulatedPart"]
 
 _FORM_STREAM = 41
-
-
-@dataclass(frozen=True)
-class Pretravel:
-    """Way from contact to trigger that the probe's calibration has left: amplitude, m, and lobes of its variation."""
-
-    amplitude: float = 0.0
-    lobes: int = 3
-
-    def at(self, normal: Array) -> float:
-        """For a contact with an outward normal (2,), m: the sphere is so much deeper when the probe triggers."""
-        return float(self.amplitude * np.cos(self.lobes * np.arctan2(normal[1], normal[0])))
 
 
 class SimulatedPart:
@@ -75,13 +62,14 @@ class SimulatedPart:
         site: the simulated world.
         part: the workpiece as the probe knows it.
         form: standard deviation of the points' form errors, m.
-        pretravel: of the probe.
     """
 
-    def __init__(self, site: Site, part: Part, form: float, pretravel: Pretravel) -> None:
+    def __init__(self, site: Site, part: Part, form: float) -> None:
         machine = replace(site.machine, rotation_sign=part.sign)
         self.live = LiveMachine(machine, site.chosen, site.environment)
-        self.part, self.pretravel = part, pretravel
+        self.part = part
+        noise = site.spec.noise
+        self.noise = part.description.standard_uncertainty.displacement if noise is None else noise
         points = part.description.workpiece
         rng = np.random.default_rng([site.spec.seed, _FORM_STREAM])
         self.form = form * rng.normal(size=len(points))
@@ -111,7 +99,7 @@ class SimulatedPart:
         surface[:, 2], facing[:, 2] = centre[2], 0.0
         contact = float(probed(centre[None], normal[None], surface, facing, self.part.radius)[0])
         sight = Sight(np.zeros(1), -normal[None], azimuth=np.arctan2(normal[1:2], normal[:1]))
-        return contact + float(self.live.added(scene, sight)[0]) - self.pretravel.at(touch.normal)
+        return contact + float(self.live.added(scene, sight)[0])
 
 
 _CHECK = 0.1  # s of the wall clock
@@ -202,23 +190,6 @@ class Probe(ManagedNode):
             "farthest", 0.02, "greatest distance from the surface where a touch begins", "m", (1e-4, 1.0)
         )
         self._attempts = self.declare("attempts", 2, "touches tried before a point is given up", within=(1, 100))
-        self._repeatability = self.declare(
-            "repeatability",
-            -1.0,
-            "standard deviation of the trigger in one direction; negative: as the session declares for a touch",
-            "m",
-            (-1.0, 1e-3),
-        )
-        self._pretravel = Pretravel(
-            amplitude=self.declare(
-                "pretravel_variation",
-                0.0,
-                "amplitude of the pre-travel's variation with the contact's direction",
-                "m",
-                (0.0, 1e-3),
-            ),
-            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", within=(1, 12)),
-        )
         self._form = self.declare(
             "form", 3e-6, "standard deviation of the simulated part's form errors", "m", (0.0, 0.01)
         )
@@ -234,7 +205,7 @@ class Probe(ManagedNode):
     def _described(self, message: String) -> None:
         description = description_of(message.data)
         if isinstance(description, Probing):
-            self._surface = SimulatedPart(self._site, Part(description), self._form, self._pretravel)
+            self._surface = SimulatedPart(self._site, Part(description), self._form)
             self._setups = {setup.c: index for index, setup in enumerate(description.setups)}
         else:
             self._surface = None
@@ -311,10 +282,7 @@ class Probe(ManagedNode):
         c, z = position.get("c", 0.0), position.get("z", 0.0)
         setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
         time = seconds(begin - self._origin)
-        exact = surface.trigger(touch, c, z, time, setup)
-        declared = surface.part.description.standard_uncertainty.displacement
-        spread = declared if self._repeatability < 0 else self._repeatability
-        displacement = exact + spread * self._random.normal()
+        displacement = surface.trigger(touch, c, z, time, setup) + surface.noise * self._random.normal()
         problem = judge(displacement, touch.standoff, self._limits)
         goes_to = max(displacement, -self._limits.search)
         is_clear = displacement < touch.standoff  # else in contact before it moved

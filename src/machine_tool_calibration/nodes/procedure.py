@@ -136,8 +136,6 @@ class ProcedureNode(ManagedNode):
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, self._maximum_age)
         self._starts_with_clock = False
-        self._resets: int | None = None
-        self._remark = ""
         self._here: dict[str, float] | None = None
         self._motion: events.Motion | None = None
         self._executions = Executions()
@@ -160,7 +158,6 @@ class ProcedureNode(ManagedNode):
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
         self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, OUTCOMES)
-        self.create_subscription(DiagnosticArray, "estimator/status", self._estimator_status, LATCHED)
         for name, handler in (
             ("start", self._start),
             ("pause", self._pause),
@@ -221,7 +218,6 @@ class ProcedureNode(ManagedNode):
         self._starts_with_clock = not now(self)
         if self._starts_with_clock:  # times would count from 1970
             return "it starts with the first /clock"
-        self._remark = ""
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)
@@ -319,15 +315,6 @@ class ProcedureNode(ManagedNode):
         else:
             self._seen.add("instrument")
 
-    def _estimator_status(self, message: DiagnosticArray) -> None:
-        """An estimator that forgets readings in the middle of a run would only be found out at its end."""
-        resets = int(values(message).get("resets", "0"))
-        before, self._resets = self._resets, resets
-        if before is not None and resets > before and self.sequencer.state in (State.RUNNING, State.PAUSED):
-            self._remark = f"estimator/reset after {self.sequencer.done} readings: the estimator has lost them"
-            self.get_logger().warning(self._remark)
-            self._show()
-
     def _answered(self, token: int, response: Trigger.Response | None) -> None:
         """A request was answered; what it gave is told by `instrument/outcome`, before or after."""
         if response is None:
@@ -421,7 +408,5 @@ class ProcedureNode(ManagedNode):
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
             text = sequencer.reason or f"waiting for {waiting}"
-        if self._remark:
-            text = f"{text}; {self._remark}"
-        level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
+        level = _LEVELS.get(sequencer.state, Level.WARN if waiting else Level.OK)
         self._status.show(level, text, entries)

@@ -90,7 +90,7 @@ class JointState:
 
 
 class JointStateReader:
-    """Reads JointStates by the `rosbags` library; ten times as fast where frame and names are those of the one before."""
+    """Reads JointStates by the `rosbags` library; ten times as fast those with frame and names of the one before."""
 
     def __init__(self) -> None:
         """Start without names."""
