@@ -137,7 +137,7 @@ def test_nothing_is_sent_before_the_delay_is_over(tmp_path: Path, play) -> None:
     heard = Heard(operator)
     assert operator.wait(lambda: operator.node.count_publishers("/joint_states") == 1, PATIENCE)
     operator.call("player/pause", PATIENCE)
-    assert heard.values == [] and heard.clock == [] and heard.session == ""
+    assert heard.values == [] and set(heard.clock) <= {START} and heard.session == ""
     assert operator.call("player/step", PATIENCE) == "/session"  # who asks for a message is there
     operator.call("player/resume", PATIENCE)
     assert operator.wait(lambda: len(heard.values) == 20, PATIENCE)
