@@ -125,7 +125,7 @@ def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
 
 
 def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
-    graph, operator = start(bench, procedure(), site(), form=1.5e-3, attempts=2)
+    graph, operator = start(bench, procedure(), site(), form=1.5e-3)
     finish(operator)
     form = 1.5e-3 * np.random.default_rng([SEED, 41]).normal(size=40)
     bad = np.abs(form) > 1e-3

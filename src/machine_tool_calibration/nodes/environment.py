@@ -15,7 +15,7 @@ from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from machine_tool_calibration.nodes.ros.messages import SLOW, dated, from_message, nanoseconds
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "declare_period", "interpolate"]
+__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "interpolate"]
 
 TOPICS = {
     **{f"temperature_{place}": (Temperature, "temperature") for place in ("air", "x", "y", "z", "table", "work")},
@@ -27,24 +27,17 @@ TOPICS = {
 _KEPT = 100
 
 
-def declare_period(node: GuardedNode) -> float:
-    """Declare the parameter of how often a node publishes the environment, s."""
-    usual = 60.0 if node.lives_in_simulated_time else 1.0
-    period = node.declare("environment_period", usual, "time between publications of the environment", "s", (0.01, 1e5))
-    return period
-
-
 class EnvironmentTopics:
     """Publishes what the sensors of the environment show, now and then.
 
     Args:
-        node: that publishes.
-        period: time between two publications, s.
+        node: that publishes; once a second, in simulated time once a minute of it.
         sensed: values by the session's column at a time, ns.
     """
 
-    def __init__(self, node: Node, period: float, sensed: Callable[[int], Mapping[str, float]]) -> None:
-        self._period, self._sensed, self._stamp = nanoseconds(period), sensed, 0
+    def __init__(self, node: GuardedNode, sensed: Callable[[int], Mapping[str, float]]) -> None:
+        self._period = nanoseconds(60.0 if node.lives_in_simulated_time else 1.0)
+        self._sensed, self._stamp = sensed, 0
         self._publishers = {
             name: node.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
         }

@@ -22,10 +22,10 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
+from machine_tool_calibration.instruments.touch import SEARCH, NominalTouch, Part, judge
 from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.descriptions import description_of
-from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
+from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
@@ -105,6 +105,8 @@ class SimulatedPart:
 _CHECK = 0.1  # s of the wall clock
 _AGAIN = 1.0  # s of the wall clock after which a command that the axes do not tell of is sent again
 _WAY = 2  # points of a touch's trajectory: there and back
+_REACTION = 0.004  # s from the trigger until the axes turn back
+_ATTEMPTS = 2  # touches tried before a point is given up
 
 
 @dataclass
@@ -155,14 +157,14 @@ class Probe(ManagedNode):
         self._touches = self._missed = self._early = 0
         self._last = ""
         self._floor = 0
-        self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
+        self._random = np.random.default_rng([self._site.spec.seed, 43])
 
         # it stands in the instrument's place, whatever its own name is
         told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
         self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
         self._triggers = self.create_publisher(JointState, "~/trigger", STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        self._environment = EnvironmentTopics(self, self._period, self._sensed)
+        self._environment = EnvironmentTopics(self, self._sensed)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
@@ -177,27 +179,12 @@ class Probe(ManagedNode):
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._origin = declare_site(self)
-        self._period = declare_period(self)
         self._speed = self.declare("speed", 0.005, "speed of the approach", "m/s", (1e-5, 1.0))
-        self._reaction = self.declare("reaction", 0.004, "from the trigger until the axes turn back", "s", (0.0, 1.0))
-        self._limits = Limits(
-            search=self.declare("search", 0.001, "greatest way beyond the nominal surface", "m", (1e-6, 0.1)),
-            early=self.declare(
-                "early", 0.001, "a trigger farther outside the nominal surface is refused", "m", (1e-6, 0.1)
-            ),
-        )
-        self._farthest = self.declare(
-            "farthest", 0.02, "greatest distance from the surface where a touch begins", "m", (1e-4, 1.0)
-        )
-        self._attempts = self.declare("attempts", 2, "touches tried before a point is given up", within=(1, 100))
         self._form = self.declare(
             "form", 3e-6, "standard deviation of the simulated part's form errors", "m", (0.0, 0.01)
         )
         self._moves = self.declare(
             "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
-        )
-        self._noise_seed = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
 
     # --- what the others say
@@ -275,7 +262,7 @@ class Probe(ManagedNode):
         if surface is None:
             return
         try:
-            touch = surface.part.meant(position, self._farthest)
+            touch = surface.part.meant(position)
         except CalibrationError as error:
             self._refuse(str(error))
             return
@@ -283,10 +270,10 @@ class Probe(ManagedNode):
         setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
         time = seconds(begin - self._origin)
         displacement = surface.trigger(touch, c, z, time, setup) + surface.noise * self._random.normal()
-        problem = judge(displacement, touch.standoff, self._limits)
-        goes_to = max(displacement, -self._limits.search)
+        problem = judge(displacement, touch.standoff)
+        goes_to = max(displacement, -SEARCH)
         is_clear = displacement < touch.standoff  # else in contact before it moved
-        turn = goes_to - self._speed * self._reaction if is_clear else touch.standoff
+        turn = goes_to - self._speed * _REACTION if is_clear else touch.standoff
         travel = (touch.standoff - turn) / self._speed
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
         command = self._floor = max(begin, self._floor + 1)
@@ -310,7 +297,7 @@ class Probe(ManagedNode):
             self._missed += not early
             self._last = f"point {point}: {cycle.problem}"
             self.get_logger().warning(self._last)
-            if cycle.attempt < self._attempts:
+            if cycle.attempt < _ATTEMPTS:
                 self._begin(cycle.attempt + 1, held, cycle.position)
                 return
         else:
