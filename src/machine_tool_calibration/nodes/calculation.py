@@ -45,12 +45,7 @@ class Request:
     files: tuple[str, ...]
 
     def chosen(self) -> FitRequest:
-        """The readings as a session, and the model.
-
-        Raises:
-            SessionError: they do not make one yet.
-            CalibrationError: as for `own_effects`.
-        """
+        """The readings as a session, and the model; raises where they do not make one yet, or as `own_effects`."""
         session = live_session(self.text, self.readings)
         return FitRequest((session,), None, self.model, self.effects, tuple(own_effects(self.files)))
 

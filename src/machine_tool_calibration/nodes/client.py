@@ -153,10 +153,7 @@ class Client:
     def wait(self, until: Callable[[], bool], timeout: float, *, watched: bool = True) -> bool:
         """Hear messages until something holds; False if it does not within the timeout, s.
 
-        Args:
-            until: what is to hold.
-            timeout: s.
-            watched: whether `watch` may end the wait; after it has, there is still to hear what is on its way.
+        Not `watched`, `watch` cannot end the wait: after it has, there is still to hear what is on its way.
         """
         deadline = time.monotonic() + timeout
         while not until():
@@ -210,15 +207,12 @@ class Client:
         return str(response.message)
 
     def outcome(self, service: str, timeout: float, in_vain: Callable[[], bool] = lambda: False) -> Mapping[str, str]:
-        """Call a service that has an outcome, wait for it and give its values.
+        """Call a service that has an outcome (as `estimator/identify`), wait for it and give its values.
 
-        Args:
-            service: such as `estimator/identify` or `instrument/capture`.
-            timeout: s.
-            in_vain: whether the node that was asked has gone; then there are no values.
+        There are none where it is `in_vain`: the node that was asked has gone.
 
         Raises:
-            CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout.
+            CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout, s.
         """
         node, goal = service.rpartition("/")[0], goal_of(self.call(service, timeout))
         if not self.wait(lambda: self.heard.outcome(node).device == goal or in_vain(), timeout):

@@ -170,12 +170,7 @@ class Executions:
 
 
 def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
-    """The message of `axes/executed`.
-
-    Args:
-        command: stamp of the command, ns.
-        points: when, ns, and where the motion began, and each point of the command that has been reached.
-    """
+    """The message of `axes/executed`: when, ns, and where a command began, and each of its points that was reached."""
     names = list(points[0][1]) if points else []
     message = JointTrajectory(joint_names=names)
     for time, place in points:

@@ -28,12 +28,7 @@ _KEPT = 100
 
 
 class EnvironmentTopics:
-    """Publishes what the sensors of the environment show, now and then.
-
-    Args:
-        node: that publishes; once a second, in simulated time once a minute of it.
-        sensed: values by the session's column at a time, ns.
-    """
+    """Publishes what the sensors show, by the session's column: each second, in simulated time each minute of it."""
 
     def __init__(self, node: GuardedNode, sensed: Callable[[int], Mapping[str, float]]) -> None:
         self._period = nanoseconds(60.0 if node.lives_in_simulated_time else 1.0)
@@ -53,12 +48,7 @@ class EnvironmentTopics:
 
 
 class EnvironmentWatch:
-    """Subscribes to all sensors.
-
-    Args:
-        node: that subscribes.
-        maximum_age: a sample farther than this from the reading is not used, s.
-    """
+    """Subscribes to all sensors; a sample farther than `maximum_age`, s, from a reading is not used."""
 
     def __init__(self, node: Node, maximum_age: float) -> None:
         self._age = nanoseconds(maximum_age)
@@ -76,12 +66,9 @@ class EnvironmentWatch:
 
 
 def interpolate(samples: deque[tuple[int, float]], stamp: int, age: int) -> float | None:
-    """The value at a time from samples (time, value) near it: between two samples, or the nearest one.
+    """The value at a time, ns, from samples (time, value) in any order that are no farther than `age`, ns, from it.
 
-    Args:
-        samples: in any order.
-        stamp: the time, ns.
-        age: greatest distance of a sample, ns.
+    Between two samples it is interpolated; else it is that of the nearest one.
     """
     near = sorted((time - stamp, value) for time, value in samples if abs(time - stamp) <= age)
     return float(np.interp(0.0, [time for time, _ in near], [value for _, value in near])) if near else None

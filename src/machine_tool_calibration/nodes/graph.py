@@ -184,15 +184,7 @@ _WORDS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0":
 
 
 def switches(given: Mapping[str, str], names: Collection[str]) -> dict[str, bool]:
-    """Arguments that are true or false.
-
-    Args:
-        given: text of each argument by name.
-        names: of those that are wanted.
-
-    Raises:
-        CalibrationError: one is neither.
-    """
+    """The arguments of these names, which are true or false; raises CalibrationError where one is neither."""
     for name in names:
         if given[name].lower() not in _WORDS:
             raise CalibrationError(f"{name}:={given[name]} is neither true nor false")
@@ -203,14 +195,6 @@ def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) ->
     """Refuse an argument that nobody reads, which `ros2 launch` passes over without a word.
 
     Where another launch file includes this one its own arguments are there too: then nothing is refused.
-
-    Args:
-        file: name of the launch file.
-        given: names of the arguments.
-        known: names of those that it has.
-
-    Raises:
-        CalibrationError: there is one.
     """
     unknown = sorted(set(given) - set(known))
     if unknown and any(word.endswith(file) for word in sys.argv):

@@ -69,13 +69,7 @@ class NodeState:
 
 @dataclass(frozen=True)
 class Offer:
-    """A service that may be asked for.
-
-    Attributes:
-        service: its name, without the graph's namespace.
-        verb: the last part of it.
-        moves_axes: whether it moves the machine's axes.
-    """
+    """A service that may be asked for, without the graph's namespace; `verb` is the last part of its name."""
 
     service: str
     verb: str
@@ -84,13 +78,7 @@ class Offer:
 
 @dataclass(frozen=True)
 class Call:
-    """A request to a service.
-
-    Attributes:
-        service: its name.
-        success: as answered; None while there is no answer.
-        message: of the answer.
-    """
+    """A request to a service, and its answer: `success` is None while there is none."""
 
     service: str
     success: bool | None = None
@@ -158,15 +146,7 @@ class Heard:
             self.description, self.setups = text, setups
 
     def read(self, stamp: int, reading: Reading) -> None:
-        """A reading came.
-
-        Args:
-            stamp: its time, ns.
-            reading: what the message says.
-
-        Raises:
-            CalibrationError: it cannot be one.
-        """
+        """A reading of that time, ns, came; raises CalibrationError where it cannot be one."""
         columns = dict(zip(reading.names, reading.values, strict=True))
         index, displacement = columns.get("setup_index", np.nan), columns.get("displacement", np.nan)
         with self._lock:
@@ -199,12 +179,7 @@ class Heard:
         self.published = replace(self.published, number=self.published.number + 1, **changes)
 
     def offer(self, offers: Iterable[Offer], refusing: Iterable[str] = ()) -> None:
-        """These services are there; those that ask for one that is not any more get no answer.
-
-        Args:
-            offers: the services that may be asked for.
-            refusing: nodes that do not allow their services to move axes.
-        """
+        """These services are there, but not those of the `refusing`; who asks for one that has gone gets no answer."""
         self.offers, self.refusing = tuple(offers), tuple(refusing)
         there = {one.service for one in self.offers}
         with self._lock:

@@ -56,13 +56,7 @@ _FORM_STREAM = 41
 
 
 class SimulatedPart:
-    """Exact geometry: true place of the sphere, true surface on the true table.
-
-    Args:
-        site: the simulated world.
-        part: the workpiece as the probe knows it.
-        form: standard deviation of the points' form errors, m.
-    """
+    """Exact geometry: true place of the sphere, true surface on the true table, with a scatter (`form`, m)."""
 
     def __init__(self, site: Site, part: Part, form: float) -> None:
         machine = replace(site.machine, rotation_sign=part.sign)

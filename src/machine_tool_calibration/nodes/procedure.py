@@ -62,12 +62,9 @@ _OWN = ("kind", "datum", "start", "end", "displacement", "standard_deviation", "
 def event_of(
     token: int, outcome: DiagnosticArray, sensed: Callable[[int], Mapping[str, float]]
 ) -> events.Captured | events.CaptureFailed | events.DatumSet:
-    """The event of an instrument's outcome; one that makes no sense is a failure that says so.
+    """The event of a request's `instrument/outcome`; one that makes no sense is a failure that says so.
 
-    Args:
-        token: of the request.
-        outcome: message of `instrument/outcome`.
-        sensed: the environment by column at a time, ns.
+    `sensed` gives the environment by column at a time, ns.
     """
     status, found = outcome.status[0], values(outcome)
     try:

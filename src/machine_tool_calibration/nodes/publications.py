@@ -141,12 +141,7 @@ def in_words(done: Diagnosed) -> str:
 
 
 def verdict_message(stamp: int, done: Diagnosed) -> DiagnosticArray:
-    """The message of topic `diagnosis`.
-
-    Args:
-        stamp: ROS time, ns.
-        done: the diagnosis; its document's values are told as they are, in SI units.
-    """
+    """The message of topic `diagnosis`: values of the document as they are, in SI units."""
     level = Level.OK if done.found.verdict == "adequate" else Level.WARN
     message = DiagnosticArray(status=[status("verdict", level, in_words(done), dict(_verdict(done.content)))])
     dated(message, stamp, "")
@@ -212,12 +207,7 @@ class Publications:
         self._improvement = node.create_publisher(String, "improvement/result", LATCHED)
 
     def show_map(self, identified: Identified, magnification: float) -> None:
-        """Publish an error map in all its forms.
-
-        Args:
-            identified: the map.
-            magnification: of the arrows; 0 for a round number.
-        """
+        """Publish an error map in all its forms; `magnification` of the arrows, 0 for a round number."""
         result, stamp = identified.result, stamp_now(self._node)
         self._map.publish(cloud(stamp, _map_fields(result)))
         self._axes.publish(axis_cloud(stamp, result))
@@ -235,12 +225,7 @@ class Publications:
         self._diagnosis_result.publish(String(data=diagnosed.document))
 
     def show_improvement(self, improved: Improved, magnification: float) -> None:
-        """Publish the way to a better model, the diagnosis behind it, and the last model's map.
-
-        Args:
-            improved: the models.
-            magnification: of the arrows; 0 for a round number.
-        """
+        """Publish the way to a better model, the diagnosis behind it, and the last model's map."""
         self.show_diagnosis(improved.diagnosed)
         self.show_map(improved.identified, magnification)
         self._improvement.publish(String(data=improved.document))

@@ -20,12 +20,7 @@ _PARTS = 4
 
 @dataclass(frozen=True)
 class Batch:
-    """Consecutive samples.
-
-    Attributes:
-        time: (n,) ROS time, ns.
-        path: (n,) m, from the source's own zero; NaN while there is no beam.
-    """
+    """Consecutive samples: (n,) ROS time, ns; (n,) path, m, from the source's own zero, NaN without a beam."""
 
     time: IntArray
     path: Array

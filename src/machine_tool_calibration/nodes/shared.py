@@ -66,10 +66,6 @@ def procedure_names() -> list[str]:
 def usage(node: str, about: str) -> str:
     """The help of a node's executable: what the node is, and the tables of its parameters in msg_docs.
 
-    Args:
-        node: name of the executable.
-        about: what it is.
-
     Raises:
         CalibrationError: msg_docs is not installed.
     """

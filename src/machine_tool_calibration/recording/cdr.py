@@ -39,12 +39,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Definition:
-    """How a message type is described in a bag.
-
-    Attributes:
-        text: definition with those of its parts, in `ros2msg` form; empty if it is not known.
-        type_hash: `RIHS01_…`; empty if it is not known.
-    """
+    """A message type in a bag: its text with its parts' (`ros2msg`), and its hash (`RIHS01_…`); empty if not known."""
 
     text: str = ""
     type_hash: str = ""
@@ -153,12 +148,7 @@ def decode(message_type: str, data: bytes) -> Any:
 
 
 def encode(message_type: str, *fields: Any) -> bytes:
-    """A standard message serialized in little-endian CDR.
-
-    Args:
-        message_type: such as `std_msgs/msg/String`.
-        fields: values of its fields, in their order; parts as made by `part`.
-    """
+    """A standard message in little-endian CDR; values in the order of its fields, parts as made by `part`."""
     return bytes(typestore().serialize_cdr(part(message_type, *fields), message_type))
 
 
@@ -168,14 +158,7 @@ def part(message_type: str, *fields: Any) -> Any:
 
 
 def encode_joint_state(stamp: int, frame: str, names: Sequence[str], positions: Array) -> bytes:
-    """A JointState without velocities and efforts.
-
-    Args:
-        stamp: ns.
-        frame: id of the frame.
-        names: of the positions.
-        positions: (len(names),) values.
-    """
+    """A JointState at a time, ns, without velocities and efforts."""
     sec, nanosec = divmod(stamp, 1_000_000_000)
     header = part("std_msgs/msg/Header", part("builtin_interfaces/msg/Time", sec, nanosec), frame)
     none = np.zeros(0)

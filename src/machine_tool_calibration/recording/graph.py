@@ -34,14 +34,7 @@ MACHINE = "machine"
 
 @dataclass(frozen=True)
 class GraphTopic:
-    """A topic of the graph by its relative name; latched ones reach subscribers that come late.
-
-    Attributes:
-        name: relative.
-        type: of its messages.
-        latched: whether it is transient local.
-        depth: how many messages its publisher keeps.
-    """
+    """A topic of the graph by its relative name; latched ones reach subscribers that come late."""
 
     name: str
     type: str
@@ -96,12 +89,7 @@ _GROUPS = {topic.name.partition("/")[0] for topic in GRAPH_TOPICS if "/" in topi
 
 
 def belongs_to_graph(name: str, namespace: str) -> bool:
-    """Whether a topic that was discovered is one of a graph's, beyond those of `GRAPH_TOPICS`.
-
-    Args:
-        name: absolute name.
-        namespace: the graph's.
-    """
+    """Whether a topic, by its absolute name, is one of the graph's in that namespace beyond `GRAPH_TOPICS`."""
     prefix = namespace.rstrip("/") + "/"
     return name.startswith(prefix) and name.removeprefix(prefix).split("/")[0] in _GROUPS
 

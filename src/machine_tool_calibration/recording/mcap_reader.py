@@ -200,13 +200,7 @@ def _pieces(where: str, chunk: Chunk) -> Iterator[bytes]:
 def messages_in(
     path: Path, offset: int, content: bytes, wanted: Collection[int] | None = None
 ) -> Iterator[RawMessage | RawRecord]:
-    """Messages and registrations that stand one after the other.
-
-    Args:
-        path: for messages.
-        offset: where the record that holds them begins.
-        content: of it, unpacked.
-        wanted: channels whose messages are given; all if None.
+    """Messages of the wanted channels (all if None), and registrations, in the unpacked content of a record.
 
     Raises:
         RecordingError: damaged.

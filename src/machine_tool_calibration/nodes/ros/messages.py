@@ -124,15 +124,7 @@ NO_HARDWARE = "none"
 def status(
     name: str, level: Level, message: str, entries: Mapping[str, object], hardware_id: str = NO_HARDWARE
 ) -> DiagnosticStatus:
-    """One entry.
-
-    Args:
-        name: what it is about.
-        level: how it is.
-        message: one sentence for people.
-        entries: values for programs.
-        hardware_id: of the device.
-    """
+    """One entry: what it is about, how it is, a sentence for people, values for programs, and the device's id."""
     return DiagnosticStatus(
         level=bytes([level]),
         name=name,
@@ -148,11 +140,7 @@ def values(message: DiagnosticArray) -> dict[str, str]:
 
 
 def stamp_among(entries: Mapping[str, str], key: str) -> int:
-    """A time among a status's values, ns.
-
-    Raises:
-        CalibrationError: it is missing, or no time.
-    """
+    """A time among a status's values, ns; raises CalibrationError where it is missing, or no time."""
     text = entries.get(key, "")
     if not (text.isascii() and text.isdigit()) or len(text) > _DIGITS or int(text) >= LAST_SECOND * _GIGA:
         raise CalibrationError(f"{key} is {text[:40]!r}, not a time in ns")
@@ -181,9 +169,8 @@ def joint_state(stamp: int, values: Mapping[str, float], rates: Mapping[str, flo
 def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) -> JointTrajectory:
     """A command to the axes.
 
-    Args:
-        stamp: its identity, ns.
-        points: positions by axis, m or rad, all of the same axes, and when they are reached, s from the start.
+    Each point has positions of the same axes, m or rad, and when they are reached, s from the start; the stamp, ns,
+    is its identity.
     """
     steps = list(points)
     names = list(steps[0][0]) if steps else []
@@ -202,12 +189,7 @@ def point(place: Iterable[float]) -> Point:
 
 
 def cloud(stamp: int, fields: Mapping[str, Array]) -> PointCloud2:
-    """One row for each point, in the machine's frame.
-
-    Args:
-        stamp: ROS time, ns.
-        fields: (n,) values by name; NaN is a value that is not determined.
-    """
+    """One row for each point, in the machine's frame; (n,) values by name, NaN where they are not determined."""
     rows = np.column_stack(list(fields.values())).astype("<f8")
     message = PointCloud2(
         height=1,

@@ -75,13 +75,7 @@ class Reply:
 
 
 def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
-    """Offer a `std_srvs/Trigger` whose answer may come later.
-
-    Args:
-        node: that offers the service.
-        name: the service's name.
-        handler: called with a `Reply`; may send it at once or later.
-    """
+    """Offer a `std_srvs/Trigger`; the handler may send its `Reply` at once or later."""
 
     def called(_: Trigger.Request, response: Trigger.Response) -> Awaitable[Trigger.Response]:
         answer = Reply()
@@ -112,13 +106,7 @@ def goal_of(message: str) -> str:
 
 
 class Outcomes:
-    """Publishes what requests gave.
-
-    Args:
-        node: that publishes.
-        topic: name of the topic.
-        qos: of it; several requests may end at once, and each outcome is waited for.
-    """
+    """Publishes what requests gave; several may end at once, and each outcome is waited for."""
 
     def __init__(self, node: Node, topic: str = "~/outcome", qos: QoSProfile = OUTCOMES) -> None:
         self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
@@ -126,15 +114,9 @@ class Outcomes:
     def answer(
         self, answers: Iterable[Reply], verb: str, stamp: int, text: str, values: Mapping[str, object], kind: str = ""
     ) -> None:
-        """Publish what a request gave, then answer all who asked.
+        """Publish what a request gave at a time, ns, then answer all who asked.
 
-        Args:
-            answers: that are owed.
-            verb: what was asked for.
-            stamp: when it is so, ns.
-            text: one sentence for people.
-            values: for programs, SI.
-            kind: why there is nothing, in a word; empty where there is.
+        `values` are for programs, SI; `kind` says in a word why there are none, and is empty where there are.
         """
         goal = uuid.uuid4().hex
         level = Level.ERROR if kind else Level.OK
@@ -145,16 +127,7 @@ class Outcomes:
     def tell(
         self, verb: str, goal: str, stamp: int, text: str, values: Mapping[str, object], level: Level = Level.OK
     ) -> None:
-        """Publish an outcome.
-
-        Args:
-            verb: what was asked for.
-            goal: id of the request.
-            stamp: when it is so, ns.
-            text: one sentence for people.
-            values: for programs, SI.
-            level: whether it succeeded.
-        """
+        """Publish an outcome of the goal of that id, at a time, ns."""
         self._publisher.publish(dated(DiagnosticArray(status=[status(verb, level, text, values, goal)]), stamp, ""))
 
 

@@ -109,12 +109,7 @@ class Taps:
     """All topics that are recorded."""
 
     def __init__(self, node: Node, clock: str = "") -> None:
-        """A hidden node beside the given one, which nobody spins.
-
-        Args:
-            node: whose namespace and graph it shares.
-            clock: absolute name of the simulated clock that the messages are dated by, if there is one.
-        """
+        """A hidden node beside the given one, which nobody spins; the simulated clock dates messages, if there is one."""
         self._node = node
         # remappings are applied by the owner; here they would rename this node too
         self._hidden = rclpy.create_node(
@@ -132,12 +127,7 @@ class Taps:
         self._undated: list[Taken] = []
 
     def add(self, topic: str, message_type: str, request: Qos | None = None) -> None:
-        """Subscribe to a topic by its absolute name.
-
-        Args:
-            topic: the name.
-            message_type: such as `sensor_msgs/msg/JointState`.
-            request: what to ask of publishers; what all that are there can give if None.
+        """Subscribe to a topic by its absolute name, as requested, or for what all publishers that are there can give.
 
         Raises:
             CalibrationError: the message type is not installed.
@@ -150,11 +140,7 @@ class Taps:
         return [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
 
     def discover(self, topic: str) -> bool:
-        """Learn what a topic's publishers offer, and ask for what they can give.
-
-        Returns:
-            Whether anything is known of it now that was not.
-        """
+        """Learn what a topic's publishers offer, and ask for what they can give; whether anything is new."""
         tap = self.taps[topic]
         found = [info for info in self._node.get_publishers_info_by_topic(topic) if info.topic_type == tap.type]
         offered = tuple(offered_qos(info.qos_profile) for info in found)
@@ -183,8 +169,7 @@ class Taps:
     def take(self, *, last: bool = False) -> list[Taken]:
         """What has come, in the order of its coming; in simulated time in that of its sending, as far as it is dated.
 
-        Args:
-            last: whether nothing more will be taken: then no message waits for ticks.
+        The `last` time no message waits for ticks.
         """
         taken: list[Taken] = []
         for tap in self.taps.values():
@@ -273,11 +258,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def message_class(message_type: str) -> type:
-    """The class of a message type such as `sensor_msgs/msg/JointState`.
-
-    Raises:
-        CalibrationError: it is not installed.
-    """
+    """The class of a message type such as `sensor_msgs/msg/JointState`; CalibrationError where it is not installed."""
     parts = message_type.split("/")
     try:
         found: type = getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
