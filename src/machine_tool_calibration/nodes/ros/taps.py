@@ -109,7 +109,7 @@ class Taps:
     """All topics that are recorded."""
 
     def __init__(self, node: Node, clock: str = "") -> None:
-        """A hidden node beside the given one, which nobody spins; the simulated clock dates messages, if there is one."""
+        """A hidden node beside the given one, which nobody spins; messages are dated by the simulated clock, if any."""
         self._node = node
         # remappings are applied by the owner; here they would rename this node too
         self._hidden = rclpy.create_node(
