@@ -25,8 +25,8 @@ from machine_tool_calibration.nodes.ros.services import Reply, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class, qos_profile
 from machine_tool_calibration.recording.graph import with_depth
-from machine_tool_calibration.recording.metadata import Qos
-from machine_tool_calibration.recording.reader import BagReader, Message, Topic
+from machine_tool_calibration.recording.metadata import Qos, Topic
+from machine_tool_calibration.recording.reader import BagReader, Message
 
 __all__ = ["Pace", "Player"]
 

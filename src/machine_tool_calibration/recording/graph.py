@@ -6,13 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import RecordingError
-from machine_tool_calibration.recording.metadata import Qos
-
-if TYPE_CHECKING:  # who only names topics reads no bag
-    from machine_tool_calibration.recording.reader import Topic
+from machine_tool_calibration.recording.metadata import Qos, Topic
 
 __all__ = [
     "GRAPH_TOPICS",

@@ -18,7 +18,7 @@ __all__ = [
     "FileSummary",
     "OfferedQos",
     "Qos",
-    "TopicSummary",
+    "Topic",
     "bag_information",
     "bag_information_text",
     "qos_text",
@@ -141,8 +141,17 @@ _DISTRO = "jazzy"
 
 
 @dataclass(frozen=True)
-class TopicSummary:
-    """One topic of a bag and how many messages it has."""
+class Topic:
+    """A topic of a bag.
+
+    Attributes:
+        name: absolute name.
+        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not say.
+        type_hash: `RIHS01_…`; empty if the bag does not say.
+        qos: what the publishers offered.
+        messages: how many there are.
+        encoding: of its messages.
+    """
 
     name: str
     type: str
@@ -168,7 +177,7 @@ class FileSummary:
         return max(0, self.last - self.first) if self.messages else 0
 
 
-def bag_information(files: Sequence[FileSummary], topics: Sequence[TopicSummary]) -> dict[str, Any]:
+def bag_information(files: Sequence[FileSummary], topics: Sequence[Topic]) -> dict[str, Any]:
     """Content of `rosbag2_bagfile_information`."""
     first = min((entry.first for entry in files), default=FOREVER)
     last = max((entry.last for entry in files if entry.messages), default=first)

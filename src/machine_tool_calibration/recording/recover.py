@@ -16,7 +16,6 @@ from mcap.records import Channel, Schema
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_reader import (
     MAGIC,
-    Allowance,
     Channels,
     RawMessage,
     RawRecord,
@@ -180,10 +179,9 @@ class _Salvage:
         end = 0
         try:
             with self.path.open("rb") as stream:
-                allowance = Allowance(self.path)
                 for record in records(self.path, stream):
                     try:
-                        yield from list(messages_in(self.path, record.offset, unpack(self.path, record, allowance)))
+                        yield from list(messages_in(self.path, record.offset, unpack(self.path, record)))
                     except RecordingError as error:
                         self._problem(_reason(error, self.path), record.length)
                     end = record.offset + 9 + record.length
@@ -193,7 +191,7 @@ class _Salvage:
         except UnfinishedError:
             end = max(end, len(MAGIC))
             saved = 0
-            for saved, entry in enumerate(self._cut(end, allowance), 1):  # noqa: B007 (the last one counts)
+            for saved, entry in enumerate(self._cut(end), 1):  # noqa: B007 (the last one counts)
                 yield entry
             self._problem("the end is missing", 0 if saved else self.path.stat().st_size - end)
         except RecordingError as error:
@@ -201,7 +199,7 @@ class _Salvage:
         except OSError as error:
             self._problem(f"cannot be read: {error.strerror}", 0)
 
-    def _cut(self, start: int, allowance: Allowance) -> Iterator[RawMessage | RawRecord]:
+    def _cut(self, start: int) -> Iterator[RawMessage | RawRecord]:
         """The whole messages in a chunk whose end is missing."""
         with self.path.open("rb") as stream:
             stream.seek(start)
@@ -209,9 +207,7 @@ class _Salvage:
             if head[:1] == bytes([Opcode.CHUNK]):
                 content = stream.read(_LARGEST_CUT)
                 with contextlib.suppress(RecordingError):  # where the whole ones end
-                    whole = unpack(
-                        self.path, RawRecord(Opcode.CHUNK, start, len(content), content), allowance, cut=True
-                    )
+                    whole = unpack(self.path, RawRecord(Opcode.CHUNK, start, len(content), content), cut=True)
                     yield from messages_in(self.path, start, whole)
 
     def _problem(self, what: str, lost: int) -> None:

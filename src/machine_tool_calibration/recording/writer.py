@@ -18,7 +18,7 @@ from machine_tool_calibration.recording.cdr import definition_of
 from machine_tool_calibration.recording.metadata import (
     FileSummary,
     Qos,
-    TopicSummary,
+    Topic,
     bag_information,
     bag_information_text,
     qos_text,
@@ -77,8 +77,8 @@ class _File:
 
 
 @dataclass
-class _Topic:
-    summary: TopicSummary
+class _Registered:
+    summary: Topic
     definition: bytes
     schema_encoding: str
 
@@ -118,7 +118,7 @@ class BagWriter:
         # A file is as large as asked to a tenth: it ends with a chunk.
         self._chunk_bytes = min(chunk_bytes, split_bytes // 10) if split_bytes else chunk_bytes
         self._split_bytes, self._split_time = split_bytes, int(split_seconds * 1e9)
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, _Registered] = {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._files: list[FileSummary] = []
@@ -141,7 +141,7 @@ class BagWriter:
         return sum(file.messages for file in self._files)
 
     @property
-    def topics(self) -> tuple[TopicSummary, ...]:
+    def topics(self) -> tuple[Topic, ...]:
         """The topics with their numbers of messages."""
         return tuple(
             replace(topic.summary, messages=sum(file.by_topic.get(name, 0) for file in self._files))
@@ -197,8 +197,8 @@ class BagWriter:
             type_hash = known.type_hash if type_hash is None else type_hash
         if schema_encoding is None:
             schema_encoding = "ros2msg" if definition else ""
-        summary = TopicSummary(name, message_type, type_hash, tuple(qos), 0, encoding)
-        self._topics[name] = _Topic(summary, definition.encode(), schema_encoding)
+        summary = Topic(name, message_type, type_hash, tuple(qos), 0, encoding)
+        self._topics[name] = _Registered(summary, definition.encode(), schema_encoding)
         self._register(self._writer(), name)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None, sequence: int = 0) -> None:
