@@ -278,7 +278,7 @@ def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
     entry = comes_and_goes(reading(0, reading_index=0.0))
     assert entry.level == b"\0" and not entry.message.endswith(words)
     assert comes_and_goes().message.endswith(words), "another one"
-    node._reset(Reply())
+    node._reset()
     assert shown(node).level == b"\0"
     executor.shutdown()
 
@@ -287,9 +287,7 @@ def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
     node = made(Estimator)
     for index in range(4):
         hear(node, "reading", reading(index, reading_index=float(index)))
-    answer = Reply()
-    node._reset(answer)
-    assert asyncio.run(answer.into(Trigger.Response())).message == "4 readings forgotten"
+    assert node._reset() == "4 readings forgotten"
     hear(node, "reading", reading(4, reading_index=4.0))
     assert {key: values_of(shown(node))[key] for key in ("readings", "missing", "resets")} == {
         "readings": "1",

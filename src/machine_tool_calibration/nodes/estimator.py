@@ -34,7 +34,7 @@ from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Goals, Progress, Reply, offer
+from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.session.collect import Reading, Received
@@ -131,12 +131,13 @@ class Estimator(ManagedNode):
             # Not when one comes: its first readings may have been heard before this is told.
             self._heard, self._unheard = False, not self._heard
 
-    def _reset(self, answer: Reply) -> None:
-        answer.send(True, f"{len(self._received)} readings forgotten")
+    def _reset(self) -> str:
+        words = f"{len(self._received)} readings forgotten"
         self._received.forget()
         self._unheard = False
         self._resets += 1
         self._show()
+        return words
 
     def _begin(
         self, doing: str, work: Callable[[Request, Progress], Outcome]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -76,13 +77,17 @@ class Offer:
     moves_axes: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass
 class Call:
     """A request to a service, and its answer: `success` is None while there is none."""
 
     service: str
     success: bool | None = None
     message: str = ""
+
+    def answer(self, success: bool, message: str) -> None:
+        """The service answered."""
+        self.success, self.message = success, message
 
 
 @dataclass(frozen=True)
@@ -123,8 +128,7 @@ class Heard:
         self._first: int | None = None
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
-        self._calls: dict[int, Call] = {}
-        self._asked = 0
+        self._calls: deque[Call] = deque(maxlen=_CALLS)
         self.ignored = (0, "")
         self.description = ""
         self.setups: tuple[str, ...] = ()
@@ -182,25 +186,16 @@ class Heard:
         """These services are there, but not those of the `refusing`; who asks for one that has gone gets no answer."""
         self.offers, self.refusing = tuple(offers), tuple(refusing)
         there = {one.service for one in self.offers}
-        with self._lock:
-            for number, call in self._calls.items():
-                if call.success is None and call.service not in there:
-                    self._calls[number] = replace(call, success=False, message="no answer: the node has gone")
+        for call in self.calls:
+            if call.success is None and call.service not in there:
+                call.answer(False, "no answer: the node has gone")
 
-    def ask(self, service: str) -> int:
-        """A service is asked for; gives the number by which `answer` knows it."""
+    def ask(self, service: str) -> Call:
+        """A service is asked for; the call is to be told the answer."""
+        call = Call(service)
         with self._lock:
-            self._asked += 1
-            self._calls[self._asked] = Call(service)
-            for number in list(self._calls)[:-_CALLS]:
-                del self._calls[number]
-            return self._asked
-
-    def answer(self, number: int, success: bool, message: str) -> None:
-        """A service answered."""
-        with self._lock:
-            if number in self._calls:
-                self._calls[number] = replace(self._calls[number], success=success, message=message)
+            self._calls.appendleft(call)
+        return call
 
     # --- those who look
 
@@ -239,7 +234,7 @@ class Heard:
     def calls(self) -> list[Call]:
         """The last requests to services, the newest first."""
         with self._lock:
-            return [call for _, call in reversed(self._calls.items())]
+            return list(self._calls)
 
     def nodes(self) -> list[NodeState]:
         """How the nodes are, by name, each as it was said last.

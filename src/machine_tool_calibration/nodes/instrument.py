@@ -39,7 +39,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import place_of, rotation_of
-from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, Window
 from machine_tool_calibration.nodes.simulated_source import SimulatedSource
@@ -107,8 +107,8 @@ class Instrument(ManagedNode):
         hardware_id = self.source.hardware_id or Path(self._driver).stem
         self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
         self._outcomes = Outcomes(self)
-        offer(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
-        offer(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
+        offer_later(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
+        offer_later(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
         if not self._simulated_time:
             self.every(1.0 / self._batch_rate, self._flow)

@@ -83,10 +83,8 @@ class Measured:
     Attributes:
         output: folder of everything.
         session: what was measured.
-        session_folder: the same as files.
         bag: the recording, if there is one.
         result: the result document, if the errors were identified.
-        result_file: its file.
         domain: ROS domain id of the graph.
         seconds: from the start of the graph, and of the procedure alone.
         counters: what did not go straight, by name.
@@ -96,15 +94,23 @@ class Measured:
 
     output: Path
     session: Session
-    session_folder: Path
     bag: Path | None
     result: dict[str, Any] | None
-    result_file: Path | None
     domain: int
     seconds: tuple[float, float]
     counters: dict[str, int]
     remarks: tuple[str, ...]
     reached: tuple[Reached, ...] = ()
+
+    @property
+    def session_folder(self) -> Path:
+        """The session as files."""
+        return self.output / "session"
+
+    @property
+    def result_file(self) -> Path | None:
+        """The result's file, if there is one."""
+        return self.output / "result.json" if self.result is not None else None
 
 
 class _Listeners:
@@ -217,18 +223,14 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 name: client.procedure.number(name)
                 for name in ("resent", "stale", "unstable", "recoveries", "restarts")
             }
-    result_file = None
     if document is not None:
-        result_file = output / "result.json"
-        result_file.write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
+        (output / "result.json").write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
     bag = output / "bag"
     return Measured(
         output=output,
         session=session,
-        session_folder=output / "session",
         bag=bag if bag.exists() else None,
         result=document,
-        result_file=result_file,
         domain=domain,
         seconds=(time.monotonic() - begin, measured),
         counters=counters,

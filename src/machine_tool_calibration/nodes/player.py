@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, to_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Reply, offer
+from machine_tool_calibration.nodes.ros.services import offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class, qos_profile
 from machine_tool_calibration.recording.graph import with_depth
@@ -261,32 +261,29 @@ class Player(ManagedNode):
         self._last_clock = at
         self._time_topic.publish(ClockMessage(clock=to_message(at)))
 
-    def _pause(self, answer: Reply) -> None:
+    def _pause(self) -> str:
         self._pace.pause(time.monotonic_ns())
-        self._answer(answer, "paused")
+        self._show()
+        return "paused"
 
-    def _resume(self, answer: Reply) -> None:
+    def _resume(self) -> str:
         if self._ended:
-            answer.send(False, "the bag has been played to its end")
-            return
+            raise CalibrationError("the bag has been played to its end")
         self._pace.resume(time.monotonic_ns())
-        self._answer(answer, "playing")
+        self._show()
+        return "playing"
 
-    def _step(self, answer: Reply) -> None:
+    def _step(self) -> str:
         message = self._next
         if not self._pace.paused or message is None:
-            answer.send(False, "only a paused replay can be stepped" if message else "no message is left")
-            return
+            raise CalibrationError("only a paused replay can be stepped" if message else "no message is left")
         self._pace.set(message.log_time, time.monotonic_ns())
         try:
             self._advance(message)
         except RecordingError as error:
             self._stop(error)
-        self._answer(answer, message.topic)
-
-    def _answer(self, answer: Reply, text: str) -> None:
-        answer.send(True, text)
         self._show()
+        return message.topic
 
     @property
     def state(self) -> str:

@@ -42,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
@@ -164,8 +164,8 @@ class Probe(ManagedNode):
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
         self._outcomes = Outcomes(self, "instrument/outcome")
-        offer(self, "instrument/datum", self._no_datum)
-        offer(self, "instrument/capture", self._requested)
+        offer_later(self, "instrument/datum", self._no_datum)
+        offer_later(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
         self._show()
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -46,7 +45,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import answer_by, goal_of, offer
+from machine_tool_calibration.nodes.ros.services import goal_of, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.procedure import events, plan, read_procedure
 from machine_tool_calibration.procedure.progress import State, Timing
@@ -162,7 +161,7 @@ class ProcedureNode(ManagedNode):
             ("abort", self._abort),
             ("finish", self._finish),
         ):
-            offer(self, f"~/{name}", partial(answer_by, handler))
+            offer(self, f"~/{name}", handler)
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()

@@ -47,7 +47,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
 
-__all__ = ["Goals", "Outcomes", "Progress", "Reply", "answer_by", "goal_of", "goal_sentence", "offer"]
+__all__ = ["Goals", "Outcomes", "Progress", "Reply", "goal_of", "goal_sentence", "offer", "offer_later"]
 
 _GOAL = re.compile("goal ([0-9a-f]{32}): ")
 
@@ -74,8 +74,20 @@ class Reply:
         return response
 
 
-def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
-    """Offer a `std_srvs/Trigger`; the handler may send its `Reply` at once or later."""
+def offer(node: Node, name: str, handler: Callable[[], str]) -> None:
+    """Offer a `std_srvs/Trigger`, whose handler says what it did or raises what it cannot do."""
+
+    def called(reply: Reply) -> None:
+        try:
+            reply.send(True, handler())
+        except CalibrationError as error:
+            reply.send(False, str(error))
+
+    offer_later(node, name, called)
+
+
+def offer_later(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
+    """Offer a `std_srvs/Trigger` whose handler may send its `Reply` at once or later."""
 
     def called(_: Trigger.Request, response: Trigger.Response) -> Awaitable[Trigger.Response]:
         answer = Reply()
@@ -84,14 +96,6 @@ def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
 
     # a group of its own: an answer that is owed keeps no other callback waiting
     node.create_service(Trigger, name, called, callback_group=ReentrantCallbackGroup())
-
-
-def answer_by(handler: Callable[[], str], answer: Reply) -> None:
-    """Answer a request by a function that says what it did or raises what it cannot do."""
-    try:
-        answer.send(True, handler())
-    except CalibrationError as error:
-        answer.send(False, str(error))
 
 
 def goal_sentence(goal: str, text: str) -> str:
@@ -214,22 +218,17 @@ class Goals:
             done: called in the node's own thread; publishes the outcome, gives a sentence and values about it.
         """
 
-        def called(answer: Reply) -> None:
+        def called() -> str:
             if self._present is not None:
                 seconds = f"{time.monotonic() - self._present.began:.0f} s so far"
-                answer.send(False, f"busy: {self.doing} ({seconds}); ask again when that is done")
-                return
-            try:
-                doing, work = begin()
-            except CalibrationError as error:
-                answer.send(False, str(error))
-                return
+                raise CalibrationError(f"busy: {self.doing} ({seconds}); ask again when that is done")
+            doing, work = begin()
             goal = self._present = _Goal(verb, uuid.uuid4(), stamp_now(self._node), doing, time.monotonic())
             self._goals.append(goal)
             self.step, self.share = "", 0.0
-            answer.send(True, goal_sentence(goal.number.hex, doing))
             self._show()
             threading.Thread(target=self._run, args=(goal, work, done), name="calculation", daemon=True).start()
+            return goal_sentence(goal.number.hex, doing)
 
         offer(self._node, f"~/{verb}", called)
 

@@ -73,7 +73,6 @@ class Tap:
         type_hash: that the publishers tell.
         messages: taken so far.
         lost: that the publisher sent after the first one taken and that never came.
-        unseen: that it had sent before the first one taken.
     """
 
     topic: str
@@ -84,7 +83,6 @@ class Tap:
     type_hash: str = ""
     messages: int = 0
     lost: int = 0
-    unseen: int = 0
     _last: int = field(default=0, repr=False)
 
     @property
@@ -98,9 +96,7 @@ class Tap:
         if number in (0, _NO_NUMBER) or len(self.offered) > 1:
             self._last = 0
             return
-        if self.messages == 1:
-            self.unseen = number - 1
-        elif self._last and number > self._last:
+        if self._last and number > self._last:
             self.lost += number - self._last - 1
         self._last = number
 
