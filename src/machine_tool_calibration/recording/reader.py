@@ -14,7 +14,7 @@ from mcap.records import Channel
 from machine_tool_calibration.errors import RecordingError, SessionError, UnfinishedError
 from machine_tool_calibration.recording.cdr import decode, definition_of
 from machine_tool_calibration.recording.mcap_reader import McapReader
-from machine_tool_calibration.recording.metadata import OfferedQos, Topic
+from machine_tool_calibration.recording.metadata import Topic, offered_qos
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -182,7 +182,6 @@ def _inside(folder: Path, name: str) -> Path:
 
 def _merge(readers: list[McapReader]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
-    offered = OfferedQos()
     for reader in readers:
         known = reader.summary.channels
         for number, channel in known.channels.items():
@@ -197,7 +196,7 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
                 type=kind,
                 encoding=channel.message_encoding,
                 type_hash=channel.metadata.get("topic_type_hash", ""),
-                qos=offered.of(channel.metadata),
+                qos=offered_qos(channel.metadata),
                 messages=count + (before.messages if before else 0),
             )
     return topics

@@ -23,7 +23,7 @@ from machine_tool_calibration.recording.mcap_reader import (
     records,
     unpack,
 )
-from machine_tool_calibration.recording.metadata import OfferedQos
+from machine_tool_calibration.recording.metadata import offered_qos
 from machine_tool_calibration.recording.writer import BagWriter
 
 __all__ = ["Recovered", "recover"]
@@ -73,7 +73,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
         raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
     problems: list[str] = []
     lost = 0
-    offered, added = OfferedQos(), set[str]()
+    added = set[str]()
     sizes = [file.stat().st_size for file in files]
     with BagWriter(output) as bag:
         for number, file in enumerate(files):
@@ -85,7 +85,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
             salvage = _Salvage(file, read)
             for channel, schema, message in salvage.messages():
                 if channel.topic not in added:
-                    _add(bag, channel, schema, offered)
+                    _add(bag, channel, schema)
                     added.add(channel.topic)
                 bag.write(channel.topic, message.data, message.log_time, message.publish_time, message.sequence)
             read(sizes[number])
@@ -138,11 +138,11 @@ def _has_magic(path: Path) -> bool:
         return False
 
 
-def _add(bag: BagWriter, channel: Channel, schema: Schema | None, offered: OfferedQos) -> None:
+def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
     bag.add_topic(
         channel.topic,
         schema.name if schema else "",
-        qos=offered.of(channel.metadata),
+        qos=offered_qos(channel.metadata),
         definition=schema.data.decode("utf-8", "replace") if schema else "",
         type_hash=channel.metadata.get("topic_type_hash", ""),
         encoding=channel.message_encoding,

@@ -36,6 +36,7 @@ __all__ = [
     "cloud",
     "columns",
     "dated",
+    "duration_message",
     "from_message",
     "joint_state",
     "nanoseconds",
@@ -83,9 +84,9 @@ def to_message(stamp: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def duration_message(time: float) -> Duration:
-    """A duration of that many seconds."""
-    sec, nanosec = divmod(nanoseconds(time), _GIGA)
+def duration_message(time: int) -> Duration:
+    """A duration of that many nanoseconds."""
+    sec, nanosec = divmod(time, _GIGA)
     return Duration(sec=sec, nanosec=nanosec)
 
 
@@ -176,7 +177,9 @@ def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) 
     names = list(steps[0][0]) if steps else []
     message = JointTrajectory(joint_names=names)
     message.points = [
-        JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(time))
+        JointTrajectoryPoint(
+            positions=[place[name] for name in names], time_from_start=duration_message(nanoseconds(time))
+        )
         for place, time in steps
     ]
     return dated(message, stamp)
