@@ -22,7 +22,6 @@ from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.commanded import executed_message
-from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.nodes.ros.messages import COMMAND, LATCHED, STATE, joint_state
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import read_session
@@ -81,8 +80,8 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
         "probe": {**common, "form": FORM, **probe},
         "procedure": {"use_sim_time": simulated, "procedure": file, "patience": PATIENCE, "resend": 0.2},
     }
-    programs = [Program(name, parameters[name]) for name in names]
-    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
+    nodes = {name: parameters[name] for name in names}
+    graph = bench.stack.enter_context(ForkedGraph(nodes, bench.folder / "log", bench.domain))
     return graph, bench.operator(graph)
 
 

@@ -16,7 +16,7 @@ import yaml
 from machine_tool_calibration.budget.enough import Reached, Until
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, Program, graph_parameters
+from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.nodes.stages import Stages
@@ -34,7 +34,6 @@ _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and 
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
 _ON_THE_WAY = 5.0
-_CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
 Progress = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
@@ -192,13 +191,13 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     site.write_text(yaml.safe_dump(site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
     begin = time.monotonic()
     with claimed_domain(setting.domain) as domain:
-        programs = _programs(setting, copy, site, procedure.session.method)
-        graph = Graph(programs, output / "log", domain, setting.namespace, setting.parameters)
+        nodes = _nodes(setting, copy, site, procedure.session.method)
+        graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
         with graph, Client(domain, graph.namespace, watch=listeners.watch) as client:
             try:
-                _await_ready(client, [program.name for program in programs])
+                _await_ready(client, list(nodes))
                 listeners.client = client
                 started = time.monotonic()
                 stages = _stages(client, procedure, setting)
@@ -253,7 +252,7 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     return {"seed": site.seed, "noise": noise, **document}
 
 
-def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> list[Program]:
+def _nodes(setting: Setting, procedure: Path, site: Path, method: str) -> dict[str, dict[str, Any]]:
     parameters = graph_parameters(
         method,
         procedure.resolve(),
@@ -273,11 +272,8 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         left_out.add("recorder")
     if not setting.identify:
         left_out.add("estimator")
-    return [
-        Program(name, parameters[name], grace=_CLOSE if name == "recorder" else 2.0)
-        for name in sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
-        if name not in left_out
-    ]
+    first = sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
+    return {name: parameters[name] for name in first if name not in left_out}
 
 
 def _await_ready(client: Client, names: Sequence[str]) -> None:
