@@ -182,7 +182,6 @@ class Estimator(ManagedNode):
         return outcome.words, outcome.values
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         goals, received = self.goals, self._received
         entries = {
             "readings": len(received),

@@ -334,7 +334,6 @@ class Instrument(ManagedNode):
             self._environment.tell(now(self))
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         problem = self.source.problem()
         state = "no signal" if problem else "measuring" if self._datum else "no datum"
         text = problem or self._reason or "measuring"

@@ -295,7 +295,6 @@ class Player(ManagedNode):
         return "paused" if self._pace.paused else "playing"
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         position = min(max(self._pace.position(time.monotonic_ns()), self.bag.first), self.bag.last)
         entries = {
             "state": self.state,

@@ -339,7 +339,6 @@ class Probe(ManagedNode):
         return self._site.sensed(seconds(stamp - self._origin))
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         problem = ""
         if self._surface is None:
             problem = "waiting for a probing session"

@@ -384,7 +384,6 @@ class ProcedureNode(ManagedNode):
         return ", ".join(missing)
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         sequencer = self.sequencer
         step, total = sequencer.step, len(sequencer.plan.steps)
         missing = self._partners() if sequencer.state in (State.IDLE, State.FINISHED, State.ABORTED) else ""

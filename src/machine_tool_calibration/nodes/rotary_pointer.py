@@ -127,7 +127,6 @@ class RotaryPointer(ManagedNode):
         self._show()
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup}
         text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
         level = Level.OK if self._setup else Level.WARN

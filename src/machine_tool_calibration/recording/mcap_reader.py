@@ -101,11 +101,7 @@ def records(
 
 
 def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parsed]) -> Parsed:
-    """A record's fields by the `mcap` library.
-
-    Raises:
-        RecordingError: the record is damaged.
-    """
+    """A record's fields by the `mcap` library; RecordingError where it is damaged."""
     try:
         return read(ReadDataStream(BytesIO(record.content)))
     except (struct.error, McapError, ValueError, TypeError, OverflowError):

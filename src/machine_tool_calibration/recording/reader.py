@@ -163,11 +163,7 @@ def _file_names(metadata: Path) -> list[str]:
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """A file of the bag.
-
-    Raises:
-        RecordingError: it is not there, or not in the folder.
-    """
+    """A file of the bag; RecordingError where it is not there, or not in the folder."""
     pure = PurePosixPath(name)
     # bags of old distributions name the folder too
     candidates = [folder / pure, folder / pure.name]
