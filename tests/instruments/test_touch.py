@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.instruments.touch import Limits, Part, judge
+from machine_tool_calibration.instruments.touch import Part, judge
 from machine_tool_calibration.session.description import Probing
 
 
@@ -40,7 +40,7 @@ def test_the_point_is_known_by_where_the_axes_stand():
     for point in (0, 1):
         for c in (0.0, 1.3):
             touch = known.touch(point, c, 0.004)
-            again = known.meant({**touch.at(0.004), "c": c, "z": 0.0}, 0.02)
+            again = known.meant({**touch.at(0.004), "c": c, "z": 0.0})
             assert again.point == point
             assert again.standoff == pytest.approx(0.004)
             np.testing.assert_allclose(again.centre, touch.centre)
@@ -48,10 +48,10 @@ def test_the_point_is_known_by_where_the_axes_stand():
 
 def test_in_front_of_nothing_or_of_two():
     with pytest.raises(SessionError, match="in front of no point"):
-        part().meant({"x": 0.0, "y": 0.0, "c": 0.0}, 0.02)
+        part().meant({"x": 0.0, "y": 0.0, "c": 0.0})
     slot = part(points=((0.0, 0.01, 0.0, -1.0), (0.0, -0.01, 0.0, 1.0)))
     with pytest.raises(SessionError, match="in front of the points '0' and '1'"):
-        slot.meant({"x": 0.0, "y": 0.0, "c": 0.0}, 0.02)
+        slot.meant({"x": 0.0, "y": 0.0, "c": 0.0})
 
 
 @pytest.mark.parametrize(
@@ -59,5 +59,5 @@ def test_in_front_of_nothing_or_of_two():
     [(2e-5, ""), (-9e-4, ""), (-2e-3, "missed"), (1.5e-3, "too early"), (5e-3, "before it approached")],
 )
 def test_which_triggers_count(displacement, reason):
-    found = judge(displacement, 0.004, Limits(search=0.001, early=0.001))
+    found = judge(displacement, 0.004)
     assert (reason in found) if reason else found == ""

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.graph import Graph
 from machine_tool_calibration.session.session import Session
 
 from .forked import ForkedGraph
@@ -93,13 +93,9 @@ class Bench:
             "estimator": {"use_sim_time": simulated_time},
             "recorder": {"use_sim_time": simulated_time, "folder": str(self.folder / f"bag{self.count}")},
         }
-        programs = [
-            # a recording that is cut off is none
-            Program(name, {**parameters[name], **(more or {}).get(name, {})}, PATIENCE if name == "recorder" else 2.0)
-            for name in names
-        ]
+        nodes = {name: {**parameters[name], **(more or {}).get(name, {})} for name in names}
         folder = self.folder / f"log{self.count}"
-        return self.stack.enter_context(ForkedGraph(programs, folder, self.domain, namespace))
+        return self.stack.enter_context(ForkedGraph(nodes, folder, self.domain, namespace))
 
     def operator(self, graph: Graph | None = None, namespace: str = "") -> Client:
         space = graph.namespace if graph is not None else namespace

@@ -6,8 +6,6 @@ from importlib import import_module
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from machine_tool_calibration.nodes.shared import topics
-
 from .conftest import PATIENCE
 from .pages import PAGES, rows, sections
 
@@ -47,7 +45,7 @@ def check_ends(operator, names):
             ("publishers", node.get_publisher_names_and_types_by_node),
             ("subscribers", node.get_subscriber_names_and_types_by_node),
         ):
-            told = {f"/{topic.name.strip('/')}" for topic in topics() if name in getattr(topic, ends)}
+            told = {f"/{topic.strip('/')}" for topic, row in rows().items() if name in getattr(row, ends)}
             also = IGNORED | ({"/clock"} if ends == "subscribers" or name == "axis_simulator" else set())
             if name == "procedure":
                 also |= {"/joint_states"}  # it listens until it starts

@@ -15,15 +15,19 @@ from rosidl_parser.definition import AbstractNestedType, BasicType, NamespacedTy
 FOLDER = Path(__file__).parents[2] / "msg_docs"
 PAGES = {page.stem: page.read_text() for page in FOLDER.glob("*.md")}
 
-_ROW = re.compile(r"^\| `([\w/]+)` \| (\w+)/(\w+) \| [^|]+ \| ([^|]+) \| \[\w+\]\((\w+)\.md\) \|$", re.M)
+_ROW = re.compile(
+    r"^\| `([\w/]+)` \| (\w+)/(\w+) \| ([^|]+) → ([^|:]+)[^|]* \| ([^|]+) \| \[\w+\]\((\w+)\.md\) \|$", re.M
+)
 _TOPIC = re.compile(r"^## ((?:`[\w/]+` ?)+) ?\((\w+)/(\w+)\)$")
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table of topics."""
+    """A line of the table of topics; publishers and subscribers are nodes, or words."""
 
     type: str
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
     qos: str
     page: str
 
@@ -50,8 +54,8 @@ class Section:
 def rows() -> dict[str, Row]:
     """The table of topics in README.md, by name."""
     return {
-        name: Row(f"{package}/msg/{kind}", qos.strip(), page)
-        for name, package, kind, qos, page in _ROW.findall(PAGES["README"])
+        name: Row(f"{package}/msg/{kind}", *(tuple(end.strip().split(", ")) for end in ends), qos.strip(), page)
+        for name, package, kind, *ends, qos, page in _ROW.findall(PAGES["README"])
     }
 
 

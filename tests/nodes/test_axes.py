@@ -13,6 +13,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     STATE,
     duration_message,
     from_message,
+    nanoseconds,
     to_message,
     values,
 )
@@ -42,7 +43,7 @@ class Axes:
         message = JointTrajectory(joint_names=list(names))
         message.header.stamp = to_message(stamp)
         message.points = [
-            JointTrajectoryPoint(positions=list(map(float, place)), time_from_start=duration_message(time))
+            JointTrajectoryPoint(positions=list(map(float, place)), time_from_start=duration_message(nanoseconds(time)))
             for place, time in points
         ]
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.nodes.ros.messages import LATCHED, columns
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.open import open_measurement
@@ -79,12 +78,12 @@ def test_the_recorder_subscribes_to_every_topic_that_is_described():
 
 def test_topics_of_the_probe_and_the_player(bench):
     session_to_bag(open_measurement(SESSION), bench.folder / "bag", start=round(ORIGIN * 1e9))
-    programs = [
-        Program("axis_simulator", {"use_sim_time": True}),
-        Program("probe", {"use_sim_time": True}),
-        Program("player", {"bag": str(bench.folder / "bag"), "paused": True}),
-    ]
-    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
+    nodes = {
+        "axis_simulator": {"use_sim_time": True},
+        "probe": {"use_sim_time": True},
+        "player": {"bag": str(bench.folder / "bag"), "paused": True},
+    }
+    graph = bench.stack.enter_context(ForkedGraph(nodes, bench.folder / "log", bench.domain))
     operator = bench.operator(graph)
     heard = hear(operator)
     assert operator.wait(lambda: {"instrument/status", "player/status", "truth/table"} <= set(heard), PATIENCE)
@@ -99,8 +98,7 @@ def test_topics_of_the_probe_and_the_player(bench):
 @pytest.mark.parametrize("name", [*NODES, "probe", "player"])
 def test_every_parameter_has_its_row(name):
     source = (SOURCE / f"{name}.py").read_text()
-    shared = {"declare_site": "site.py", "declare_period": "environment.py"}
-    source += "".join((SOURCE / file).read_text() for call, file in shared.items() if f"{call}(" in source)
+    source += (SOURCE / "site.py").read_text() if "declare_site(" in source else ""
     declared = set(re.findall(r'\.declare\(\s*"(\w+)"', source))
     assert declared
     (page,) = [page for page in PAGES.values() if f"## Parameters of `{name}`\n" in page]

@@ -278,7 +278,7 @@ def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
     entry = comes_and_goes(reading(0, reading_index=0.0))
     assert entry.level == b"\0" and not entry.message.endswith(words)
     assert comes_and_goes().message.endswith(words), "another one"
-    node._reset(Reply())
+    node._reset()
     assert shown(node).level == b"\0"
     executor.shutdown()
 
@@ -287,9 +287,7 @@ def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
     node = made(Estimator)
     for index in range(4):
         hear(node, "reading", reading(index, reading_index=float(index)))
-    answer = Reply()
-    node._reset(answer)
-    assert asyncio.run(answer.into(Trigger.Response())).message == "4 readings forgotten"
+    assert node._reset() == "4 readings forgotten"
     hear(node, "reading", reading(4, reading_index=4.0))
     assert {key: values_of(shown(node))[key] for key in ("readings", "missing", "resets")} == {
         "readings": "1",
@@ -355,26 +353,6 @@ def test_a_touch_can_be_refused(made):
     node._requested(answer)
     response = asyncio.run(answer.into(Trigger.Response()))
     assert not response.success and "services_move_axes is false" in response.message
-
-
-def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
-    node = made(ProcedureNode)
-
-    def say(resets):
-        said = status("estimator", Level.OK, "", {"readings": 5, "resets": resets})
-        hear(node, "estimator/status", DiagnosticArray(status=[said]))
-
-    say(1)
-    node._start()
-    assert "reset" not in shown(node).message
-    say(2)
-    entry = shown(node)
-    assert entry.message.endswith("; estimator/reset after 0 readings: the estimator has lost them")
-    assert entry.level == bytes([Level.WARN])
-    node._abort()
-    node._start()
-    assert "reset" not in shown(node).message
-    node._abort()
 
 
 @pytest.mark.parametrize("first", ["answer", "outcome"])
@@ -447,12 +425,6 @@ def test_a_run_whose_procedure_was_started_anew_says_so_at_once():
     operator.wait = wait
     with pytest.raises(CalibrationError, match=r"started anew in the middle .*: run the procedure again"):
         measurement._run(operator, 128, lambda text, done, total: None)
-
-
-def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():
-    operator = Gone(readings="28", missing="100", resets="1", session="described")
-    with pytest.raises(CalibrationError, match="100 of 128 readings are lost to the estimator"):
-        measurement._identify(operator, None, 128, lambda text, done, total: None)
 
 
 def test_a_count_that_is_none_is_zero():

@@ -22,7 +22,6 @@ from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.commanded import executed_message
-from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.nodes.ros.messages import COMMAND, LATCHED, STATE, joint_state
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import read_session
@@ -64,9 +63,11 @@ def procedure(points=None, angles=(0.0, 0.9, 2.0, 3.7, 5.1), **session):
     }
 
 
-def site(**machine):
+def site(effects=(), **machine):
     return {
         "seed": SEED,
+        "noise": 0.0,
+        "effects": list(effects),
         "machine": {"chain": "w-C-b-Y-X-Z-t", "travel": TRAVEL, "random": None, **machine},
     }
 
@@ -76,11 +77,11 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
     common = {"use_sim_time": simulated, "site": place, "time_origin": ORIGIN if simulated else 0.0}
     parameters = {
         "axis_simulator": common,
-        "probe": {**common, "form": FORM, "repeatability": 0.0, **probe},
+        "probe": {**common, "form": FORM, **probe},
         "procedure": {"use_sim_time": simulated, "procedure": file, "patience": PATIENCE, "resend": 0.2},
     }
-    programs = [Program(name, parameters[name]) for name in names]
-    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
+    nodes = {name: parameters[name] for name in names}
+    graph = bench.stack.enter_context(ForkedGraph(nodes, bench.folder / "log", bench.domain))
     return graph, bench.operator(graph)
 
 
@@ -123,7 +124,7 @@ def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
 
 
 def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
-    graph, operator = start(bench, procedure(), site(), form=1.5e-3, attempts=2)
+    graph, operator = start(bench, procedure(), site(), form=1.5e-3)
     finish(operator)
     form = 1.5e-3 * np.random.default_rng([SEED, 41]).normal(size=40)
     bad = np.abs(form) > 1e-3
@@ -141,15 +142,15 @@ def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
 
 def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     points = cam(count=12, spheres=False)
-    _, operator = start(
-        bench, procedure(points, angles=(0.0, 1.0, 2.3)), site(), form=0.0, pretravel_variation=2e-6, pretravel_lobes=3
-    )
+    lobes = {"orders": [3], "weights": [1.0], "phases": [0.0]}
+    world = site([{"id": "probe_pretravel", "size": 2e-6, "parameters": lobes}])
+    _, operator = start(bench, procedure(points, angles=(0.0, 1.0, 2.3)), world, form=0.0)
     refused_in_front_of_nothing(operator)
     finish(operator)
     session = live_session(*operator.heard.session())
     angle = np.array([np.arctan2(*p.normal[::-1]) for p in points])
-    lobes = -2e-6 * np.cos(3 * (angle[None, :] - np.array([0.0, 1.0, 2.3])[:, None]))
-    np.testing.assert_allclose(session.readings.displacement.reshape(3, 12), lobes, atol=1e-12)
+    expected = 2e-6 * np.cos(3 * (angle[None, :] - np.array([0.0, 1.0, 2.3])[:, None]))
+    np.testing.assert_allclose(session.readings.displacement.reshape(3, 12), expected, atol=1e-12)
 
 
 def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish):

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 
-from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.graph import Graph
 
 from ..waiting import Waiting
 from .conftest import PATIENCE, ask, begin
@@ -55,8 +55,8 @@ def held_by_the_middleware(log):
 def test_the_graph_ends_with_its_starter(tmp_path, ros_domain):
     code = (
         "import os, sys, time; from pathlib import Path;"
-        "from machine_tool_calibration.nodes.graph import Graph, Program;"
-        f"g = Graph([Program('rotary_pointer')], Path({str(tmp_path)!r}), {ros_domain}); g.__enter__();"
+        "from machine_tool_calibration.nodes.graph import Graph;"
+        f"g = Graph({{'rotary_pointer': {{}}}}, Path({str(tmp_path)!r}), {ros_domain}); g.__enter__();"
         "print(g.process_id('rotary_pointer'), flush=True); time.sleep(900)"
     )
     starter = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
@@ -170,10 +170,10 @@ def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
     text = (CONFIG / "nodes.yaml").read_text()
     assert "    speed: 0.5 " in text
     (bench.folder / "nodes.yaml").write_text(text.replace("    speed: 0.5 ", "    speed: 0.123 "))
-    program = Program("axis_simulator", {"use_sim_time": True})
+    nodes = {"axis_simulator": {"use_sim_time": True}}
     graphs = [
         bench.stack.enter_context(
-            Graph([program], bench.folder / f"log-{namespace}", bench.domain, namespace, bench.folder / "nodes.yaml")
+            Graph(nodes, bench.folder / f"log-{namespace}", bench.domain, namespace, bench.folder / "nodes.yaml")
         )
         for namespace in ("", "cell_3")
     ]

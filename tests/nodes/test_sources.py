@@ -80,7 +80,7 @@ def test_environment_of_a_moment_does_not_depend_on_the_order_of_messages(sample
 
 @pytest.fixture
 def source():
-    made = SimulatedSource(Site(SiteSpec(**{**SITE, "noise": 3e-7})), 0, 1000.0, 2e-8, 2e-3)
+    made = SimulatedSource(Site(SiteSpec(**{**SITE, "noise": 3e-7})), 0, 1000.0, 2e-8)
     made.set_setup(0, "A", 0, Beam(np.array([-0.35, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])))
     return made
 
@@ -177,7 +177,7 @@ def test_a_site_is_the_same_for_every_process():
 
 def test_where_the_tool_was_says_nothing_about_the_table():
     """The session may come after the true positions of what it does not measure."""
-    source = SimulatedSource(Site(SiteSpec()), 0, 1e3, 0.0, 0.01)
+    source = SimulatedSource(Site(SiteSpec()), 0, 1e3, 0.0)
     for stamp in (400 * MS, 1400 * MS):
         source.add_pose(stamp, np.zeros(3))
     source.look_at(make_optics(source.site, read_procedure(procedure_file("rotary_axis")).session))

@@ -9,9 +9,6 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.nodes.__main__ import main
-from machine_tool_calibration.nodes.shared import topics
-
-from .pages import PAGES, rows
 
 ROOT = Path(__file__).parents[2]
 EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
@@ -30,11 +27,9 @@ def test_help_says_what_it_is_and_takes_and_starts_nothing(name, given, capsys, 
     assert module.__doc__.strip() in said
     declared = re.findall(r'\.declare\(\s*"(\w+)"', Path(module.__file__).read_text())
     assert declared
-    assert all(re.search(rf"^  .*\b{key}\b", said, re.M) for key in [*declared, "use_sim_time"])
-    served = re.findall(rf"`({name}/\w+)`", PAGES["README"].split("## Services")[1].split("## ")[0])
-    assert all(service in said for service in served)
+    assert all(re.search(rf"^\| .*`{key}`", said, re.M) for key in [*declared, "use_sim_time"])
+    assert Path(said.strip().rpartition(": ")[2]).is_file()
     assert not list(tmp_path.iterdir())
-    assert all(len(line) <= 120 for line in said.splitlines())
 
 
 def test_help_into_a_pipe_that_nobody_reads_any_more(monkeypatch):
@@ -44,9 +39,3 @@ def test_help_into_a_pipe_that_nobody_reads_any_more(monkeypatch):
         monkeypatch.setattr("sys.stdout", stream)
         monkeypatch.setattr("signal.signal", lambda *_: None)
         assert main("estimator", ["--help"]) == 0
-
-
-def test_every_topic_is_in_the_table_that_help_is_made_of():
-    assert {topic.name: topic.type.replace("/", "/msg/") for topic in topics()} == {
-        name: row.type for name, row in rows().items()
-    }

@@ -27,3 +27,10 @@ def test_without_a_rate_everything_is_due() -> None:
     assert pace.is_due(10**18, 1) and pace.position(10**12) == 5
     pace.pause(2)
     assert not pace.is_due(0, 3)
+
+
+def test_nothing_is_due_before_it_begins() -> None:
+    for rate in (0.0, 2.0):
+        pace = Pace(rate, 100, 10 * SECOND)
+        assert pace.position(9 * SECOND) == 100 and not pace.is_due(100, 9 * SECOND)
+        assert pace.is_due(100, 10 * SECOND)

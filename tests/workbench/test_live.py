@@ -138,13 +138,13 @@ def test_a_request_is_answered_or_its_node_has_gone() -> None:
     heard.offer([Offer("estimator/identify", "identify"), Offer("procedure/start", "start", moves_axes=True)])
     first, second = heard.ask("estimator/identify"), heard.ask("procedure/start")
     assert [call.success for call in heard.calls] == [None, None]
-    heard.answer(first, True, "done")
+    first.answer(True, "done")
     heard.offer([Offer("estimator/identify", "identify")])
     assert [(call.service, call.success) for call in heard.calls] == [
         ("procedure/start", False),
         ("estimator/identify", True),
     ]
-    heard.answer(second, True, "late")
+    second.answer(True, "late")
     assert heard.calls[0].success, "it was only not seen for a moment"
     for _ in range(20):
         heard.ask("estimator/identify")

@@ -18,10 +18,13 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import Probing
 
-__all__ = ["Limits", "NominalTouch", "Part", "judge"]
+__all__ = ["SEARCH", "NominalTouch", "Part", "judge"]
 
 # How far beside a point's normal the axes may stand for the touch to be meant for it, m.
 _BESIDE = 1e-5
+_FARTHEST = 0.02  # m from the surface: where a touch may begin
+SEARCH = 1e-3  # m beyond the nominal surface: so far the sphere goes at most
+_EARLY = 1e-3  # m outside of it: a trigger farther out is not of this surface
 
 
 @dataclass(frozen=True)
@@ -44,19 +47,6 @@ class NominalTouch:
         """Position of X and Y with the sphere that far outside the nominal surface, m."""
         x, y = self.centre + displacement * self.normal
         return {"x": float(x), "y": float(y)}
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Which touches count.
-
-    Attributes:
-        search: the sphere goes so far beyond the nominal surface at most, m.
-        early: a trigger farther outside the nominal surface is not of this surface, m.
-    """
-
-    search: float
-    early: float
 
 
 @dataclass(frozen=True)
@@ -91,7 +81,7 @@ class Part:
         place, normal = (self._turned(vectors[point : point + 1], c)[0] for vectors in self._points)
         return NominalTouch(point, place + self.radius * normal, normal, standoff)
 
-    def meant(self, position: Mapping[str, float], farthest: float) -> NominalTouch:
+    def meant(self, position: Mapping[str, float], farthest: float = _FARTHEST) -> NominalTouch:
         """The touch that begins where the axes stand.
 
         Args:
@@ -121,18 +111,17 @@ class Part:
         return np.asarray(vectors @ np.array([[cos, sin], [-sin, cos]]))
 
 
-def judge(displacement: float, standoff: float, limits: Limits) -> str:
-    """Why a touch does not count; empty if it does.
+def judge(displacement: float, standoff: float) -> str:
+    """Why a touch does not count that triggered at a displacement along the outward normal, m; empty if it does.
 
     Args:
-        displacement: of the trigger along the outward normal, m.
+        displacement: of the trigger, m.
         standoff: where the touch began, m.
-        limits: what counts.
     """
     if displacement >= standoff:
         return "touch too early: the stylus touched before it approached"
-    if displacement > limits.early:
+    if displacement > _EARLY:
         return f"touch too early: {displacement * 1e6:.0f} um outside the nominal surface"
-    if displacement < -limits.search:
-        return f"missed touch: no surface within {limits.search * 1e3:g} mm of the nominal one"
+    if displacement < -SEARCH:
+        return f"missed touch: no surface within {SEARCH * 1e3:g} mm of the nominal one"
     return ""

@@ -25,12 +25,11 @@ from machine_tool_calibration.nodes.ros.messages import (
     joint_state,
     nanoseconds,
     now,
-    pose_message,
-    quaternion_of,
     seconds,
     to_message,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_of
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.maps import FIELDS
-from machine_tool_calibration.nodes.heard import SERVICES, Heard, NodeState, Offer
+from machine_tool_calibration.nodes.heard import SERVICES, Call, Heard, NodeState, Offer
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     NO_HARDWARE,
@@ -106,7 +106,7 @@ class Client:
         self._clients: dict[str, ServiceClient] = {}
         self._probes: dict[str, Subscription] = {}
         self._known: set[str] = set()  # nodes that know the clients of their services
-        self._goals: dict[str, int] = {}  # which call began a calculation
+        self._goals: dict[str, Call] = {}  # which call began a calculation
         self._subscribe(self.heard)
         self.node.every(_LOOK, self._look_around)
 
@@ -153,10 +153,7 @@ class Client:
     def wait(self, until: Callable[[], bool], timeout: float, *, watched: bool = True) -> bool:
         """Hear messages until something holds; False if it does not within the timeout, s.
 
-        Args:
-            until: what is to hold.
-            timeout: s.
-            watched: whether `watch` may end the wait; after it has, there is still to hear what is on its way.
+        Not `watched`, `watch` cannot end the wait: after it has, there is still to hear what is on its way.
         """
         deadline = time.monotonic() + timeout
         while not until():
@@ -210,15 +207,12 @@ class Client:
         return str(response.message)
 
     def outcome(self, service: str, timeout: float, in_vain: Callable[[], bool] = lambda: False) -> Mapping[str, str]:
-        """Call a service that has an outcome, wait for it and give its values.
+        """Call a service that has an outcome (as `estimator/identify`), wait for it and give its values.
 
-        Args:
-            service: such as `estimator/identify` or `instrument/capture`.
-            timeout: s.
-            in_vain: whether the node that was asked has gone; then there are no values.
+        There are none where it is `in_vain`: the node that was asked has gone.
 
         Raises:
-            CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout.
+            CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout, s.
         """
         node, goal = service.rpartition("/")[0], goal_of(self.call(service, timeout))
         if not self.wait(lambda: self.heard.outcome(node).device == goal or in_vain(), timeout):
@@ -232,14 +226,14 @@ class Client:
 
     def ask(self, offer: Offer) -> None:
         """Ask for a service; `Heard.calls` tells the answer. May be called from any thread."""
-        number = self.heard.ask(offer.service)
+        asked = self.heard.ask(offer.service)
 
         def call() -> None:
             if offer.service not in self._clients:
-                self.heard.answer(number, False, "the service is not there")
+                asked.answer(False, "the service is not there")
                 return
-            asked = self._clients[offer.service].call_async(Trigger.Request())
-            asked.add_done_callback(lambda done: self._answered(number, done.result()))
+            future = self._clients[offer.service].call_async(Trigger.Request())
+            future.add_done_callback(lambda done: self._answered(asked, done.result()))
 
         post(self.node, call)
 
@@ -257,21 +251,21 @@ class Client:
             )
         return self._clients[service]
 
-    def _answered(self, number: int, response: Trigger.Response) -> None:
+    def _answered(self, call: Call, response: Trigger.Response) -> None:
         goal = goal_of(response.message) if response.success else ""
         if goal:  # a calculation has begun; what it gives is the answer
-            self._goals[goal] = number
+            self._goals[goal] = call
         else:
-            self.heard.answer(number, response.success, response.message)
+            call.answer(response.success, response.message)
 
     # --- what is heard
 
     def _ended(self, node: str, message: DiagnosticArray) -> None:
         for outcome in message.status[:1]:
             self.heard.outcomes[node] = _state(node, outcome.name, outcome)
-            number = self._goals.pop(outcome.hardware_id, None)
-            if number is not None:
-                self.heard.answer(number, not outcome.level[0], outcome.message)
+            call = self._goals.pop(outcome.hardware_id, None)
+            if call is not None:
+                call.answer(not outcome.level[0], outcome.message)
 
     def _read(self, message: JointState) -> None:
         names = tuple(message.name)

@@ -16,14 +16,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import COMMAND, dated, from_message, joint_state, positions
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    dated,
+    duration_message,
+    from_message,
+    joint_state,
+    positions,
+)
 from machine_tool_calibration.procedure.events import Aim
 
 __all__ = [
@@ -112,7 +118,6 @@ class Pairs:
         return None if first is None or second is None else (first, second)
 
 
-_GIGA = 1_000_000_000
 _SAME = 1e-5  # m or rad: encoders show a place again within this
 
 
@@ -170,17 +175,11 @@ class Executions:
 
 
 def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
-    """The message of `axes/executed`.
-
-    Args:
-        command: stamp of the command, ns.
-        points: when, ns, and where the motion began, and each point of the command that has been reached.
-    """
+    """The message of `axes/executed`: when, ns, and where a command began, and each of its points that was reached."""
     names = list(points[0][1]) if points else []
     message = JointTrajectory(joint_names=names)
     for time, place in points:
-        sec, nanosec = divmod(time - command, _GIGA)
         positions = [float(place[name]) for name in names]
-        duration = Duration(sec=sec, nanosec=nanosec)
-        message.points.append(JointTrajectoryPoint(positions=positions, time_from_start=duration))
+        since = duration_message(time - command)
+        message.points.append(JointTrajectoryPoint(positions=positions, time_from_start=since))
     return dated(message, command)

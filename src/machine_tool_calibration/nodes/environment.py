@@ -15,7 +15,7 @@ from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from machine_tool_calibration.nodes.ros.messages import SLOW, dated, from_message, nanoseconds
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "declare_period", "interpolate"]
+__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "interpolate"]
 
 TOPICS = {
     **{f"temperature_{place}": (Temperature, "temperature") for place in ("air", "x", "y", "z", "table", "work")},
@@ -27,24 +27,12 @@ TOPICS = {
 _KEPT = 100
 
 
-def declare_period(node: GuardedNode) -> float:
-    """Declare the parameter of how often a node publishes the environment, s."""
-    usual = 60.0 if node.lives_in_simulated_time else 1.0
-    period = node.declare("environment_period", usual, "time between publications of the environment", "s", (0.01, 1e5))
-    return period
-
-
 class EnvironmentTopics:
-    """Publishes what the sensors of the environment show, now and then.
+    """Publishes what the sensors show, by the session's column: each second, in simulated time each minute of it."""
 
-    Args:
-        node: that publishes.
-        period: time between two publications, s.
-        sensed: values by the session's column at a time, ns.
-    """
-
-    def __init__(self, node: Node, period: float, sensed: Callable[[int], Mapping[str, float]]) -> None:
-        self._period, self._sensed, self._stamp = nanoseconds(period), sensed, 0
+    def __init__(self, node: GuardedNode, sensed: Callable[[int], Mapping[str, float]]) -> None:
+        self._period = nanoseconds(60.0 if node.lives_in_simulated_time else 1.0)
+        self._sensed, self._stamp = sensed, 0
         self._publishers = {
             name: node.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
         }
@@ -60,12 +48,7 @@ class EnvironmentTopics:
 
 
 class EnvironmentWatch:
-    """Subscribes to all sensors.
-
-    Args:
-        node: that subscribes.
-        maximum_age: a sample farther than this from the reading is not used, s.
-    """
+    """Subscribes to all sensors; a sample farther than `maximum_age`, s, from a reading is not used."""
 
     def __init__(self, node: Node, maximum_age: float) -> None:
         self._age = nanoseconds(maximum_age)
@@ -83,12 +66,9 @@ class EnvironmentWatch:
 
 
 def interpolate(samples: deque[tuple[int, float]], stamp: int, age: int) -> float | None:
-    """The value at a time from samples (time, value) near it: between two samples, or the nearest one.
+    """The value at a time, ns, from samples (time, value) in any order that are no farther than `age`, ns, from it.
 
-    Args:
-        samples: in any order.
-        stamp: the time, ns.
-        age: greatest distance of a sample, ns.
+    Between two samples it is interpolated; else it is that of the nearest one.
     """
     near = sorted((time - stamp, value) for time, value in samples if abs(time - stamp) <= age)
     return float(np.interp(0.0, [time for time, _ in near], [value for _, value in near])) if near else None

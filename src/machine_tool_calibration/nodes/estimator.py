@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from diagnostic_msgs.srv import AddDiagnostics
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
@@ -20,29 +20,24 @@ from std_msgs.msg import String
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import model_names
-from machine_tool_calibration.nodes.calculation import (
-    Diagnosed,
-    Identified,
-    Improved,
-    Request,
-    compared,
-    diagnosed,
-    identified,
-    improved,
-)
+from machine_tool_calibration.nodes.calculation import Outcome, Request, compared, diagnosed, identified, improved
 from machine_tool_calibration.nodes.descriptions import description_of
-from machine_tool_calibration.nodes.publications import Publications, in_words
-from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
+from machine_tool_calibration.nodes.publications import TOPICS
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message, stamp_now
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Goals, Progress, Reply, offer
+from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.session.collect import Reading, Received
 
 __all__ = ["Estimator"]
 
-Outcome = TypeVar("Outcome")
-
+_CALCULATIONS = (
+    ("identify", "identifying", identified),
+    ("compare", "comparing", compared),
+    ("diagnose", "diagnosing", diagnosed),
+    ("improve", "improving the model", improved),
+)
+"""Verb, what it does for people, and the calculation."""
 _PERIOD = 0.2  # s between publications of the count of readings
 
 
@@ -60,14 +55,14 @@ class Estimator(ManagedNode):
         self._sources = (0, 0)
         self._heard, self._unheard = False, False
         self._found: tuple[str, ...] = ()
-        self._results = Publications(self)
+        self._results = {name: self.create_publisher(kind, name, LATCHED) for name, kind in TOPICS.items()}
         self._status = StatusTopic(self, "estimator")
         self.goals = Goals(self, self._show)
         self.create_subscription(String, "session", self._described, LATCHED)
         matched = SubscriptionEventCallbacks(matched=self._matched)
         self.create_subscription(JointState, "reading", self._read, READINGS, event_callbacks=matched)
-        for name, doing, work, done in _CALCULATIONS:
-            self.goals.offer(name, partial(self._begin, doing, work), partial(done, self))
+        for name, doing, work in _CALCULATIONS:
+            self.goals.offer(name, partial(self._begin, doing, work), self._done)
         offer(self, "~/reset", self._reset)
         self.create_service(AddDiagnostics, "~/add_effect", self._add_effect)
         self.every(_PERIOD, self._show)
@@ -131,12 +126,13 @@ class Estimator(ManagedNode):
             # Not when one comes: its first readings may have been heard before this is told.
             self._heard, self._unheard = False, not self._heard
 
-    def _reset(self, answer: Reply) -> None:
-        answer.send(True, f"{len(self._received)} readings forgotten")
+    def _reset(self) -> str:
+        words = f"{len(self._received)} readings forgotten"
         self._received.forget()
         self._unheard = False
         self._resets += 1
         self._show()
+        return words
 
     def _begin(
         self, doing: str, work: Callable[[Request, Progress], Outcome]
@@ -163,66 +159,29 @@ class Estimator(ManagedNode):
         return response
 
     def _request(self) -> Request:
-        values = {name: self.get_parameter(name).value for name in ("model", "effects", "effects_files")}
+        values = {
+            name: self.get_parameter(name).value for name in ("model", "effects", "effects_files", "magnification")
+        }
         return Request(
             text=self._text,
             readings=self._received.in_order(),
             model=values["model"] or None,
             effects=tuple(name for name in values["effects"] or () if name),
             files=tuple(name for name in values["effects_files"] or () if name),
+            magnification=values["magnification"],
+            now=partial(stamp_now, self),
         )
 
-    def _identified(self, outcome: Identified) -> tuple[str, Mapping[str, Any]]:
-        result = outcome.result
-        self._results.show_map(outcome, self.get_parameter("magnification").value)
-        content = {
-            "observations": result.observations,
-            "used": len(result.fit.residuals),
-            "rms_residual": result.rms_residual,
-            "reduced_chi_square": result.fit.joint.reduced_chi_square,
-        }
-        residual = f"{micrometres(result.rms_residual)} µm RMS residual"
-        return f"identified from {result.observations} readings: {residual}", content
-
-    def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
-        content, document = outcome
-        self._results.show_comparison(document)
-        told = ("readings", "rms_residual", "reduced_chi_square", "p_value")
-        return f"compared: {content['summary']}", {name: content[name] for name in told}
-
-    def _diagnosed(self, outcome: Diagnosed) -> tuple[str, Mapping[str, Any]]:
-        self._results.show_diagnosis(outcome)
-        content = outcome.content
-        self._found = tuple(content["accepted"])
-        return f"diagnosed: {in_words(outcome)}", {
-            "verdict": content["verdict"],
-            "accepted": " ".join(self._found),
-            "rms_before": content["fit"]["before"]["rms_residual"],
-            "rms_after": content["fit"]["after"]["rms_residual"],
-        }
-
-    def _improved(self, outcome: Improved) -> tuple[str, Mapping[str, Any]]:
-        self._results.show_improvement(outcome, self.get_parameter("magnification").value)
-        first, last = outcome.steps.steps[0], outcome.steps.steps[-1]
-        effects = list(last.result.effects)
-        self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])
-        added = list(outcome.diagnosed.content["accepted"])
-        before, after = first.result.rms_residual, last.result.rms_residual
-        residual = f"{micrometres(before)} -> {micrometres(after)} µm RMS residual"
-        words = f"improved by {', '.join(added) or 'nothing'}: {residual}"
-        return words, {
-            "verdict": outcome.diagnosed.content["verdict"],
-            "accepted": " ".join(added),
-            "effects": " ".join(effects),
-            "set_aside": " ".join(str(row) for row in last.set_aside[0]),
-            "rms_before": before,
-            "rms_after": after,
-            "reduced_chi_square_before": first.reduced_chi_square,
-            "reduced_chi_square_after": last.reduced_chi_square,
-        }
+    def _done(self, outcome: Outcome) -> tuple[str, Mapping[str, object]]:
+        for topic, message in outcome.messages.items():
+            self._results[topic].publish(message)
+        if outcome.accepted is not None:
+            self._found = outcome.accepted
+        if outcome.effects is not None:
+            self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, list(outcome.effects) or [""])])
+        return outcome.words, outcome.values
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         goals, received = self.goals, self._received
         entries = {
             "readings": len(received),
@@ -244,12 +203,3 @@ class Estimator(ManagedNode):
         if received.missing or self._unheard:
             level = max(level, Level.WARN)
         self._status.show(level, words, entries)
-
-
-_CALCULATIONS: tuple[tuple[str, str, Callable[[Request, Progress], Any], Any], ...] = (
-    ("identify", "identifying", identified, Estimator._identified),
-    ("compare", "comparing", compared, Estimator._compared),
-    ("diagnose", "diagnosing", diagnosed, Estimator._diagnosed),
-    ("improve", "improving the model", improved, Estimator._improved),
-)
-"""Verb, what it does for people, the calculation, and what publishes its outcome."""

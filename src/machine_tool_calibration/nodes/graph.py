@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from machine_tool_calibration.nodes.ros.process import default_environment
 from machine_tool_calibration.session.catalogue import method_spec
 
 __all__ = [
-    "LISTENERS", "LISTENER_STARTS", "Graph", "Program", "end_with_parent", "graph_parameters", "managed_nodes",
+    "LISTENERS", "LISTENER_STARTS", "Graph", "end_with_parent", "graph_parameters", "managed_nodes",
     "refuse_unknown", "switches",
 ]  # fmt: skip
 
@@ -34,43 +33,30 @@ LISTENER_STARTS = 4
 """Of one of these; more do not help it."""
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 _POLL = 0.02  # s
-
-
-@dataclass(frozen=True)
-class Program:
-    """A node to be started.
-
-    Attributes:
-        name: of the executable, which is also the node's.
-        parameters: values by name.
-        grace: time to end by itself after SIGINT, s.
-    """
-
-    name: str
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    grace: float = 2.0
+_GRACE = 3.0  # s in which a node ends by itself after SIGINT
+_CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
 
 class Graph:
     """The processes of one graph, as a context; leaving it ends them all.
 
     Args:
-        programs: what to start.
+        nodes: what to start: parameters by the executable's name, which is also the node's.
         folder: for logs and parameter files.
         domain: ROS domain id.
         namespace: of all nodes, such as `/cell_1`; empty for none.
-        parameters: a ROS parameter file of the user's own, which counts after the programs' parameters.
+        parameters: a ROS parameter file of the user's own, which counts more than those.
     """
 
     def __init__(
         self,
-        programs: Sequence[Program],
+        nodes: Mapping[str, Mapping[str, Any]],
         folder: Path,
         domain: int,
         namespace: str = "",
         parameters: Path | None = None,
     ) -> None:
-        self._programs = {program.name: program for program in programs}
+        self._nodes = dict(nodes)
         self.folder, self._domain, self._parameters = folder, domain, parameters
         self.namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
         self._running: dict[str, subprocess.Popen[bytes]] = {}
@@ -78,7 +64,7 @@ class Graph:
     def __enter__(self) -> Graph:
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
-            for name in self._programs:
+            for name in self._nodes:
                 self.start(name)
         except BaseException:
             self.stop()
@@ -89,11 +75,10 @@ class Graph:
         self.stop()
 
     def start(self, name: str, **changed: Any) -> None:
-        """Start one program, or start it again, with parameters that differ from the first time's."""
-        program = self._programs[name]
-        program = self._programs[name] = replace(program, parameters={**program.parameters, **changed})
+        """Start one node, or start it again, with parameters that differ from the first time's."""
+        values = self._nodes[name] = {**self._nodes[name], **changed}
         parameters = self.folder / f"{name}.yaml"
-        content = {"/**": {"ros__parameters": dict(program.parameters)}}
+        content = {"/**": {"ros__parameters": values}}
         parameters.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         command = [sys.executable, "-m", "machine_tool_calibration.nodes", name, "--ros-args"]
         command += ["--params-file", str(parameters)]
@@ -120,7 +105,7 @@ class Graph:
             )
 
     def ended(self) -> dict[str, str]:
-        """Programs that have ended by themselves, with their status and the last line of their log."""
+        """Nodes that have ended by themselves, with their status and the last line of their log."""
         return {
             name: f"{name} ended with status {process.returncode}: {self._last_line(name)}"
             for name, process in self._running.items()
@@ -128,7 +113,7 @@ class Graph:
         }
 
     def check(self) -> None:
-        """Raise if a program has ended by itself.
+        """Raise if a node has ended by itself.
 
         Raises:
             CalibrationError: with the last line of its log.
@@ -137,42 +122,38 @@ class Graph:
             raise CalibrationError(why)
 
     def process_id(self, name: str) -> int:
-        """Of a running program."""
+        """Of a running node."""
         return self._running[name].pid
 
     def kill(self, name: str, number: int = signal.SIGKILL) -> int:
-        """End one program by a signal, and give its exit status."""
+        """End one node by a signal, and give its exit status."""
         process = self._running.pop(name)
         process.send_signal(number)
-        try:
-            return process.wait(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return process.wait()
+        return _ended(process, 10.0)
 
     def stop(self, names: Sequence[str] | None = None) -> None:
-        """End programs, all by default: SIGINT, and SIGKILL for one that takes longer than its grace."""
+        """End nodes, all by default: SIGINT, and SIGKILL for one that takes longer than its grace."""
         chosen = [name for name in (names or list(self._running)) if name in self._running]
         for name in chosen:
             if self._running[name].poll() is None:
                 self._running[name].send_signal(signal.SIGINT)
         begin = time.monotonic()
         for name in chosen:
-            process = self._running.pop(name)
-            left = begin + self._programs[name].grace + 1.0 - time.monotonic()
-            try:
-                process.wait(timeout=max(left, _POLL))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            grace = _CLOSE if name == "recorder" else _GRACE
+            _ended(self._running.pop(name), max(begin + grace - time.monotonic(), _POLL))
 
     def _last_line(self, name: str) -> str:
-        try:
-            lines = (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").split("\n")
-        except OSError:
-            lines = []
-        kept = [line.strip() for line in lines if line.strip()]
-        return kept[-1] if kept else "it left no message"
+        log = (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
+        return log.rpartition("\n")[2].strip() or "it left no message"
+
+
+def _ended(process: subprocess.Popen[bytes], grace: float) -> int:
+    """The exit status of a process that has to end by itself within a time, s, or is killed."""
+    try:
+        return process.wait(timeout=grace)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
 
 
 def end_with_parent() -> None:
@@ -184,15 +165,7 @@ _WORDS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0":
 
 
 def switches(given: Mapping[str, str], names: Collection[str]) -> dict[str, bool]:
-    """Arguments that are true or false.
-
-    Args:
-        given: text of each argument by name.
-        names: of those that are wanted.
-
-    Raises:
-        CalibrationError: one is neither.
-    """
+    """The arguments of these names, which are true or false; raises CalibrationError where one is neither."""
     for name in names:
         if given[name].lower() not in _WORDS:
             raise CalibrationError(f"{name}:={given[name]} is neither true nor false")
@@ -203,14 +176,6 @@ def refuse_unknown(file: str, given: Collection[str], known: Collection[str]) ->
     """Refuse an argument that nobody reads, which `ros2 launch` passes over without a word.
 
     Where another launch file includes this one its own arguments are there too: then nothing is refused.
-
-    Args:
-        file: name of the launch file.
-        given: names of the arguments.
-        known: names of those that it has.
-
-    Raises:
-        CalibrationError: there is one.
     """
     unknown = sorted(set(given) - set(known))
     if unknown and any(word.endswith(file) for word in sys.argv):

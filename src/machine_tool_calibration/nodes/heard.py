@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -69,32 +70,24 @@ class NodeState:
 
 @dataclass(frozen=True)
 class Offer:
-    """A service that may be asked for.
-
-    Attributes:
-        service: its name, without the graph's namespace.
-        verb: the last part of it.
-        moves_axes: whether it moves the machine's axes.
-    """
+    """A service that may be asked for, without the graph's namespace; `verb` is the last part of its name."""
 
     service: str
     verb: str
     moves_axes: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass
 class Call:
-    """A request to a service.
-
-    Attributes:
-        service: its name.
-        success: as answered; None while there is no answer.
-        message: of the answer.
-    """
+    """A request to a service, and its answer: `success` is None while there is none."""
 
     service: str
     success: bool | None = None
     message: str = ""
+
+    def answer(self, success: bool, message: str) -> None:
+        """The service answered."""
+        self.success, self.message = success, message
 
 
 @dataclass(frozen=True)
@@ -135,8 +128,7 @@ class Heard:
         self._first: int | None = None
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
-        self._calls: dict[int, Call] = {}
-        self._asked = 0
+        self._calls: deque[Call] = deque(maxlen=_CALLS)
         self.ignored = (0, "")
         self.description = ""
         self.setups: tuple[str, ...] = ()
@@ -158,15 +150,7 @@ class Heard:
             self.description, self.setups = text, setups
 
     def read(self, stamp: int, reading: Reading) -> None:
-        """A reading came.
-
-        Args:
-            stamp: its time, ns.
-            reading: what the message says.
-
-        Raises:
-            CalibrationError: it cannot be one.
-        """
+        """A reading of that time, ns, came; raises CalibrationError where it cannot be one."""
         columns = dict(zip(reading.names, reading.values, strict=True))
         index, displacement = columns.get("setup_index", np.nan), columns.get("displacement", np.nan)
         with self._lock:
@@ -199,33 +183,19 @@ class Heard:
         self.published = replace(self.published, number=self.published.number + 1, **changes)
 
     def offer(self, offers: Iterable[Offer], refusing: Iterable[str] = ()) -> None:
-        """These services are there; those that ask for one that is not any more get no answer.
-
-        Args:
-            offers: the services that may be asked for.
-            refusing: nodes that do not allow their services to move axes.
-        """
+        """These services are there, but not those of the `refusing`; who asks for one that has gone gets no answer."""
         self.offers, self.refusing = tuple(offers), tuple(refusing)
         there = {one.service for one in self.offers}
-        with self._lock:
-            for number, call in self._calls.items():
-                if call.success is None and call.service not in there:
-                    self._calls[number] = replace(call, success=False, message="no answer: the node has gone")
+        for call in self.calls:
+            if call.success is None and call.service not in there:
+                call.answer(False, "no answer: the node has gone")
 
-    def ask(self, service: str) -> int:
-        """A service is asked for; gives the number by which `answer` knows it."""
+    def ask(self, service: str) -> Call:
+        """A service is asked for; the call is to be told the answer."""
+        call = Call(service)
         with self._lock:
-            self._asked += 1
-            self._calls[self._asked] = Call(service)
-            for number in list(self._calls)[:-_CALLS]:
-                del self._calls[number]
-            return self._asked
-
-    def answer(self, number: int, success: bool, message: str) -> None:
-        """A service answered."""
-        with self._lock:
-            if number in self._calls:
-                self._calls[number] = replace(self._calls[number], success=success, message=message)
+            self._calls.appendleft(call)
+        return call
 
     # --- those who look
 
@@ -264,7 +234,7 @@ class Heard:
     def calls(self) -> list[Call]:
         """The last requests to services, the newest first."""
         with self._lock:
-            return [call for _, call in reversed(self._calls.items())]
+            return list(self._calls)
 
     def nodes(self) -> list[NodeState]:
         """How the nodes are, by name, each as it was said last.

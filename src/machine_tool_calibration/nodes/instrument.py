@@ -27,7 +27,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.descriptions import description_of
-from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
+from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.optics import make_optics
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
@@ -35,12 +35,11 @@ from machine_tool_calibration.nodes.ros.messages import (
     Level,
     from_message,
     now,
-    place_of,
-    rotation_of,
     seconds,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
+from machine_tool_calibration.nodes.ros.poses import place_of, rotation_of
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, Window
 from machine_tool_calibration.nodes.simulated_source import SimulatedSource
@@ -86,7 +85,7 @@ class Instrument(ManagedNode):
         self._pairs = Pairs()
 
         self._stream = self.create_publisher(Float64MultiArray, "~/displacement", STATE)
-        self._environment = EnvironmentTopics(self, self._period, self._sensed)
+        self._environment = EnvironmentTopics(self, self._sensed)
         self.source: DriverSource | SimulatedSource
         if self._is_simulated:
             self._simulated = self.source = SimulatedSource(
@@ -94,8 +93,6 @@ class Instrument(ManagedNode):
                 self._origin,
                 self._rate,
                 self._sample_noise,
-                self._beam_radius,
-                seed=self._noise_seed,
                 keep=2 if self._simulated_time else 4000,
             )
             self._simulated.blocked = self._blocked
@@ -110,8 +107,8 @@ class Instrument(ManagedNode):
         hardware_id = self.source.hardware_id or Path(self._driver).stem
         self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
         self._outcomes = Outcomes(self)
-        offer(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
-        offer(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
+        offer_later(self, "~/datum", lambda answer: self._requested(answer, is_datum=True))
+        offer_later(self, "~/capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
         if not self._simulated_time:
             self.every(1.0 / self._batch_rate, self._flow)
@@ -124,7 +121,6 @@ class Instrument(ManagedNode):
             "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
         )
         self._file, self._origin = declare_site(self)
-        self._period = declare_period(self)
         self._rate = self.declare(
             "rate", 1000.0 if self._simulated_time else 10000.0, "samples of the simulated stream", "Hz", (1.0, 1e6)
         )
@@ -146,12 +142,6 @@ class Instrument(ManagedNode):
         )
         self._sample_noise = self.declare(
             "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", "m", (0.0, 1.0)
-        )
-        self._beam_radius = self.declare(
-            "beam_radius", 2e-3, "farther beside the beam the retroreflector does not return it", "m", (1e-6, 1.0)
-        )
-        self._noise_seed = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
         self._blocked = self.declare("beam_blocked", False, "something stands in the simulated beam", read_only=False)
 
@@ -344,7 +334,6 @@ class Instrument(ManagedNode):
             self._environment.tell(now(self))
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         problem = self.source.problem()
         state = "no signal" if problem else "measuring" if self._datum else "no datum"
         text = problem or self._reason or "measuring"

@@ -16,7 +16,7 @@ import yaml
 from machine_tool_calibration.budget.enough import Reached, Until
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, Program, graph_parameters
+from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.nodes.stages import Stages
@@ -34,7 +34,6 @@ _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and 
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
 _ON_THE_WAY = 5.0
-_CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
 Progress = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
@@ -83,10 +82,8 @@ class Measured:
     Attributes:
         output: folder of everything.
         session: what was measured.
-        session_folder: the same as files.
         bag: the recording, if there is one.
         result: the result document, if the errors were identified.
-        result_file: its file.
         domain: ROS domain id of the graph.
         seconds: from the start of the graph, and of the procedure alone.
         counters: what did not go straight, by name.
@@ -96,15 +93,23 @@ class Measured:
 
     output: Path
     session: Session
-    session_folder: Path
     bag: Path | None
     result: dict[str, Any] | None
-    result_file: Path | None
     domain: int
     seconds: tuple[float, float]
     counters: dict[str, int]
     remarks: tuple[str, ...]
     reached: tuple[Reached, ...] = ()
+
+    @property
+    def session_folder(self) -> Path:
+        """The session as files."""
+        return self.output / "session"
+
+    @property
+    def result_file(self) -> Path | None:
+        """The result's file, if there is one."""
+        return self.output / "result.json" if self.result is not None else None
 
 
 class _Listeners:
@@ -186,13 +191,13 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     site.write_text(yaml.safe_dump(site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
     begin = time.monotonic()
     with claimed_domain(setting.domain) as domain:
-        programs = _programs(setting, copy, site, procedure.session.method)
-        graph = Graph(programs, output / "log", domain, setting.namespace, setting.parameters)
+        nodes = _nodes(setting, copy, site, procedure.session.method)
+        graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
         with graph, Client(domain, graph.namespace, watch=listeners.watch) as client:
             try:
-                _await_ready(client, [program.name for program in programs])
+                _await_ready(client, list(nodes))
                 listeners.client = client
                 started = time.monotonic()
                 stages = _stages(client, procedure, setting)
@@ -217,18 +222,14 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 name: client.procedure.number(name)
                 for name in ("resent", "stale", "unstable", "recoveries", "restarts")
             }
-    result_file = None
     if document is not None:
-        result_file = output / "result.json"
-        result_file.write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
+        (output / "result.json").write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
     bag = output / "bag"
     return Measured(
         output=output,
         session=session,
-        session_folder=output / "session",
         bag=bag if bag.exists() else None,
         result=document,
-        result_file=result_file,
         domain=domain,
         seconds=(time.monotonic() - begin, measured),
         counters=counters,
@@ -251,7 +252,7 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     return {"seed": site.seed, "noise": noise, **document}
 
 
-def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> list[Program]:
+def _nodes(setting: Setting, procedure: Path, site: Path, method: str) -> dict[str, dict[str, Any]]:
     parameters = graph_parameters(
         method,
         procedure.resolve(),
@@ -271,11 +272,8 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         left_out.add("recorder")
     if not setting.identify:
         left_out.add("estimator")
-    return [
-        Program(name, parameters[name], grace=_CLOSE if name == "recorder" else 2.0)
-        for name in sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
-        if name not in left_out
-    ]
+    first = sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
+    return {name: parameters[name] for name in first if name not in left_out}
 
 
 def _await_ready(client: Client, names: Sequence[str]) -> None:
@@ -347,16 +345,13 @@ def _identify(client: Client, listeners: _Listeners, total: int, progress: Progr
 
     def collected() -> bool:  # the description may come later than the readings
         status = client.estimator
-        has = status.number("readings")
-        if status.number("resets") and has < total and (not has or has + status.number("missing") >= total):
-            lost = f"{total - has} of {total} readings are lost"
-            raise CalibrationError(f"estimator/reset was called during the measurement: {lost} to the estimator")
-        return has >= total and status.entries.get("session") == "described"
+        return status.number("readings") >= total and status.entries.get("session") == "described"
 
     while True:
         if not client.wait(collected, _COLLECT):
-            has = client.estimator.number("readings")
-            raise CalibrationError(f"the estimator has {has} of {total} readings")
+            has, resets = (client.estimator.number(name) for name in ("readings", "resets"))
+            why = "; estimator/reset was called during the measurement" if resets else ""
+            raise CalibrationError(f"the estimator has {has} of {total} readings{why}")
         if _is_identified(client, listeners):
             break
     if not client.wait(lambda: bool(client.heard.published.document), _COLLECT):

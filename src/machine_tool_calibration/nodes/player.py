@@ -21,12 +21,12 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import Level, to_message
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Reply, offer
+from machine_tool_calibration.nodes.ros.services import offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class, qos_profile
 from machine_tool_calibration.recording.graph import with_depth
-from machine_tool_calibration.recording.metadata import Qos
-from machine_tool_calibration.recording.reader import BagReader, Message, Topic
+from machine_tool_calibration.recording.metadata import Qos, Topic
+from machine_tool_calibration.recording.reader import BagReader, Message
 
 __all__ = ["Pace", "Player"]
 
@@ -37,24 +37,24 @@ class Pace:
     Args:
         rate: seconds of the bag per second; 0 is as fast as possible.
         start: time in the bag at which it begins, ns.
-        now: time on the wall, ns of a clock that never jumps.
+        begin: when it begins to run, ns of a clock that never jumps; until then nothing is due.
         paused: whether it stands at first.
     """
 
-    def __init__(self, rate: float, start: int, now: int, *, paused: bool = False) -> None:
+    def __init__(self, rate: float, start: int, begin: int, *, paused: bool = False) -> None:
         self.rate = rate
         self.paused = paused
-        self._bag, self._wall = start, now
+        self._bag, self._wall = start, begin
 
     def position(self, now: int) -> int:
         """Time in the bag, ns; without a rate, where it was last set."""
         if self.paused or not self.rate:
             return self._bag
-        return self._bag + round((now - self._wall) * self.rate)
+        return self._bag + round(max(now - self._wall, 0) * self.rate)
 
     def is_due(self, time: int, now: int) -> bool:
         """Whether a message of that time in the bag is to be sent."""
-        return not self.paused and (not self.rate or time <= self.position(now))
+        return not self.paused and now >= self._wall and (not self.rate or time <= self.position(now))
 
     def pause(self, now: int) -> None:
         """Stand."""
@@ -142,8 +142,8 @@ class Player(ManagedNode):
         self._status = StatusTopic(self, "player", clock=time.time_ns)
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
             offer(self, f"~/{name}", action)
-        self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=self._paused)
-        self._begin: int | None = time.monotonic_ns() + round(self._delay * 1e9) if self._delay else None
+        begin = time.monotonic_ns() + round(self._delay * 1e9)
+        self._pace = Pace(self._rate, self._start, begin, paused=self._paused)
         self._messages: Iterator[Message] = iter(())
         self._next: Message | None = None
         self._ended = False
@@ -204,12 +204,9 @@ class Player(ManagedNode):
             self._publish(message)
         self._ended = self._next is None
         self._last_clock = None
-        self._pace.set(self._start, time.monotonic_ns())
 
     def _tick(self) -> None:
         """Send all that is due."""
-        if self._is_early():
-            return
         try:
             now = time.monotonic_ns()
             for _ in range(_AT_ONCE):
@@ -219,18 +216,6 @@ class Player(ManagedNode):
                 self._advance(message)
         except RecordingError as error:
             self._stop(error)
-
-    def _is_early(self) -> bool:
-        """Whether the delay is not over yet; the time in the bag begins when it is."""
-        now = time.monotonic_ns()
-        if self._begin is None:
-            return False
-        if now < self._begin:
-            return True
-        self._begin = None
-        if not self._pace.paused:
-            self._pace.set(self._start, now)
-        return False
 
     def _advance(self, message: Message) -> None:
         if not self._pace.rate:
@@ -248,6 +233,7 @@ class Player(ManagedNode):
 
     def _end(self) -> None:
         if self._loop:
+            self._pace.set(self._start, time.monotonic_ns())
             self._rewind()
             return
         self._ended = True
@@ -264,7 +250,7 @@ class Player(ManagedNode):
         self._end()
 
     def _tell_time(self, at: int | None = None) -> None:
-        if self._time_topic is None or self._begin is not None:
+        if self._time_topic is None:
             return
         if at is None:
             at = min(self._pace.position(time.monotonic_ns()), self.bag.last)
@@ -275,32 +261,29 @@ class Player(ManagedNode):
         self._last_clock = at
         self._time_topic.publish(ClockMessage(clock=to_message(at)))
 
-    def _pause(self, answer: Reply) -> None:
+    def _pause(self) -> str:
         self._pace.pause(time.monotonic_ns())
-        self._answer(answer, "paused")
+        self._show()
+        return "paused"
 
-    def _resume(self, answer: Reply) -> None:
+    def _resume(self) -> str:
         if self._ended:
-            answer.send(False, "the bag has been played to its end")
-            return
+            raise CalibrationError("the bag has been played to its end")
         self._pace.resume(time.monotonic_ns())
-        self._answer(answer, "playing")
+        self._show()
+        return "playing"
 
-    def _step(self, answer: Reply) -> None:
-        message, self._begin = self._next, None
+    def _step(self) -> str:
+        message = self._next
         if not self._pace.paused or message is None:
-            answer.send(False, "only a paused replay can be stepped" if message else "no message is left")
-            return
+            raise CalibrationError("only a paused replay can be stepped" if message else "no message is left")
         self._pace.set(message.log_time, time.monotonic_ns())
         try:
             self._advance(message)
         except RecordingError as error:
             self._stop(error)
-        self._answer(answer, message.topic)
-
-    def _answer(self, answer: Reply, text: str) -> None:
-        answer.send(True, text)
         self._show()
+        return message.topic
 
     @property
     def state(self) -> str:
@@ -312,7 +295,6 @@ class Player(ManagedNode):
         return "paused" if self._pace.paused else "playing"
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         position = min(max(self._pace.position(time.monotonic_ns()), self.bag.first), self.bag.last)
         entries = {
             "state": self.state,

@@ -21,12 +21,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
+from machine_tool_calibration.instruments.touch import SEARCH, NominalTouch, Part, judge
 from machine_tool_calibration.nodes.commanded import Executions
 from machine_tool_calibration.nodes.descriptions import description_of
-from machine_tool_calibration.nodes.environment import EnvironmentTopics, declare_period
+from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
@@ -43,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer
+from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
@@ -51,37 +50,20 @@ from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["Pretravel", "Probe", "SimulatedPart"]
+__all__ = ["Probe", "SimulatedPart"]
 
 _FORM_STREAM = 41
 
 
-@dataclass(frozen=True)
-class Pretravel:
-    """Way from contact to trigger that the probe's calibration has left: amplitude, m, and lobes of its variation."""
-
-    amplitude: float = 0.0
-    lobes: int = 3
-
-    def at(self, normal: Array) -> float:
-        """For a contact with an outward normal (2,), m: the sphere is so much deeper when the probe triggers."""
-        return float(self.amplitude * np.cos(self.lobes * np.arctan2(normal[1], normal[0])))
-
-
 class SimulatedPart:
-    """Exact geometry: true place of the sphere, true surface on the true table.
+    """Exact geometry: true place of the sphere, true surface on the true table, with a scatter (`form`, m)."""
 
-    Args:
-        site: the simulated world.
-        part: the workpiece as the probe knows it.
-        form: standard deviation of the points' form errors, m.
-        pretravel: of the probe.
-    """
-
-    def __init__(self, site: Site, part: Part, form: float, pretravel: Pretravel) -> None:
+    def __init__(self, site: Site, part: Part, form: float) -> None:
         machine = replace(site.machine, rotation_sign=part.sign)
         self.live = LiveMachine(machine, site.chosen, site.environment)
-        self.part, self.pretravel = part, pretravel
+        self.part = part
+        noise = site.spec.noise
+        self.noise = part.description.standard_uncertainty.displacement if noise is None else noise
         points = part.description.workpiece
         rng = np.random.default_rng([site.spec.seed, _FORM_STREAM])
         self.form = form * rng.normal(size=len(points))
@@ -111,12 +93,14 @@ class SimulatedPart:
         surface[:, 2], facing[:, 2] = centre[2], 0.0
         contact = float(probed(centre[None], normal[None], surface, facing, self.part.radius)[0])
         sight = Sight(np.zeros(1), -normal[None], azimuth=np.arctan2(normal[1:2], normal[:1]))
-        return contact + float(self.live.added(scene, sight)[0]) - self.pretravel.at(touch.normal)
+        return contact + float(self.live.added(scene, sight)[0])
 
 
 _CHECK = 0.1  # s of the wall clock
 _AGAIN = 1.0  # s of the wall clock after which a command that the axes do not tell of is sent again
 _WAY = 2  # points of a touch's trajectory: there and back
+_REACTION = 0.004  # s from the trigger until the axes turn back
+_ATTEMPTS = 2  # touches tried before a point is given up
 
 
 @dataclass
@@ -167,21 +151,21 @@ class Probe(ManagedNode):
         self._touches = self._missed = self._early = 0
         self._last = ""
         self._floor = 0
-        self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
+        self._random = np.random.default_rng([self._site.spec.seed, 43])
 
         # it stands in the instrument's place, whatever its own name is
         told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
         self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
         self._triggers = self.create_publisher(JointState, "~/trigger", STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        self._environment = EnvironmentTopics(self, self._period, self._sensed)
+        self._environment = EnvironmentTopics(self, self._sensed)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self.create_subscription(JointTrajectory, "axes/executed", self._executed, STATE)
         self._outcomes = Outcomes(self, "instrument/outcome")
-        offer(self, "instrument/datum", self._no_datum)
-        offer(self, "instrument/capture", self._requested)
+        offer_later(self, "instrument/datum", self._no_datum)
+        offer_later(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
         self._show()
 
@@ -189,44 +173,12 @@ class Probe(ManagedNode):
         """See `ManagedNode`."""
         self._simulated_time = self.lives_in_simulated_time
         self._file, self._origin = declare_site(self)
-        self._period = declare_period(self)
         self._speed = self.declare("speed", 0.005, "speed of the approach", "m/s", (1e-5, 1.0))
-        self._reaction = self.declare("reaction", 0.004, "from the trigger until the axes turn back", "s", (0.0, 1.0))
-        self._limits = Limits(
-            search=self.declare("search", 0.001, "greatest way beyond the nominal surface", "m", (1e-6, 0.1)),
-            early=self.declare(
-                "early", 0.001, "a trigger farther outside the nominal surface is refused", "m", (1e-6, 0.1)
-            ),
-        )
-        self._farthest = self.declare(
-            "farthest", 0.02, "greatest distance from the surface where a touch begins", "m", (1e-4, 1.0)
-        )
-        self._attempts = self.declare("attempts", 2, "touches tried before a point is given up", within=(1, 100))
-        self._repeatability = self.declare(
-            "repeatability",
-            -1.0,
-            "standard deviation of the trigger in one direction; negative: as the session declares for a touch",
-            "m",
-            (-1.0, 1e-3),
-        )
-        self._pretravel = Pretravel(
-            amplitude=self.declare(
-                "pretravel_variation",
-                0.0,
-                "amplitude of the pre-travel's variation with the contact's direction",
-                "m",
-                (0.0, 1e-3),
-            ),
-            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", within=(1, 12)),
-        )
         self._form = self.declare(
             "form", 3e-6, "standard deviation of the simulated part's form errors", "m", (0.0, 0.01)
         )
         self._moves = self.declare(
             "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
-        )
-        self._noise_seed = self.declare(
-            "noise_seed", 0, "makes another run of the same site's noise", within=(0, 2**31)
         )
 
     # --- what the others say
@@ -234,7 +186,7 @@ class Probe(ManagedNode):
     def _described(self, message: String) -> None:
         description = description_of(message.data)
         if isinstance(description, Probing):
-            self._surface = SimulatedPart(self._site, Part(description), self._form, self._pretravel)
+            self._surface = SimulatedPart(self._site, Part(description), self._form)
             self._setups = {setup.c: index for index, setup in enumerate(description.setups)}
         else:
             self._surface = None
@@ -304,21 +256,18 @@ class Probe(ManagedNode):
         if surface is None:
             return
         try:
-            touch = surface.part.meant(position, self._farthest)
+            touch = surface.part.meant(position)
         except CalibrationError as error:
             self._refuse(str(error))
             return
         c, z = position.get("c", 0.0), position.get("z", 0.0)
         setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
         time = seconds(begin - self._origin)
-        exact = surface.trigger(touch, c, z, time, setup)
-        declared = surface.part.description.standard_uncertainty.displacement
-        spread = declared if self._repeatability < 0 else self._repeatability
-        displacement = exact + spread * self._random.normal()
-        problem = judge(displacement, touch.standoff, self._limits)
-        goes_to = max(displacement, -self._limits.search)
+        displacement = surface.trigger(touch, c, z, time, setup) + surface.noise * self._random.normal()
+        problem = judge(displacement, touch.standoff)
+        goes_to = max(displacement, -SEARCH)
         is_clear = displacement < touch.standoff  # else in contact before it moved
-        turn = goes_to - self._speed * self._reaction if is_clear else touch.standoff
+        turn = goes_to - self._speed * _REACTION if is_clear else touch.standoff
         travel = (touch.standoff - turn) / self._speed
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
         command = self._floor = max(begin, self._floor + 1)
@@ -342,7 +291,7 @@ class Probe(ManagedNode):
             self._missed += not early
             self._last = f"point {point}: {cycle.problem}"
             self.get_logger().warning(self._last)
-            if cycle.attempt < self._attempts:
+            if cycle.attempt < _ATTEMPTS:
                 self._begin(cycle.attempt + 1, held, cycle.position)
                 return
         else:
@@ -390,7 +339,6 @@ class Probe(ManagedNode):
         return self._site.sensed(seconds(stamp - self._origin))
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         problem = ""
         if self._surface is None:
             problem = "waiting for a probing session"

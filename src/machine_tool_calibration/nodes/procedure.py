@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -46,7 +45,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     values,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
-from machine_tool_calibration.nodes.ros.services import answer_by, goal_of, offer
+from machine_tool_calibration.nodes.ros.services import goal_of, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.procedure import events, plan, read_procedure
 from machine_tool_calibration.procedure.progress import State, Timing
@@ -62,12 +61,9 @@ _OWN = ("kind", "datum", "start", "end", "displacement", "standard_deviation", "
 def event_of(
     token: int, outcome: DiagnosticArray, sensed: Callable[[int], Mapping[str, float]]
 ) -> events.Captured | events.CaptureFailed | events.DatumSet:
-    """The event of an instrument's outcome; one that makes no sense is a failure that says so.
+    """The event of a request's `instrument/outcome`; one that makes no sense is a failure that says so.
 
-    Args:
-        token: of the request.
-        outcome: message of `instrument/outcome`.
-        sensed: the environment by column at a time, ns.
+    `sensed` gives the environment by column at a time, ns.
     """
     status, found = outcome.status[0], values(outcome)
     try:
@@ -136,8 +132,6 @@ class ProcedureNode(ManagedNode):
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, self._maximum_age)
         self._starts_with_clock = False
-        self._resets: int | None = None
-        self._remark = ""
         self._here: dict[str, float] | None = None
         self._motion: events.Motion | None = None
         self._executions = Executions()
@@ -160,7 +154,6 @@ class ProcedureNode(ManagedNode):
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
         self.create_subscription(DiagnosticArray, "instrument/outcome", self._outcome, OUTCOMES)
-        self.create_subscription(DiagnosticArray, "estimator/status", self._estimator_status, LATCHED)
         for name, handler in (
             ("start", self._start),
             ("pause", self._pause),
@@ -168,7 +161,7 @@ class ProcedureNode(ManagedNode):
             ("abort", self._abort),
             ("finish", self._finish),
         ):
-            offer(self, f"~/{name}", partial(answer_by, handler))
+            offer(self, f"~/{name}", handler)
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()
@@ -221,7 +214,6 @@ class ProcedureNode(ManagedNode):
         self._starts_with_clock = not now(self)
         if self._starts_with_clock:  # times would count from 1970
             return "it starts with the first /clock"
-        self._remark = ""
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)
@@ -319,15 +311,6 @@ class ProcedureNode(ManagedNode):
         else:
             self._seen.add("instrument")
 
-    def _estimator_status(self, message: DiagnosticArray) -> None:
-        """An estimator that forgets readings in the middle of a run would only be found out at its end."""
-        resets = int(values(message).get("resets", "0"))
-        before, self._resets = self._resets, resets
-        if before is not None and resets > before and self.sequencer.state in (State.RUNNING, State.PAUSED):
-            self._remark = f"estimator/reset after {self.sequencer.done} readings: the estimator has lost them"
-            self.get_logger().warning(self._remark)
-            self._show()
-
     def _answered(self, token: int, response: Trigger.Response | None) -> None:
         """A request was answered; what it gave is told by `instrument/outcome`, before or after."""
         if response is None:
@@ -401,7 +384,6 @@ class ProcedureNode(ManagedNode):
         return ", ".join(missing)
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         sequencer = self.sequencer
         step, total = sequencer.step, len(sequencer.plan.steps)
         missing = self._partners() if sequencer.state in (State.IDLE, State.FINISHED, State.ABORTED) else ""
@@ -421,7 +403,5 @@ class ProcedureNode(ManagedNode):
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
             text = sequencer.reason or f"waiting for {waiting}"
-        if self._remark:
-            text = f"{text}; {self._remark}"
-        level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
+        level = _LEVELS.get(sequencer.state, Level.WARN if waiting else Level.OK)
         self._status.show(level, text, entries)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator's latched results: map, tables, residuals, verdict, and the documents behind them."""
+"""The estimator's results as messages: map, tables, arrows, residuals, verdict."""
 
 from __future__ import annotations
 
@@ -9,23 +9,21 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.maps import FIELDS
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
-from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, dated, point, stamp_now, status
+from machine_tool_calibration.nodes.ros.messages import Level, cloud, dated, point, status
 from machine_tool_calibration.reports.quantities import sizes_in_words
-from machine_tool_calibration.reports.verdict import verdict_words
 
-__all__ = ["AXIS_FIELDS", "MOST_ARROWS", "Publications", "arrows", "axis_cloud", "in_words", "verdict_message"]
+__all__ = ["AXIS_FIELDS", "MOST_ARROWS", "TOPICS", "arrows", "axis_cloud", "map_messages", "verdict_message"]
 
 MOST_ARROWS = 2000
 _COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
@@ -135,27 +133,17 @@ _CANDIDATE = (
 )
 
 
-def in_words(done: Diagnosed) -> str:
-    """The verdict in sentences."""
-    return " ".join(verdict_words(done.found, done.changes, done.advice))
-
-
-def verdict_message(stamp: int, done: Diagnosed) -> DiagnosticArray:
-    """The message of topic `diagnosis`.
-
-    Args:
-        stamp: ROS time, ns.
-        done: the diagnosis; its document's values are told as they are, in SI units.
-    """
-    level = Level.OK if done.found.verdict == "adequate" else Level.WARN
-    message = DiagnosticArray(status=[status("verdict", level, in_words(done), dict(_verdict(done.content)))])
+def verdict_message(stamp: int, found: Diagnosis, content: Mapping[str, Any], words: str) -> DiagnosticArray:
+    """The message of topic `diagnosis`: the verdict's words, and values of the document as they are, in SI units."""
+    level = Level.OK if found.verdict == "adequate" else Level.WARN
+    message = DiagnosticArray(status=[status("verdict", level, words, dict(_verdict(content)))])
     dated(message, stamp, "")
-    titles = {r.name: r.candidate.effect.title for r in done.found.ranked if r.candidate.effect is not None}
-    for rank, candidate in enumerate(done.content["candidates"], start=1):
+    titles = {r.name: r.candidate.effect.title for r in found.ranked if r.candidate.effect is not None}
+    for rank, candidate in enumerate(content["candidates"], start=1):
         name = candidate["effect"]
-        level = Level.WARN if name in done.found.accepted else Level.OK
-        words = ": ".join(filter(None, (titles.get(name, name), _sizes(candidate))))
-        message.status.append(status(name, level, words, {"rank": rank, **_candidate(done.content, candidate)}))
+        level = Level.WARN if name in found.accepted else Level.OK
+        told = ": ".join(filter(None, (titles.get(name, name), _sizes(candidate))))
+        message.status.append(status(name, level, told, {"rank": rank, **_candidate(content, candidate)}))
     return message
 
 
@@ -196,59 +184,30 @@ def _told(value: object) -> object:
     return _UNKNOWN if value is None else value
 
 
-class Publications:
-    """Publishers of a node's results."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._map = node.create_publisher(PointCloud2, "error_map", LATCHED)
-        self._result = node.create_publisher(String, "error_map/result", LATCHED)
-        self._axes = node.create_publisher(PointCloud2, "error_map/axes", LATCHED)
-        self._arrows = node.create_publisher(MarkerArray, "error_map/arrows", LATCHED)
-        self._residuals = node.create_publisher(PointCloud2, "residuals", LATCHED)
-        self._comparison = node.create_publisher(String, "comparison/result", LATCHED)
-        self._diagnosis = node.create_publisher(DiagnosticArray, "diagnosis", LATCHED)
-        self._diagnosis_result = node.create_publisher(String, "diagnosis/result", LATCHED)
-        self._improvement = node.create_publisher(String, "improvement/result", LATCHED)
-
-    def show_map(self, identified: Identified, magnification: float) -> None:
-        """Publish an error map in all its forms.
-
-        Args:
-            identified: the map.
-            magnification: of the arrows; 0 for a round number.
-        """
-        result, stamp = identified.result, stamp_now(self._node)
-        self._map.publish(cloud(stamp, _map_fields(result)))
-        self._axes.publish(axis_cloud(stamp, result))
-        self._arrows.publish(arrows(stamp, result.error_map, magnification))
-        self._residuals.publish(cloud(stamp, _residual_fields(result)))
-        self._result.publish(String(data=identified.document))
-
-    def show_comparison(self, document: str) -> None:
-        """Publish a comparison's document."""
-        self._comparison.publish(String(data=document))
-
-    def show_diagnosis(self, diagnosed: Diagnosed) -> None:
-        """Publish the verdict and the candidates, and the document."""
-        self._diagnosis.publish(verdict_message(stamp_now(self._node), diagnosed))
-        self._diagnosis_result.publish(String(data=diagnosed.document))
-
-    def show_improvement(self, improved: Improved, magnification: float) -> None:
-        """Publish the way to a better model, the diagnosis behind it, and the last model's map.
-
-        Args:
-            improved: the models.
-            magnification: of the arrows; 0 for a round number.
-        """
-        self.show_diagnosis(improved.diagnosed)
-        self.show_map(improved.identified, magnification)
-        self._improvement.publish(String(data=improved.document))
+TOPICS: Mapping[str, Any] = {
+    "error_map": PointCloud2,
+    "error_map/axes": PointCloud2,
+    "error_map/arrows": MarkerArray,
+    "error_map/result": String,
+    "residuals": PointCloud2,
+    "comparison/result": String,
+    "diagnosis": DiagnosticArray,
+    "diagnosis/result": String,
+    "improvement/result": String,
+}
+"""Type of what is published on each topic; all are latched."""
 
 
-def _map_fields(result: Result) -> dict[str, Array]:
+def map_messages(stamp: int, result: Result, magnification: float) -> dict[str, Any]:
+    """An error map in all its forms, and the residuals, by topic; `magnification` of the arrows, 0: a round one."""
     found = result.error_map
-    return dict(zip(FIELDS, np.hstack([found.points, found.error, found.uncertainty]).T, strict=True))
+    columns = np.hstack([found.points, found.error, found.uncertainty]).T
+    return {
+        "error_map": cloud(stamp, dict(zip(FIELDS, columns, strict=True))),
+        "error_map/axes": axis_cloud(stamp, result),
+        "error_map/arrows": arrows(stamp, found, magnification),
+        "residuals": cloud(stamp, _residual_fields(result)),
+    }
 
 
 def _residual_fields(result: Result) -> dict[str, Array]:

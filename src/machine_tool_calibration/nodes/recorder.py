@@ -171,7 +171,6 @@ class Recorder(ManagedNode):
                 "publishers": tap.publishers,
                 "messages": tap.messages,
                 "lost": tap.lost,
-                "sent before the first": tap.unseen,
             }
             topics.append(status(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
         self._status.say(level, text, overall, topics)

@@ -28,11 +28,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     joint_state,
     nanoseconds,
     now,
-    pose_message,
-    quaternion_along,
     seconds,
 )
 from machine_tool_calibration.nodes.ros.node import ManagedNode
+from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
@@ -128,7 +127,6 @@ class RotaryPointer(ManagedNode):
         self._show()
 
     def _show(self) -> None:
-        """Publish the status where it has changed."""
         entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup}
         text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
         level = Level.OK if self._setup else Level.WARN

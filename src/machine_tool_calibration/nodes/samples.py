@@ -20,12 +20,7 @@ _PARTS = 4
 
 @dataclass(frozen=True)
 class Batch:
-    """Consecutive samples.
-
-    Attributes:
-        time: (n,) ROS time, ns.
-        path: (n,) m, from the source's own zero; NaN while there is no beam.
-    """
+    """Consecutive samples: (n,) ROS time, ns; (n,) path, m, from the source's own zero, NaN without a beam."""
 
     time: IntArray
     path: Array
@@ -175,7 +170,10 @@ class DriverSource:
                 value = math.nan if sample.displacement is None or not sample.beam else float(sample.displacement)
                 self._samples.append((round(sample.time * 1e9) + self._offset, value))
             health = self._driver.health()
-            self._problem = "" if health.state == "streaming" else health.problem or f"the instrument is {health.state}"
+            problem = health.problem or f"the instrument is {health.state}"
+            if health.rejected:
+                problem += f"; a line that is no reading: {health.rejected!r}"
+            self._problem = "" if health.state == "streaming" else problem
             if health.reconnections != self._reconnections:
                 self._reconnections = health.reconnections
                 self._reason = "the link to the instrument was lost; it may have lost its count"

@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that the package brings, wherever it was installed, and the help of executables, which is made of them.
-
-Help comes from a node's module and from msg_docs, which tests hold against the nodes.
-"""
+"""Files that the package brings, wherever it was installed, and the help of executables, which is made of them."""
 
 from __future__ import annotations
 
 import os
-import re
 import sys
-import textwrap
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["TopicRow", "procedure_file", "procedure_names", "shared_file", "topics", "usage"]
+__all__ = ["procedure_file", "procedure_names", "shared_file", "usage"]
 
 _PACKAGE = "machine_tool_calibration"
 
@@ -69,101 +63,24 @@ def procedure_names() -> list[str]:
     return sorted({file.stem for share in _shares() for file in (share / "config" / "procedures").glob("*.yaml")})
 
 
-_WIDTH = 100
-_SECTION = "## Parameters of `{}`"
-
-
-@dataclass(frozen=True)
-class TopicRow:
-    """A line of the table of topics.
-
-    Attributes:
-        name: relative, or absolute.
-        type: of its messages.
-        publishers: nodes, and in words what else publishes it.
-        subscribers: likewise.
-        content: in words; may be empty.
-    """
-
-    name: str
-    type: str
-    publishers: tuple[str, ...]
-    subscribers: tuple[str, ...]
-    content: str
-
-
-def topics() -> list[TopicRow]:
-    """The table of topics of msg_docs."""
-    found = []
-    for name, kind, way, *_ in _rows(_page("README"), "## Topics"):
-        ends, _, content = way.partition(": ")
-        publishers, _, subscribers = ends.partition(" → ")
-        found.append(TopicRow(name, kind, tuple(publishers.split(", ")), tuple(subscribers.split(", ")), content))
-    return found
-
-
 def usage(node: str, about: str) -> str:
-    """The help of a node's executable.
-
-    Args:
-        node: name of the executable.
-        about: what it is.
+    """The help of a node's executable: what the node is, and the tables of its parameters in msg_docs.
 
     Raises:
         CalibrationError: msg_docs is not installed.
     """
-    known = topics()
-    own = next(page for page in _PAGES if _SECTION.format(node) in _page(page))
-    services = [
-        (names, what.partition(": ")[2])
-        for names, what, *_ in _rows(_page("README"), "## Services")
-        if node in what.partition(": ")[0].split(", ")
-    ]
-    parts = [
+    common = shared_file("msg_docs/README.md")
+    heading = f"\n## Parameters of `{node}`\n"
+    page = next(page for page in common.parent.glob("*.md") if heading in page.read_text(encoding="utf-8"))
+    rows = "\n".join([*_rows(page, heading), *_rows(common, "\n## Parameters\n")[2:]])
+    return (
         f"Usage: ros2 run machine_tool_calibration {node} [--ros-args [-p PARAMETER:=VALUE] [-r NAME:=NAME] …]\n"
-        f"       mtcal-{node.replace('_', '-')} [--ros-args …]",
-        about.strip(),
-        _listed(
-            "Parameters",
-            [
-                _parameter(row)
-                for row in (*_rows(_page(own), _SECTION.format(node)), *_rows(_page("README"), "## Parameters"))
-            ],
-        ),
-        _listed("Publishes", [(f"{t.name} ({t.type})", t.content) for t in known if node in t.publishers]),
-        _listed("Listens to", [(f"{t.name} ({t.type})", t.content) for t in known if node in t.subscribers]),
-        _listed("Services", services),
-        f"More in {shared_file(f'msg_docs/{own}.md')}",
-    ]
-    return "\n\n".join(part for part in parts if part)
+        f"       mtcal-{node.replace('_', '-')} [--ros-args …]\n\n"
+        f"{about.strip()}\n\nParameters\n{rows}\n\nTopics and services: {page}"
+    )
 
 
-_PAGES = ("axes", "pointer", "instrument", "probe", "procedure", "estimator", "recorder", "player")
-
-
-def _page(name: str) -> str:
-    return shared_file(f"msg_docs/{name}.md").read_text(encoding="utf-8")
-
-
-def _rows(page: str, heading: str) -> Iterator[list[str]]:
-    """Lines of the table in a section, without its head, as plain text."""
-    section = page.split(f"\n{heading}\n", 1)[1].split("\n## ", 1)[0]
-    for line in re.findall(r"^\|(.*)\|$", section, re.M)[2:]:
-        cells = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", line).replace("`", "")
-        yield [cell.strip() for cell in cells.split("|")]
-
-
-def _parameter(row: list[str]) -> tuple[str, str]:
-    name, default, *unit, meaning = row
-    notes = [f" = {default}" if default else "", *(f" [{one.strip(', ')}]" for one in unit if one)]
-    return name + "".join(notes), meaning
-
-
-def _listed(title: str, entries: list[tuple[str, str]]) -> str:
-    if not entries:
-        return ""
-    lines = [title]
-    for name, text in entries:
-        lines.append(f"  {name}")
-        lines += textwrap.wrap(text, _WIDTH, initial_indent="      ", subsequent_indent="      ")
-    return "\n".join(lines)
+def _rows(page: Path, heading: str) -> list[str]:
+    """Lines of the table in a section."""
+    section = page.read_text(encoding="utf-8").split(heading, 1)[1].split("\n## ", 1)[0]
+    return [line for line in section.splitlines() if line.startswith("|")]

@@ -17,6 +17,7 @@ __all__ = ["SimulatedSource"]
 
 _IDENTITY = np.eye(3)
 _TURBULENCE = 0.5  # s: within this the air's noise hardly changes, beyond it is independent
+_RADIUS = 2e-3  # m: farther beside the beam the retroreflector does not return it
 _STILL = 1e-5  # m between two true positions: the axes stand
 _GRACE = 0.3  # s: so long the beam may be beside the retroreflector before it counts as lost
 _STARVED = 1_000_000_000  # ns without true positions: the signal is lost
@@ -30,8 +31,6 @@ class SimulatedSource:
         origin: ROS time at which its time is zero, ns.
         rate: of the stream, Hz.
         sample_noise: standard deviation of a single sample's own noise, m.
-        beam_radius: farther beside the beam the retroreflector does not return it, m.
-        seed: of the noise, beside the site's own.
         keep: how many true positions are kept; two are enough where there is no stream between the readings.
 
     Attributes:
@@ -42,16 +41,7 @@ class SimulatedSource:
         first: geometric path of the setup's first reading, m.
     """
 
-    def __init__(
-        self,
-        site: Site,
-        origin: int,
-        rate: float,
-        sample_noise: float,
-        beam_radius: float,
-        seed: int = 0,
-        keep: int = 4000,
-    ) -> None:
+    def __init__(self, site: Site, origin: int, rate: float, sample_noise: float, keep: int = 4000) -> None:
         self.site = site
         self.hardware_id = "simulated interferometer"
         self.optics: Optics = OnTool(site, tracking=False)
@@ -59,12 +49,12 @@ class SimulatedSource:
         self.setup, self.setup_index = "", 0
         self.first: float | None = None
         self._origin, self._step = origin, nanoseconds(1.0 / rate)
-        self._sample_noise, self._radius = sample_noise, beam_radius
+        self._sample_noise = sample_noise
         self._poses: deque[Pose] = deque(maxlen=keep)
         self._beam = NO_BEAM
         self._beam_stamp = self._due = self._setup_start = 0
         self._beside_since: int | None = None
-        self._random = np.random.default_rng([site.spec.seed, 31, seed])
+        self._random = np.random.default_rng([site.spec.seed, 31])
         self._air = 0.0
         self._next = 0
         self._lost = ""
@@ -173,7 +163,7 @@ class SimulatedSource:
         last = self._poses[-1]
         end, start = last.stamp, last.stamp - nanoseconds(length)
         before = self._poses[-2] if len(self._poses) > 1 else Pose(start, last.place, last.rotation)
-        if self._beside(last) > self._radius:
+        if self._beside(last) > _RADIUS:
             raise NotYet("beam", "the beam is beside the retroreflector")
         if start < before.stamp or np.linalg.norm(self._target(last) - self._target(before)) > _STILL:
             raise NotYet("unstable", f"the axes have not stood still for {length:g} s")
@@ -240,7 +230,7 @@ class SimulatedSource:
         """The pointer follows the axes while they move; a beam beside the target counts once both stand."""
         before, last = self._poses[-2 if len(self._poses) > 1 else -1], self._poses[-1]
         moved = float(np.linalg.norm(self._target(last) - self._target(before)))
-        if moved > _STILL or self._beside(last) <= self._radius:
+        if moved > _STILL or self._beside(last) <= _RADIUS:
             self._beside_since = None
         elif self._beside_since is None:
             self._beside_since = now

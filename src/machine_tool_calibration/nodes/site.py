@@ -250,15 +250,7 @@ class Site:
 def declare_site(
     node: GuardedNode, description: str = "YAML file with what is true in the simulated workshop; empty: the usual one"
 ) -> tuple[str, int]:
-    """Declare the parameters `site` and `time_origin` of a node.
-
-    Args:
-        node: whose parameters they are.
-        description: of the file.
-
-    Returns:
-        The site's file, and the ROS time at which the site's time is zero, ns.
-    """
+    """Declare `site` and `time_origin`: the file, and the ROS time at which the site's time is zero, ns."""
     file = node.declare("site", "", description)
     origin = node.declare(
         "time_origin", 0.0, "ROS time at which the site's time is zero; 0: this node's start", "s", (0.0, None)

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from machine_tool_calibration.procedure.events import Aim, Arrived, Motion
+from machine_tool_calibration.procedure.events import Aim, Arrived, Captured, DatumSet, Motion
 from machine_tool_calibration.procedure.steps import Step
 
 __all__ = ["Counters", "DatumGroup", "Pending", "Phase", "State", "Timing", "Visit"]
@@ -104,6 +104,16 @@ class Pending:
     since: float = 0.0
     sent: float = 0.0
     expected: float = 0.0
+
+    def is_asked(self, token: int) -> bool:
+        """Whether an answer belongs to the present request, as it was first sent or repeated."""
+        return self.first <= token <= self.token
+
+    def is_stale(self, event: Captured | DatumSet) -> bool:
+        """Whether the reading began before the axes and the beam were at rest, or does not know it yet."""
+        assert self.motion is not None and self.arrived is not None
+        ready = max(self.arrived.arrived, self.aimed or 0)
+        return event.start < ready or any(stamp < self.motion.stamp for stamp in event.inputs.values())
 
 
 @dataclass

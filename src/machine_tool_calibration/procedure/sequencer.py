@@ -299,9 +299,9 @@ class Sequencer:
             # the request was repeated and is carried out twice: readings count from the later datum
             self._group.datum = event.datum
             return []
-        if pending.phase is not Phase.DATUM or not self._is_asked(event.token):
+        if pending.phase is not Phase.DATUM or not self._pending.is_asked(event.token):
             return []
-        if self._is_stale(event):
+        if self._pending.is_stale(event):
             return self._ask_again(now, wall)
         self._group.datum = event.datum
         self._datums += 1
@@ -309,11 +309,11 @@ class Sequencer:
 
     def _captured(self, event: events.Captured, now: int, wall: float) -> list[events.Action]:
         pending = self._pending
-        if pending.phase is not Phase.CAPTURE or not self._is_asked(event.token):
+        if pending.phase is not Phase.CAPTURE or not self._pending.is_asked(event.token):
             return []
         if event.datum != self._group.datum:
             return self._recover("the instrument has lost its datum", now, wall)
-        if self._is_stale(event):
+        if self._pending.is_stale(event):
             return self._ask_again(now, wall)
         self._floor = max(self._floor, event.end)
         if _is_elsewhere(self._visits[0].step, event):
@@ -332,17 +332,6 @@ class Sequencer:
         if pending.stale % _STALE_BEFORE_HOLD == 0:
             return self._hold(now, wall)
         return self._ask(pending.phase, wall)
-
-    def _is_asked(self, token: int) -> bool:
-        """Whether an answer belongs to the present request, as it was first sent or repeated."""
-        return self._pending.first <= token <= self._pending.token
-
-    def _is_stale(self, event: events.Captured | events.DatumSet) -> bool:
-        """Whether the reading began before the axes and the beam were at rest, or does not know it yet."""
-        pending = self._pending
-        assert pending.motion is not None and pending.arrived is not None
-        ready = max(pending.arrived.arrived, pending.aimed or 0)
-        return event.start < ready or any(stamp < pending.motion.stamp for stamp in event.inputs.values())
 
     def _measured(self, step: Step, event: events.Captured, now: int, wall: float) -> list[events.Action]:
         value = event.displacement + self._group.offset
@@ -369,7 +358,7 @@ class Sequencer:
     # --- what goes wrong
 
     def _capture_failed(self, event: events.CaptureFailed, now: int, wall: float) -> list[events.Action]:
-        if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not self._is_asked(event.token):
+        if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not self._pending.is_asked(event.token):
             return []
         if event.kind == "unstable":
             if self._unstable_too_often():

@@ -39,12 +39,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Definition:
-    """How a message type is described in a bag.
-
-    Attributes:
-        text: definition with those of its parts, in `ros2msg` form; empty if it is not known.
-        type_hash: `RIHS01_…`; empty if it is not known.
-    """
+    """A message type in a bag: its text with its parts' (`ros2msg`), and its hash (`RIHS01_…`); empty if not known."""
 
     text: str = ""
     type_hash: str = ""
@@ -70,6 +65,8 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 NUMBERS = "std_msgs/msg/Float64MultiArray"
 TEXT = "std_msgs/msg/String"
 _LITTLE = b"\x00\x01"
+_ENCAPSULATION = 4  # bytes before the content
+_FRAME = 12  # where the frame begins, behind the stamp
 
 
 @dataclass(frozen=True)
@@ -88,12 +85,12 @@ class JointState:
 
 
 class JointStateReader:
-    """Reads JointStates; names that stay the same from message to message are read once."""
+    """Reads JointStates by the `rosbags` library; ten times as fast those with frame and names of the one before."""
 
     def __init__(self) -> None:
         """Start without names."""
-        self._raw, self._begin = b"", -1
-        self._names: tuple[str, ...] = ()
+        self._last = JointState(0, "", (), np.zeros(0))
+        self._head, self._length = b"", 0
 
     def read(self, data: bytes) -> JointState:
         """One message.
@@ -101,58 +98,29 @@ class JointStateReader:
         Raises:
             RecordingError: damaged.
         """
-        if data[:2] != _LITTLE:
-            return _joint_state_by_library(data)
-        content = data[4:]  # from here on a number stands at a multiple of its size
-        try:
-            sec, nanosec = struct.unpack_from("<iI", content, 0)
-            frame, at = _text_at(content, 8)
-            begin = at + -at % 4
-            # padding depends on where the names begin, so the same bytes mean the same names at the same place only
-            if self._raw and (begin - self._begin) % 8 == 0 and content.startswith(self._raw, begin):
-                at = begin + len(self._raw)
-            else:
-                self._names, at = _texts_at(content, begin)
-                self._raw, self._begin = content[begin:at], begin
-            count, at = _count_at(content, at)
-            positions = np.frombuffer(content, "<f8", count, at + -at % 8) if count else np.zeros(0)
-        except (struct.error, ValueError) as error:
-            self._raw = b""
-            raise RecordingError(f"a {JOINT_STATE} is damaged: {error}") from None
-        return JointState(sec * 1_000_000_000 + nanosec, frame, self._names, positions.astype(np.float64))
+        end = _FRAME + len(self._head)
+        if self._head and len(data) == self._length and data[:2] == _LITTLE and data[_FRAME:end] == self._head:
+            sec, nanosec = struct.unpack_from("<iI", data, 4)
+            positions = np.frombuffer(data, "<f8", len(self._last.positions), end).astype(np.float64)
+            return JointState(sec * 1_000_000_000 + nanosec, self._last.frame, self._last.names, positions)
+        message = decode(JOINT_STATE, data)
+        stamp, frame, names = message.header.stamp, message.header.frame_id, tuple(message.name)
+        positions = np.asarray(message.position, dtype=np.float64)
+        end = _positions_at((frame, *names))
+        self._head, self._length = (data[_FRAME:end], len(data)) if data[:2] == _LITTLE and len(positions) else (b"", 0)
+        self._last = JointState(stamp.sec * 1_000_000_000 + stamp.nanosec, frame, names, positions)
+        return self._last
 
 
-def _count_at(content: bytes, at: int) -> tuple[int, int]:
-    """A count at the next place where one can stand, and where it ends."""
-    at += -at % 4
-    return int(struct.unpack_from("<I", content, at)[0]), at + 4
-
-
-def _text_at(content: bytes, at: int) -> tuple[str, int]:
-    length, at = _count_at(content, at)
-    if at + length > len(content):
-        raise ValueError("a text is cut short")
-    return content[at : at + max(length - 1, 0)].decode(), at + length
-
-
-def _texts_at(content: bytes, at: int) -> tuple[tuple[str, ...], int]:
-    count, at = _count_at(content, at)
-    texts = []
-    for _ in range(count):  # a count that cannot be ends with the content
-        text, at = _text_at(content, at)
-        texts.append(text)
-    return tuple(texts), at
-
-
-def _joint_state_by_library(data: bytes) -> JointState:
-    message = decode(JOINT_STATE, data)
-    stamp = message.header.stamp
-    return JointState(
-        stamp.sec * 1_000_000_000 + stamp.nanosec,
-        message.header.frame_id,
-        tuple(message.name),
-        np.asarray(message.position, dtype=np.float64),
-    )
+def _positions_at(texts: Sequence[str]) -> int:
+    """Where the positions begin behind the frame and the names; a number stands at a multiple of its size."""
+    at = _FRAME - _ENCAPSULATION
+    for number, text in enumerate(texts):
+        at += -at % 4 + 4 + len(text.encode()) + 1
+        if not number:
+            at += -at % 4 + 4  # how many names
+    at += -at % 4 + 4  # how many positions
+    return _ENCAPSULATION + at + -at % 8
 
 
 def text(data: bytes) -> str:
@@ -180,12 +148,7 @@ def decode(message_type: str, data: bytes) -> Any:
 
 
 def encode(message_type: str, *fields: Any) -> bytes:
-    """A standard message serialized in little-endian CDR.
-
-    Args:
-        message_type: such as `std_msgs/msg/String`.
-        fields: values of its fields, in their order; parts as made by `part`.
-    """
+    """A standard message in little-endian CDR; values in the order of its fields, parts as made by `part`."""
     return bytes(typestore().serialize_cdr(part(message_type, *fields), message_type))
 
 
@@ -195,14 +158,7 @@ def part(message_type: str, *fields: Any) -> Any:
 
 
 def encode_joint_state(stamp: int, frame: str, names: Sequence[str], positions: Array) -> bytes:
-    """A JointState without velocities and efforts.
-
-    Args:
-        stamp: ns.
-        frame: id of the frame.
-        names: of the positions.
-        positions: (len(names),) values.
-    """
+    """A JointState at a time, ns, without velocities and efforts."""
     sec, nanosec = divmod(stamp, 1_000_000_000)
     header = part("std_msgs/msg/Header", part("builtin_interfaces/msg/Time", sec, nanosec), frame)
     none = np.zeros(0)

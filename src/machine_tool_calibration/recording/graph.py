@@ -6,13 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import RecordingError
-from machine_tool_calibration.recording.metadata import Qos
-
-if TYPE_CHECKING:  # who only names topics reads no bag
-    from machine_tool_calibration.recording.reader import Topic
+from machine_tool_calibration.recording.metadata import Qos, Topic
 
 __all__ = [
     "GRAPH_TOPICS",
@@ -34,14 +30,7 @@ MACHINE = "machine"
 
 @dataclass(frozen=True)
 class GraphTopic:
-    """A topic of the graph by its relative name; latched ones reach subscribers that come late.
-
-    Attributes:
-        name: relative.
-        type: of its messages.
-        latched: whether it is transient local.
-        depth: how many messages its publisher keeps.
-    """
+    """A topic of the graph by its relative name; latched ones reach subscribers that come late."""
 
     name: str
     type: str
@@ -96,12 +85,7 @@ _GROUPS = {topic.name.partition("/")[0] for topic in GRAPH_TOPICS if "/" in topi
 
 
 def belongs_to_graph(name: str, namespace: str) -> bool:
-    """Whether a topic that was discovered is one of a graph's, beyond those of `GRAPH_TOPICS`.
-
-    Args:
-        name: absolute name.
-        namespace: the graph's.
-    """
+    """Whether a topic, by its absolute name, is one of the graph's in that namespace beyond `GRAPH_TOPICS`."""
     prefix = namespace.rstrip("/") + "/"
     return name.startswith(prefix) and name.removeprefix(prefix).split("/")[0] in _GROUPS
 

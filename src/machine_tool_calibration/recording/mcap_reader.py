@@ -28,7 +28,6 @@ from machine_tool_calibration.errors import RecordingError, UnfinishedError
 
 __all__ = [
     "MAGIC",
-    "Allowance",
     "Channels",
     "McapReader",
     "RawMessage",
@@ -45,8 +44,6 @@ _REGISTRATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _LARGEST = 256 << 20  # bytes of a record, or of a chunk that is unpacked
 _FOOTER = _HEAD.size + 20 + len(MAGIC)  # bytes
 _DEFINITIONS = 16 << 20  # bytes of message definitions that are kept
-_FREE = 1 << 30  # bytes that a file may unpack to, whatever its size
-_RATIO = 200  # and per byte beyond that
 
 Parsed = TypeVar("Parsed")
 
@@ -73,13 +70,7 @@ class RawMessage(NamedTuple):
 def records(
     path: Path, stream: BinaryIO, *, start: int = len(MAGIC), skip: Collection[int] = ()
 ) -> Iterator[RawRecord]:
-    """All records from a place in the file to its footer.
-
-    Args:
-        path: for messages.
-        stream: the file.
-        start: byte where a record begins.
-        skip: offsets of chunks whose content is not wanted.
+    """All records from a byte where one begins to the file's footer, without the content of the chunks at `skip`.
 
     Raises:
         RecordingError: damaged; the message names the byte.
@@ -110,11 +101,7 @@ def records(
 
 
 def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parsed]) -> Parsed:
-    """A record's fields by the `mcap` library.
-
-    Raises:
-        RecordingError: the record is damaged.
-    """
+    """A record's fields by the `mcap` library; RecordingError where it is damaged."""
     try:
         return read(ReadDataStream(BytesIO(record.content)))
     except (struct.error, McapError, ValueError, TypeError, OverflowError):
@@ -124,33 +111,10 @@ def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parse
         ) from None
 
 
-class Allowance:
-    """How much a file may unpack to in all, so that a small file cannot cost hours."""
+def unpack(path: Path, record: RawRecord, *, cut: bool = False) -> bytes:
+    """Messages and registrations in a record, one after the other: a chunk's content, or the record itself.
 
-    def __init__(self, path: Path) -> None:
-        """Start with what the file's size allows."""
-        self._path = path
-        self._left = _FREE + _RATIO * path.stat().st_size
-
-    def take(self, size: int) -> None:
-        """Use up some bytes.
-
-        Raises:
-            RecordingError: nothing is left.
-        """
-        self._left -= size
-        if self._left < 0:
-            raise RecordingError(f"{self._path}: unpacks to more than {_RATIO} times its size; this is not a recording")
-
-
-def unpack(path: Path, record: RawRecord, allowance: Allowance, *, cut: bool = False) -> bytes:
-    """What is in a record, one after the other: a chunk's content, or a message or registration itself.
-
-    Args:
-        path: for messages.
-        record: any; what holds neither messages nor registrations is empty.
-        allowance: of the file.
-        cut: whether the chunk's end is missing: then as much as can be unpacked.
+    Of a chunk whose end is missing (`cut`) as much as can be unpacked; nothing of a record of another kind.
 
     Raises:
         RecordingError: damaged, too large, of another size than declared, or of an unknown compression.
@@ -164,7 +128,6 @@ def unpack(path: Path, record: RawRecord, allowance: Allowance, *, cut: bool = F
     size = chunk.uncompressed_size
     if size > _LARGEST:
         raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST >> 20} MiB are accepted")
-    allowance.take(size)
     data = bytearray()
     try:
         for piece in _pieces(where, chunk):
@@ -200,13 +163,7 @@ def _pieces(where: str, chunk: Chunk) -> Iterator[bytes]:
 def messages_in(
     path: Path, offset: int, content: bytes, wanted: Collection[int] | None = None
 ) -> Iterator[RawMessage | RawRecord]:
-    """Messages and registrations that stand one after the other.
-
-    Args:
-        path: for messages.
-        offset: where the record that holds them begins.
-        content: of it, unpacked.
-        wanted: channels whose messages are given; all if None.
+    """Messages of the wanted channels (all if None), and registrations, in the unpacked content of a record.
 
     Raises:
         RecordingError: damaged.
@@ -315,12 +272,11 @@ class McapReader:
         """Messages and registrations, in and out of chunks."""
         try:
             with self.path.open("rb") as stream:
-                allowance = Allowance(self.path)
                 for record in records(self.path, stream, skip=skip):
                     if record.opcode == Opcode.DATA_END:
                         return
                     if record.offset not in skip:
-                        yield from messages_in(self.path, record.offset, unpack(self.path, record, allowance), wanted)
+                        yield from messages_in(self.path, record.offset, unpack(self.path, record), wanted)
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 

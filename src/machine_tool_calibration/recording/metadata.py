@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -16,15 +17,15 @@ __all__ = [
     "LATCHED",
     "RELIABLE",
     "FileSummary",
-    "OfferedQos",
     "Qos",
-    "TopicSummary",
+    "Topic",
     "bag_information",
     "bag_information_text",
+    "offered_qos",
     "qos_text",
 ]
 
-_MOST_QOS = 1 << 20  # characters: thousands of publishers
+_MOST_QOS = 1 << 17  # characters: hundreds of publishers
 FOREVER = 9_223_372_036_854_775_807  # ns; also the start of a recording without messages, as rosbag2 has it
 
 
@@ -95,31 +96,21 @@ _CODES = {
 }
 
 
-class OfferedQos:
-    """Reads what the channels of a bag say of their quality of service; up to a measure for them together.
+def offered_qos(channel: Mapping[str, str]) -> tuple[Qos, ...]:
+    """What a channel's metadata says of its publishers' quality of service; none where it cannot be understood.
 
     It is only for people, and for late subscribers when the bag is played: a bag is readable without it.
     """
+    return _profiles(channel.get("offered_qos_profiles", ""))
 
-    def __init__(self) -> None:
-        """Nothing is read yet."""
-        self._left = _MOST_QOS
-        self._known: dict[str, tuple[Qos, ...]] = {}
 
-    def of(self, channel: Mapping[str, str]) -> tuple[Qos, ...]:
-        """The profiles in a channel's metadata; none where they cannot be understood."""
-        text = channel.get("offered_qos_profiles", "")
-        if text not in self._known:
-            if len(text) > self._left:
-                return ()
-            self._left -= len(text)
-            try:
-                entries = load_yaml(text, "offered_qos_profiles").value
-            except SessionError:
-                entries = None
-            entries = entries[:1000] if isinstance(entries, list) else []
-            self._known[text] = tuple(_profile(entry) for entry in entries if isinstance(entry, dict))
-        return self._known[text]
+@lru_cache(maxsize=64)
+def _profiles(text: str) -> tuple[Qos, ...]:
+    try:
+        entries = load_yaml(text, "offered_qos_profiles").value if len(text) < _MOST_QOS else ()
+    except SessionError:
+        entries = ()
+    return tuple(_profile(entry) for entry in entries if isinstance(entry, dict)) if isinstance(entries, list) else ()
 
 
 def _profile(entry: Mapping[str, Any]) -> Qos:
@@ -141,8 +132,17 @@ _DISTRO = "jazzy"
 
 
 @dataclass(frozen=True)
-class TopicSummary:
-    """One topic of a bag and how many messages it has."""
+class Topic:
+    """A topic of a bag.
+
+    Attributes:
+        name: absolute name.
+        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not say.
+        type_hash: `RIHS01_…`; empty if the bag does not say.
+        qos: what the publishers offered.
+        messages: how many there are.
+        encoding: of its messages.
+    """
 
     name: str
     type: str
@@ -168,7 +168,7 @@ class FileSummary:
         return max(0, self.last - self.first) if self.messages else 0
 
 
-def bag_information(files: Sequence[FileSummary], topics: Sequence[TopicSummary]) -> dict[str, Any]:
+def bag_information(files: Sequence[FileSummary], topics: Sequence[Topic]) -> dict[str, Any]:
     """Content of `rosbag2_bagfile_information`."""
     first = min((entry.first for entry in files), default=FOREVER)
     last = max((entry.last for entry in files if entry.messages), default=first)

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,43 +14,16 @@ from mcap.records import Channel
 from machine_tool_calibration.errors import RecordingError, SessionError, UnfinishedError
 from machine_tool_calibration.recording.cdr import decode, definition_of
 from machine_tool_calibration.recording.mcap_reader import McapReader
-from machine_tool_calibration.recording.metadata import OfferedQos, Qos
+from machine_tool_calibration.recording.metadata import Topic, offered_qos
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["BagReader", "Message", "Topic", "bag_files", "is_bag"]
+__all__ = ["BagReader", "Message", "bag_files", "is_bag", "is_readable"]
 
 _LARGEST_METADATA = 2 << 20
 METADATA_FILE = "metadata.yaml"
 
 Content = TypeVar("Content")
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag.
-
-    Attributes:
-        name: absolute name.
-        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not say.
-        encoding: of its messages, `cdr`.
-        type_hash: `RIHS01_…`; empty if the bag does not say.
-        qos: what the publishers offered.
-        messages: how many there are.
-    """
-
-    name: str
-    type: str
-    encoding: str
-    type_hash: str
-    qos: tuple[Qos, ...]
-    messages: int
-
-    @cached_property
-    def readable(self) -> bool:
-        """Whether its messages can be decoded: a standard type in the form that Jazzy has."""
-        known = definition_of(self.type)
-        return bool(known.type_hash) and self.encoding == "cdr" and self.type_hash in ("", known.type_hash)
 
 
 class Message(NamedTuple):
@@ -123,7 +95,7 @@ class BagReader:
         Raises:
             RecordingError: another type, or damaged.
         """
-        if not self.topics[message.topic].readable:
+        if not is_readable(self.topics[message.topic]):
             raise RecordingError(f"{self.path}: {message.topic} has the type {message.type!r}, which cannot be read")
         return self.read(message, partial(decode, message.type))
 
@@ -137,6 +109,12 @@ class BagReader:
             return content(message.data)
         except RecordingError as error:
             raise RecordingError(f"{self.path}: {message.topic} at {message.log_time} ns: {error}") from None
+
+
+def is_readable(topic: Topic) -> bool:
+    """Whether a topic's messages can be decoded: a standard type in the form that Jazzy has."""
+    known = definition_of(topic.type)
+    return bool(known.type_hash) and topic.encoding == "cdr" and topic.type_hash in ("", known.type_hash)
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:
@@ -185,11 +163,7 @@ def _file_names(metadata: Path) -> list[str]:
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """A file of the bag.
-
-    Raises:
-        RecordingError: it is not there, or not in the folder.
-    """
+    """A file of the bag; RecordingError where it is not there, or not in the folder."""
     pure = PurePosixPath(name)
     # bags of old distributions name the folder too
     candidates = [folder / pure, folder / pure.name]
@@ -204,7 +178,6 @@ def _inside(folder: Path, name: str) -> Path:
 
 def _merge(readers: list[McapReader]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
-    offered = OfferedQos()
     for reader in readers:
         known = reader.summary.channels
         for number, channel in known.channels.items():
@@ -219,7 +192,7 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
                 type=kind,
                 encoding=channel.message_encoding,
                 type_hash=channel.metadata.get("topic_type_hash", ""),
-                qos=offered.of(channel.metadata),
+                qos=offered_qos(channel.metadata),
                 messages=count + (before.messages if before else 0),
             )
     return topics

@@ -16,7 +16,6 @@ from mcap.records import Channel, Schema
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_reader import (
     MAGIC,
-    Allowance,
     Channels,
     RawMessage,
     RawRecord,
@@ -24,7 +23,7 @@ from machine_tool_calibration.recording.mcap_reader import (
     records,
     unpack,
 )
-from machine_tool_calibration.recording.metadata import OfferedQos
+from machine_tool_calibration.recording.metadata import offered_qos
 from machine_tool_calibration.recording.writer import BagWriter
 
 __all__ = ["Recovered", "recover"]
@@ -74,7 +73,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
         raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
     problems: list[str] = []
     lost = 0
-    offered, added = OfferedQos(), set[str]()
+    added = set[str]()
     sizes = [file.stat().st_size for file in files]
     with BagWriter(output) as bag:
         for number, file in enumerate(files):
@@ -86,7 +85,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
             salvage = _Salvage(file, read)
             for channel, schema, message in salvage.messages():
                 if channel.topic not in added:
-                    _add(bag, channel, schema, offered)
+                    _add(bag, channel, schema)
                     added.add(channel.topic)
                 bag.write(channel.topic, message.data, message.log_time, message.publish_time, message.sequence)
             read(sizes[number])
@@ -139,11 +138,11 @@ def _has_magic(path: Path) -> bool:
         return False
 
 
-def _add(bag: BagWriter, channel: Channel, schema: Schema | None, offered: OfferedQos) -> None:
+def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
     bag.add_topic(
         channel.topic,
         schema.name if schema else "",
-        qos=offered.of(channel.metadata),
+        qos=offered_qos(channel.metadata),
         definition=schema.data.decode("utf-8", "replace") if schema else "",
         type_hash=channel.metadata.get("topic_type_hash", ""),
         encoding=channel.message_encoding,
@@ -180,10 +179,9 @@ class _Salvage:
         end = 0
         try:
             with self.path.open("rb") as stream:
-                allowance = Allowance(self.path)
                 for record in records(self.path, stream):
                     try:
-                        yield from list(messages_in(self.path, record.offset, unpack(self.path, record, allowance)))
+                        yield from list(messages_in(self.path, record.offset, unpack(self.path, record)))
                     except RecordingError as error:
                         self._problem(_reason(error, self.path), record.length)
                     end = record.offset + 9 + record.length
@@ -193,7 +191,7 @@ class _Salvage:
         except UnfinishedError:
             end = max(end, len(MAGIC))
             saved = 0
-            for saved, entry in enumerate(self._cut(end, allowance), 1):  # noqa: B007 (the last one counts)
+            for saved, entry in enumerate(self._cut(end), 1):  # noqa: B007 (the last one counts)
                 yield entry
             self._problem("the end is missing", 0 if saved else self.path.stat().st_size - end)
         except RecordingError as error:
@@ -201,7 +199,7 @@ class _Salvage:
         except OSError as error:
             self._problem(f"cannot be read: {error.strerror}", 0)
 
-    def _cut(self, start: int, allowance: Allowance) -> Iterator[RawMessage | RawRecord]:
+    def _cut(self, start: int) -> Iterator[RawMessage | RawRecord]:
         """The whole messages in a chunk whose end is missing."""
         with self.path.open("rb") as stream:
             stream.seek(start)
@@ -209,9 +207,7 @@ class _Salvage:
             if head[:1] == bytes([Opcode.CHUNK]):
                 content = stream.read(_LARGEST_CUT)
                 with contextlib.suppress(RecordingError):  # where the whole ones end
-                    whole = unpack(
-                        self.path, RawRecord(Opcode.CHUNK, start, len(content), content), allowance, cut=True
-                    )
+                    whole = unpack(self.path, RawRecord(Opcode.CHUNK, start, len(content), content), cut=True)
                     yield from messages_in(self.path, start, whole)
 
     def _problem(self, what: str, lost: int) -> None:

@@ -17,7 +17,8 @@ import pandas as pd
 
 from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
-from machine_tool_calibration.recording.reader import BagReader, Message, Topic
+from machine_tool_calibration.recording.metadata import Topic
+from machine_tool_calibration.recording.reader import BagReader, Message, is_readable
 from machine_tool_calibration.session.csv_text import write_csv
 
 __all__ = ["file_name", "save_table", "save_tables", "tables"]
@@ -201,7 +202,7 @@ def save_tables(
             raise RecordingError(f"{folder}: is not empty; choose another folder")
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
-    readable = [topic for _, topic in sorted(bag.topics.items()) if topic.readable]
+    readable = [topic for _, topic in sorted(bag.topics.items()) if is_readable(topic)]
     files: dict[str, Path] = {}
     before = 0  # messages of the topics that are written
     try:

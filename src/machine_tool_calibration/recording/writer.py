@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +19,7 @@ from machine_tool_calibration.recording.cdr import definition_of
 from machine_tool_calibration.recording.metadata import (
     FileSummary,
     Qos,
-    TopicSummary,
+    Topic,
     bag_information,
     bag_information_text,
     qos_text,
@@ -77,8 +78,8 @@ class _File:
 
 
 @dataclass
-class _Topic:
-    summary: TopicSummary
+class _Registered:
+    summary: Topic
     definition: bytes
     schema_encoding: str
 
@@ -101,24 +102,24 @@ class BagWriter:
         split_bytes: int = 0,
         split_seconds: float = 0.0,
     ) -> None:
-        """Create the folder and the first file.
+        """Create the folder, which must not exist or be empty, and the first file.
 
         Args:
-            folder: the bag; must not exist or be empty.
+            folder: the bag.
             flush_seconds: longest age of what is not yet written, s.
             chunk_bytes: size at which a chunk ends.
             split_bytes: size at which a new file begins; 0 never.
-            split_seconds: duration at which a new file begins, by the messages' times, s; 0 never.
+            split_seconds: likewise duration, by the messages' times, s.
 
         Raises:
-            RecordingError: the folder is there already or cannot be made.
+            RecordingError: the folder holds something or cannot be made.
         """
         self.folder = Path(folder)
         self._flush_seconds = flush_seconds
         # A file is as large as asked to a tenth: it ends with a chunk.
         self._chunk_bytes = min(chunk_bytes, split_bytes // 10) if split_bytes else chunk_bytes
         self._split_bytes, self._split_time = split_bytes, int(split_seconds * 1e9)
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, _Registered] = {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._files: list[FileSummary] = []
@@ -141,7 +142,7 @@ class BagWriter:
         return sum(file.messages for file in self._files)
 
     @property
-    def topics(self) -> tuple[TopicSummary, ...]:
+    def topics(self) -> tuple[Topic, ...]:
         """The topics with their numbers of messages."""
         return tuple(
             replace(topic.summary, messages=sum(file.by_topic.get(name, 0) for file in self._files))
@@ -197,8 +198,8 @@ class BagWriter:
             type_hash = known.type_hash if type_hash is None else type_hash
         if schema_encoding is None:
             schema_encoding = "ros2msg" if definition else ""
-        summary = TopicSummary(name, message_type, type_hash, tuple(qos), 0, encoding)
-        self._topics[name] = _Topic(summary, definition.encode(), schema_encoding)
+        summary = Topic(name, message_type, type_hash, tuple(qos), 0, encoding)
+        self._topics[name] = _Registered(summary, definition.encode(), schema_encoding)
         self._register(self._writer(), name)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None, sequence: int = 0) -> None:
@@ -250,10 +251,8 @@ class BagWriter:
             RecordingError: the disk is full; what is pending waits.
         """
         self._flushed = time.monotonic()
-        try:
+        with self._written():
             self._writer().flush()  # type: ignore[no-untyped-call]
-        except OSError as error:
-            raise self._failed(error) from None
         self._kept = (self._files[-1].messages, dict(self._files[-1].by_topic))
 
     def close(self) -> None:
@@ -265,19 +264,17 @@ class BagWriter:
         if self._closed:
             return
         try:
-            self._end()
+            try:
+                self._end()
+            except RecordingError:  # nothing waits any longer
+                self._files[-1].messages, self._files[-1].by_topic = self._kept
+                raise
             part = self.folder / "metadata.yaml.part"
-            with part.open("w", encoding="utf-8") as stream:
+            with self._written(), part.open("w", encoding="utf-8") as stream:
                 stream.write(bag_information_text({"rosbag2_bagfile_information": self._information()}))
                 stream.flush()
                 os.fsync(stream.fileno())
-            os.replace(part, self.folder / "metadata.yaml")
-        except OSError as error:
-            raise self._failed(error) from None
-        except RecordingError:
-            # Nothing waits any longer.
-            self._files[-1].messages, self._files[-1].by_topic = self._kept
-            raise
+                os.replace(part, self.folder / "metadata.yaml")
         finally:
             self._closed = True
             if self._file is not None:
@@ -292,21 +289,15 @@ class BagWriter:
         self.close()
 
     def _writer(self) -> Writer:
-        """The present file's writer; of the next one where it was ended.
-
-        Raises:
-            RecordingError: closed, or the disk is full: there may be room again later.
-        """
+        """The present file's writer, or the next one's; RecordingError where closed, or the disk is full for now."""
         if self._mcap is not None:
             return self._mcap
         if self._closed:
             raise RecordingError(f"{self.folder}: the recording is closed")
         self._end()  # one that waited for room
         name = f"{Path(os.path.realpath(self.folder)).name}_{len(self._files)}.mcap"
-        try:
+        with self._written():
             self._file = _File(self.folder / name)
-        except OSError as error:
-            raise self._failed(error) from None
         self._files.append(FileSummary(name))
         self._kept, self._flushed = (0, {}), time.monotonic()
         kinds = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
@@ -336,21 +327,15 @@ class BagWriter:
         return bool(self._split_time) and log_time - summary.first >= self._split_time
 
     def _end(self) -> None:
-        """End the present file; where the disk is full its end waits for room.
-
-        Raises:
-            RecordingError: it waits.
-        """
+        """End the present file; where the disk is full its end waits for room, which is a RecordingError."""
         if self._mcap is not None:
             self._add_information(self._mcap)
             self._mcap.finish()  # type: ignore[no-untyped-call]
             self._mcap = None
         if self._file is None:
             return
-        try:
+        with self._written():
             self._file.close()
-        except OSError as error:
-            raise self._failed(error) from None
         self._file = None
 
     def _add_information(self, writer: Writer) -> None:
@@ -359,8 +344,12 @@ class BagWriter:
     def _information(self) -> dict[str, object]:
         return bag_information(self._files, self.topics)
 
-    def _failed(self, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"{self.folder}: cannot be written: {error.strerror}; what was written before is whole after "
-            f"`mtcal recover {self.folder}`"
-        )
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RecordingError(
+                f"{self.folder}: cannot be written: {error.strerror}; what was written before is whole after "
+                f"`mtcal recover {self.folder}`"
+            ) from None

@@ -88,9 +88,6 @@ class Silent:
     def read(self, timeout: float) -> list[Sample]:
         return []
 
-    def set_datum(self) -> bool:
-        return False
-
     def health(self) -> Health:
         return Health("silent")
 

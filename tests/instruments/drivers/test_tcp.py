@@ -39,7 +39,6 @@ def settings(server: socket.socket, **changes: object) -> AsciiLineSettings:
             "ignore": "#.*",
         },
         "value": {"unit": "mm"},
-        "datum": "ZERO\r\n",
         "timeouts": {"reconnect": 0.01, "silence": LONG, "answer": 0.05},
     }
     return AsciiLineSettings.model_validate(content | changes)
@@ -100,7 +99,7 @@ def test_readings_in_metres_and_garbage_counted(streaming: Streaming) -> None:
     assert [s.displacement for s in samples] == [pytest.approx(1.25e-3), pytest.approx(-2.5e-3)]
     assert all(s.beam and s.status == "OK" for s in samples)
     health = driver.health()
-    assert (health.state, health.samples, health.rejected, health.last_rejected) == ("streaming", 2, 2, "1.0 OK")
+    assert (health.state, health.rejected) == ("streaming", "1.0 OK")
     peer.send(b"\r\n")
     assert read(driver, 1)[0].displacement == pytest.approx(3.0e-3)
 
@@ -109,7 +108,7 @@ def test_the_first_line_of_a_stream_may_be_the_end_of_one(streaming: Streaming) 
     driver, peer = streaming()
     peer.send(b"345.0 OK 1\r\n12345.0 OK 1\r\n")
     assert [s.displacement for s in read(driver, 1)] == [pytest.approx(12.345)]
-    assert driver.health().rejected == 0
+    assert not driver.health().rejected
 
 
 def test_broken_beam_gives_no_number(streaming: Streaming) -> None:
@@ -141,7 +140,7 @@ def test_silence_is_seen_and_ends(streaming: Streaming) -> None:
     assert driver.read(0.0) == []
     assert driver.health().state == "silent"
     peer.send(b"garbage\r\n")
-    until(driver, lambda: driver.health().rejected == 1)
+    until(driver, lambda: driver.health().rejected == "garbage")
     assert driver.health().state == "silent"
     peer.send(b"1.0 OK 1\r\n")
     assert len(driver.read(LONG)) == 1
@@ -165,7 +164,6 @@ def test_a_lost_connection_is_made_again(server: socket.socket, streaming: Strea
     again.sendall(b"5 OK 1\r\n2.0 OK 1\r\n")
     assert [s.displacement for s in read(driver, 1)] == [pytest.approx(2.0e-3)]
     assert driver.health().state == "streaming"
-    assert driver.health().samples == 2
     again.close()
 
 
@@ -202,16 +200,6 @@ def test_an_instrument_that_is_not_there_is_one_clear_line() -> None:
     assert "refused" in driver.health().problem
 
 
-def test_datum_is_sent_by_command(server: socket.socket, streaming: Streaming) -> None:
-    driver, peer = streaming()
-    assert driver.set_datum()
-    assert peer.socket.recv(100) == b"ZERO\r\n"
-    driver.close()
-    with pytest.raises(InstrumentError, match="not connected"):
-        driver.set_datum()
-    assert not AsciiLineDriver(settings(server, datum=None)).set_datum()
-
-
 def test_start_command_is_sent_at_every_connection(server: socket.socket, streaming: Streaming) -> None:
     driver, peer = streaming(start="STREAM\r\n")
     assert peer.socket.recv(100) == b"STREAM\r\n"
@@ -235,7 +223,7 @@ def test_requests_are_answered_one_by_one(streaming: Streaming) -> None:
         assert [s.displacement for s in driver.read(LONG)] == [pytest.approx(number * 1e-3)]
 
 
-def test_a_request_without_answer_is_counted_and_asked_again(streaming: Streaming) -> None:
+def test_a_request_without_answer_is_asked_again(streaming: Streaming) -> None:
     now = [0.0]
     timeouts = {"answer": 0.5, "silence": 2.0}
     driver, peer = streaming(request={"text": "?"}, timeouts=timeouts, clock=lambda: now[0])
@@ -245,7 +233,6 @@ def test_a_request_without_answer_is_counted_and_asked_again(streaming: Streamin
     now[0] += 0.6
     driver.read(0.0)
     assert peer.socket.recv(100) == b"?"
-    assert driver.health().unanswered == 1
     peer.send(b"1.0 OK 1\r\n")
     assert [s.displacement for s in driver.read(LONG)] == [pytest.approx(1e-3)]
 
@@ -288,4 +275,4 @@ def test_a_fast_stream_arrives_whole_and_in_order(streaming: Streaming) -> None:
     samples = read(driver, number)
     sender.join(LONG)
     assert [s.displacement for s in samples] == [pytest.approx((i + 0.5) * 1e-3) for i in range(number)]
-    assert driver.health().rejected == 0
+    assert not driver.health().rejected

@@ -12,9 +12,9 @@ from machine_tool_calibration.instruments.drivers.driver import Driver, Health, 
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import Document, load_yaml
+from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver", "parse_ascii_line"]
+__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver"]
 
 PLUGIN_GROUP = "machine_tool_calibration.drivers"
 LARGEST_FILE = 1 << 20
@@ -35,19 +35,11 @@ def load_driver(file: Path) -> Driver:
     if not isinstance(content, dict) or not isinstance(content.get("driver"), str):
         raise InstrumentError(f"{source}: the key 'driver' must name the driver, such as ascii_line")
     if content["driver"] == "ascii_line":
-        return AsciiLineDriver(parse_ascii_line(document, source))
+        settings = validated(AsciiLineSettings, content, source, document, refusal=InstrumentError)
+        return AsciiLineDriver(settings)
     for entry in entry_points(group=PLUGIN_GROUP, name=content["driver"]):
         return _from_plugin(entry.load, content, source)
     raise InstrumentError(f"{source}: there is no driver {content['driver']!r}; ascii_line is built in")
-
-
-def parse_ascii_line(document: Document, source: str) -> AsciiLineSettings:
-    """The settings of an ASCII line protocol.
-
-    Raises:
-        InstrumentError: one line with the file, the line and the key of the first defect.
-    """
-    return validated(AsciiLineSettings, document.value, source, document, refusal=InstrumentError)
 
 
 def _from_plugin(load: Any, content: dict[str, Any], source: str) -> Driver:

@@ -140,16 +140,6 @@ class AsciiLineDriver:
                 return samples
         return []
 
-    def set_datum(self) -> bool:
-        """See `Driver`. Samples that were under way are still counted from the old datum."""
-        link = self._link
-        if self._settings.datum is None:
-            return False
-        if link is None:
-            raise InstrumentError(f"no datum: the instrument at {self._settings.connection} is not connected")
-        link.write(self._settings.datum.encode("ascii"))
-        return True
-
     def health(self) -> Health:
         """See `Driver`."""
         health = self._health
@@ -187,7 +177,6 @@ class AsciiLineDriver:
         if request is None:
             return SLICE
         if self._asked is not None and now - self._asked >= self._settings.timeouts.answer:
-            self._health = replace(self._health, unanswered=self._health.unanswered + 1)
             self._asked = None
             # A late answer would pass for the answer to the next request.
             link.discard_input()
@@ -201,10 +190,9 @@ class AsciiLineDriver:
         return self._asked + self._settings.timeouts.answer - now
 
     def _take(self, chunk: bytes) -> list[Sample]:
-        """The samples in what has arrived; counts what is none."""
+        """The samples in what has arrived."""
         now = self._clock()
         samples: list[Sample] = []
-        rejected: list[str] = []
         for line in self._splitter.feed(chunk):
             text = line.decode("ascii", errors="replace").strip()
             if self._parser.ignored(text):
@@ -212,19 +200,11 @@ class AsciiLineDriver:
             self._asked = None
             sample = self._parser.parse(text, now) if len(line) <= self._settings.line.max_length else None
             if sample is None:
-                rejected.append(text[:SHOWN])
+                self._health = replace(self._health, rejected=text[:SHOWN])
             else:
                 samples.append(sample)
         if samples:
             self._last_sample = now
-        if samples or rejected:
-            health = self._health
-            self._health = replace(
-                health,
-                samples=health.samples + len(samples),
-                rejected=health.rejected + len(rejected),
-                last_rejected=rejected[-1] if rejected else health.last_rejected,
-            )
         return samples
 
     def _make_link(self) -> None:

@@ -40,19 +40,13 @@ class Health:
 
     Attributes:
         state: `streaming`, `silent` (connected, but no sample for longer than the driver allows) or `disconnected`.
-        samples: number of samples since the driver was opened.
-        rejected: number of lines that were no reading.
-        last_rejected: the last of them, shortened.
-        unanswered: number of requests that got no answer in time.
+        rejected: the last line that was no reading, shortened; empty if there was none.
         reconnections: number of times that the link was lost and made again.
         problem: why the link is down; empty if it is up.
     """
 
     state: LinkState
-    samples: int = 0
-    rejected: int = 0
-    last_rejected: str = ""
-    unanswered: int = 0
+    rejected: str = ""
     reconnections: int = 0
     problem: str = ""
 
@@ -61,7 +55,7 @@ class Health:
 class Driver(Protocol):
     """A displacement instrument.
 
-    `open` and `read` are called from one thread; `set_datum`, `health` and `close` from any.
+    `open` and `read` are called from one thread; `health` and `close` from any.
     A link that is lost after `open` is made again by `read`, so a caller only looks at `health`.
     A driver that knows which instrument it has may say so in an attribute `hardware_id`, for diagnostics.
     """
@@ -75,16 +69,6 @@ class Driver(Protocol):
 
     def read(self, timeout: float) -> list[Sample]:
         """Every sample that has arrived; waits for the first one at most `timeout` seconds, else returns none."""
-
-    def set_datum(self) -> bool:
-        """Make the present path the instrument's zero.
-
-        Returns:
-            False if the instrument has no command for it: then subtract the present reading.
-
-        Raises:
-            InstrumentError: the command cannot be sent.
-        """
 
     def health(self) -> Health:
         """The state of the link."""

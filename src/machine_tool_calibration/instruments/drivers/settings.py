@@ -167,7 +167,6 @@ class AsciiLineSettings(Record):
 
     Attributes:
         start: text sent after connecting, such as a command to begin streaming.
-        datum: text that makes the present path the instrument's zero.
         hardware_id: of the instrument in diagnostics, such as its serial number; where it is connected if not given.
     """
 
@@ -178,6 +177,5 @@ class AsciiLineSettings(Record):
     value: Value
     request: Request | None = None
     start: Ascii | None = None
-    datum: Ascii | None = None
     timeouts: Timeouts = Timeouts()
     hardware_id: str = ""

@@ -6,6 +6,8 @@ from __future__ import annotations
 import os
 import select
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
 import serial
@@ -56,10 +58,8 @@ class TcpTransport:
 
     def __init__(self, settings: Tcp, timeout: float) -> None:
         self._name = str(settings)
-        try:
+        with _refusal(f"no connection to the instrument at {self._name}"):
             self._socket = socket.create_connection((settings.host, settings.port), timeout)
-        except OSError as error:
-            raise InstrumentError(f"no connection to the instrument at {self._name}: {_reason(error)}") from error
         self._arrived = select.poll()
         self._arrived.register(self._socket, select.POLLIN)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -70,30 +70,24 @@ class TcpTransport:
 
     def read(self, timeout: float) -> bytes:
         """See `Transport`."""
-        try:
+        with _refusal(f"lost the connection to {self._name}"):
             if not self._arrived.poll(timeout * 1e3):
                 return b""
             data = self._socket.recv(CHUNK)
-        except OSError as error:
-            raise InstrumentError(f"lost the connection to {self._name}: {_reason(error)}") from error
         if not data:
             raise InstrumentError(f"{self._name} closed the connection")
         return data
 
     def write(self, data: bytes) -> None:
         """See `Transport`."""
-        try:
+        with _refusal(f"cannot send to {self._name}"):
             self._socket.sendall(data)
-        except OSError as error:
-            raise InstrumentError(f"cannot send to {self._name}: {_reason(error)}") from error
 
     def discard_input(self) -> None:
         """See `Transport`."""
-        try:
+        with suppress(OSError):  # a lost connection shows at the next read
             while self._arrived.poll(0) and self._socket.recv(CHUNK):
                 pass
-        except OSError:
-            return  # a lost connection shows at the next read
 
     def close(self) -> None:
         """See `Transport`."""
@@ -105,7 +99,7 @@ class SerialTransport:
 
     def __init__(self, settings: Serial, timeout: float) -> None:
         self._name = str(settings)
-        try:
+        with _refusal(f"cannot open the serial port {self._name}"):
             self._port = serial.Serial(
                 settings.port,
                 settings.baudrate,
@@ -116,35 +110,36 @@ class SerialTransport:
                 exclusive=True,
             )
             self._port.reset_input_buffer()
-        except (OSError, ValueError) as error:
-            raise InstrumentError(f"cannot open the serial port {self._name}: {_reason(error)}") from error
 
     def read(self, timeout: float) -> bytes:
         """See `Transport`."""
-        try:
+        with _refusal(f"lost the serial port {self._name}"):
             self._port.timeout = timeout
             first = self._port.read(1)
             return first + self._port.read(self._port.in_waiting) if first else first
-        except (OSError, TypeError) as error:
-            raise InstrumentError(f"lost the serial port {self._name}: {_reason(error)}") from error
 
     def write(self, data: bytes) -> None:
         """See `Transport`."""
-        try:
+        with _refusal(f"cannot send to {self._name}"):
             self._port.write(data)
-        except OSError as error:
-            raise InstrumentError(f"cannot send to {self._name}: {_reason(error)}") from error
 
     def discard_input(self) -> None:
         """See `Transport`."""
-        try:
+        with _refusal(f"lost the serial port {self._name}"):
             self._port.reset_input_buffer()
-        except OSError as error:
-            raise InstrumentError(f"lost the serial port {self._name}: {_reason(error)}") from error
 
     def close(self) -> None:
         """See `Transport`."""
         self._port.close()
+
+
+@contextmanager
+def _refusal(what: str) -> Iterator[None]:
+    """What the system raises within is an InstrumentError; a port that another thread closes is a TypeError."""
+    try:
+        yield
+    except (OSError, ValueError, TypeError) as error:
+        raise InstrumentError(f"{what}: {_reason(error)}") from error
 
 
 def _reason(error: Exception) -> str:

@@ -40,10 +40,7 @@ def claimed_domain(wanted: int | None = None) -> Iterator[int]:
 
 @contextmanager
 def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
-    """The first domain id that nobody on this machine has claimed, whoever runs it, claimed for as long as this lasts.
-
-    Args:
-        ids: the domain ids to choose from.
+    """The first of these domain ids that nobody on this machine has claimed, claimed for as long as this lasts.
 
     Raises:
         CalibrationError: none is free.

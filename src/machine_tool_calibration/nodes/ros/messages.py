@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of messages that all nodes need: quality of service, stamps, status, poses, point clouds."""
+"""Parts of messages that all nodes need: quality of service, stamps, status, trajectories, point clouds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2, PointField
@@ -36,17 +36,13 @@ __all__ = [
     "cloud",
     "columns",
     "dated",
+    "duration_message",
     "from_message",
     "joint_state",
     "nanoseconds",
     "now",
-    "place_of",
     "point",
-    "pose_message",
     "positions",
-    "quaternion_along",
-    "quaternion_of",
-    "rotation_of",
     "seconds",
     "stamp_among",
     "stamp_now",
@@ -88,9 +84,9 @@ def to_message(stamp: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def duration_message(time: float) -> Duration:
-    """A duration of that many seconds."""
-    sec, nanosec = divmod(nanoseconds(time), _GIGA)
+def duration_message(time: int) -> Duration:
+    """A duration of that many nanoseconds."""
+    sec, nanosec = divmod(time, _GIGA)
     return Duration(sec=sec, nanosec=nanosec)
 
 
@@ -129,15 +125,7 @@ NO_HARDWARE = "none"
 def status(
     name: str, level: Level, message: str, entries: Mapping[str, object], hardware_id: str = NO_HARDWARE
 ) -> DiagnosticStatus:
-    """One entry.
-
-    Args:
-        name: what it is about.
-        level: how it is.
-        message: one sentence for people.
-        entries: values for programs.
-        hardware_id: of the device.
-    """
+    """One entry: what it is about, how it is, a sentence for people, values for programs, and the device's id."""
     return DiagnosticStatus(
         level=bytes([level]),
         name=name,
@@ -153,11 +141,7 @@ def values(message: DiagnosticArray) -> dict[str, str]:
 
 
 def stamp_among(entries: Mapping[str, str], key: str) -> int:
-    """A time among a status's values, ns.
-
-    Raises:
-        CalibrationError: it is missing, or no time.
-    """
+    """A time among a status's values, ns; raises CalibrationError where it is missing, or no time."""
     text = entries.get(key, "")
     if not (text.isascii() and text.isdigit()) or len(text) > _DIGITS or int(text) >= LAST_SECOND * _GIGA:
         raise CalibrationError(f"{key} is {text[:40]!r}, not a time in ns")
@@ -168,50 +152,6 @@ def positions(message: JointState) -> dict[str, float]:
     """Positions by name; a joint whose position is not known has none."""
     pairs = zip(message.name, message.position, strict=True)
     return {name: place for name, place in pairs if math.isfinite(place)}
-
-
-def quaternion_along(direction: Array) -> Quaternion:
-    """The rotation that turns +X onto a direction (3,): first about Z, then down or up."""
-    x, y, z = map(float, direction)
-    azimuth, elevation = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
-    cz, sz = math.cos(0.5 * azimuth), math.sin(0.5 * azimuth)
-    cy, sy = math.cos(-0.5 * elevation), math.sin(-0.5 * elevation)
-    return Quaternion(x=-sz * sy, y=cz * sy, z=sz * cy, w=cz * cy)
-
-
-def quaternion_of(rotation: Array) -> Quaternion:
-    """The quaternion of a rotation matrix (3, 3); the largest part is found first, so that nothing cancels."""
-    trace = float(np.trace(rotation))
-    parts = np.array([trace, *np.diag(rotation)])
-    k = int(np.argmax(parts))
-    q = np.zeros(4)  # w, x, y, z
-    if k == 0:
-        root = math.sqrt(1.0 + trace)
-        q[0] = 0.5 * root
-        q[1:] = np.array(
-            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-        ) / (2.0 * root)
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        root = math.sqrt(1.0 + rotation[i, i] - rotation[j, j] - rotation[m, m])
-        q[1 + i] = 0.5 * root
-        q[0] = (rotation[m, j] - rotation[j, m]) / (2.0 * root)
-        q[1 + j] = (rotation[j, i] + rotation[i, j]) / (2.0 * root)
-        q[1 + m] = (rotation[m, i] + rotation[i, m]) / (2.0 * root)
-    w, x, y, z = map(float, q)
-    return Quaternion(x=x, y=y, z=z, w=w)
-
-
-def rotation_of(quaternion: Quaternion) -> Array:
-    """(3, 3) matrix of a quaternion."""
-    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def dated(message: Message, stamp: int, frame: str = MACHINE) -> Message:
@@ -230,23 +170,19 @@ def joint_state(stamp: int, values: Mapping[str, float], rates: Mapping[str, flo
 def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) -> JointTrajectory:
     """A command to the axes.
 
-    Args:
-        stamp: its identity, ns.
-        points: positions by axis, m or rad, all of the same axes, and when they are reached, s from the start.
+    Each point has positions of the same axes, m or rad, and when they are reached, s from the start; the stamp, ns,
+    is its identity.
     """
     steps = list(points)
     names = list(steps[0][0]) if steps else []
     message = JointTrajectory(joint_names=names)
     message.points = [
-        JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(time))
+        JointTrajectoryPoint(
+            positions=[place[name] for name in names], time_from_start=duration_message(nanoseconds(time))
+        )
         for place, time in steps
     ]
     return dated(message, stamp)
-
-
-def pose_message(stamp: int, place: Array, turn: Quaternion) -> PoseStamped:
-    """A pose in the machine's frame at a time, ns."""
-    return dated(PoseStamped(pose=Pose(position=point(place), orientation=turn)), stamp)
 
 
 def point(place: Iterable[float]) -> Point:
@@ -255,18 +191,8 @@ def point(place: Iterable[float]) -> Point:
     return Point(x=x, y=y, z=z)
 
 
-def place_of(point: Point) -> Array:
-    """(3,) place of a point."""
-    return np.array([point.x, point.y, point.z])
-
-
 def cloud(stamp: int, fields: Mapping[str, Array]) -> PointCloud2:
-    """One row for each point, in the machine's frame.
-
-    Args:
-        stamp: ROS time, ns.
-        fields: (n,) values by name; NaN is a value that is not determined.
-    """
+    """One row for each point, in the machine's frame; (n,) values by name, NaN where they are not determined."""
     rows = np.column_stack(list(fields.values())).astype("<f8")
     message = PointCloud2(
         height=1,

@@ -89,14 +89,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     ) -> Value:
         """Declare a parameter and return its value; of one that is declared already the present value.
 
-        Args:
-            name: its name.
-            default: its value where nobody sets it; gives the type.
-            description: what it does.
-            unit: of a number.
-            within: least and greatest value.
-            choices: of a text.
-            read_only: whether it can be set only as long as the node is not configured.
+        The default gives the type. `read_only`: it can be set only as long as the node is not configured.
         """
         if self.has_parameter(name) and name not in self._given:
             return cast("Value", self.get_parameter(name).value)
@@ -192,14 +185,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
         return super().create_client(srv_type, srv_name, **{"qos_profile": CALLS, **more})
 
     def check_parameters(self, wanted: Mapping[str, Any]) -> None:
-        """Refuse values that the node could not use; for nodes to override.
-
-        Args:
-            wanted: the values that are about to be set, by name.
-
-        Raises:
-            CalibrationError: one cannot be used; nothing is set then.
-        """
+        """Refuse values that the node could not use by a CalibrationError; for nodes to override."""
 
     def _ignore(self, topic: str, reason: str) -> None:
         first = topic not in self.ignored
@@ -314,11 +300,7 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         return TransitionCallbackReturn.SUCCESS
 
     def start(self) -> None:
-        """Configure and activate the node.
-
-        Raises:
-            CalibrationError: it cannot be.
-        """
+        """Configure and activate the node; raises CalibrationError where it cannot be."""
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
                 raise CalibrationError(self.fault)

@@ -118,12 +118,7 @@ def _spin(node: ManagedNode, stop: threading.Event) -> None:
 
 
 def _made(create: Callable[[], Node], args: list[str]) -> Node:
-    """A node, in a context of its own.
-
-    Raises:
-        CalibrationError: as `create`, or what is below rclpy refuses: arguments that it cannot read, a file of
-            parameters that is not there, a domain that cannot be.
-    """
+    """A node in a context of its own; CalibrationError also for what is refused below rclpy."""
     set_logger_level("rcl", LoggingSeverity.FATAL)  # which would say besides that it refuses something
     try:
         # rclpy's own handlers end the context while callbacks run; without them the loop of `run` finishes first
@@ -137,10 +132,7 @@ def _made(create: Callable[[], Node], args: list[str]) -> Node:
 def run_here(create: Callable[[], Node], parameters: Mapping[str, Any], rules: Iterable[str] = ()) -> Node:
     """Run a node in this process until it ends or is interrupted, and return it.
 
-    Args:
-        create: makes it.
-        parameters: of the node, by name.
-        rules: for names of topics and the namespace, `FROM:=TO`.
+    `rules` are for names of topics and the namespace, `FROM:=TO`.
 
     Raises:
         CalibrationError: it cannot start.

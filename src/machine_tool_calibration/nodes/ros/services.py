@@ -47,7 +47,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
 
-__all__ = ["Goals", "Outcomes", "Progress", "Reply", "answer_by", "goal_of", "goal_sentence", "offer"]
+__all__ = ["Goals", "Outcomes", "Progress", "Reply", "goal_of", "goal_sentence", "offer", "offer_later"]
 
 _GOAL = re.compile("goal ([0-9a-f]{32}): ")
 
@@ -74,14 +74,20 @@ class Reply:
         return response
 
 
-def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
-    """Offer a `std_srvs/Trigger` whose answer may come later.
+def offer(node: Node, name: str, handler: Callable[[], str]) -> None:
+    """Offer a `std_srvs/Trigger`, whose handler says what it did or raises what it cannot do."""
 
-    Args:
-        node: that offers the service.
-        name: the service's name.
-        handler: called with a `Reply`; may send it at once or later.
-    """
+    def called(reply: Reply) -> None:
+        try:
+            reply.send(True, handler())
+        except CalibrationError as error:
+            reply.send(False, str(error))
+
+    offer_later(node, name, called)
+
+
+def offer_later(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
+    """Offer a `std_srvs/Trigger` whose handler may send its `Reply` at once or later."""
 
     def called(_: Trigger.Request, response: Trigger.Response) -> Awaitable[Trigger.Response]:
         answer = Reply()
@@ -90,14 +96,6 @@ def offer(node: Node, name: str, handler: Callable[[Reply], None]) -> None:
 
     # a group of its own: an answer that is owed keeps no other callback waiting
     node.create_service(Trigger, name, called, callback_group=ReentrantCallbackGroup())
-
-
-def answer_by(handler: Callable[[], str], answer: Reply) -> None:
-    """Answer a request by a function that says what it did or raises what it cannot do."""
-    try:
-        answer.send(True, handler())
-    except CalibrationError as error:
-        answer.send(False, str(error))
 
 
 def goal_sentence(goal: str, text: str) -> str:
@@ -112,13 +110,7 @@ def goal_of(message: str) -> str:
 
 
 class Outcomes:
-    """Publishes what requests gave.
-
-    Args:
-        node: that publishes.
-        topic: name of the topic.
-        qos: of it; several requests may end at once, and each outcome is waited for.
-    """
+    """Publishes what requests gave; several may end at once, and each outcome is waited for."""
 
     def __init__(self, node: Node, topic: str = "~/outcome", qos: QoSProfile = OUTCOMES) -> None:
         self._publisher = node.create_publisher(DiagnosticArray, topic, qos)
@@ -126,15 +118,9 @@ class Outcomes:
     def answer(
         self, answers: Iterable[Reply], verb: str, stamp: int, text: str, values: Mapping[str, object], kind: str = ""
     ) -> None:
-        """Publish what a request gave, then answer all who asked.
+        """Publish what a request gave at a time, ns, then answer all who asked.
 
-        Args:
-            answers: that are owed.
-            verb: what was asked for.
-            stamp: when it is so, ns.
-            text: one sentence for people.
-            values: for programs, SI.
-            kind: why there is nothing, in a word; empty where there is.
+        `values` are for programs, SI; `kind` says in a word why there are none, and is empty where there are.
         """
         goal = uuid.uuid4().hex
         level = Level.ERROR if kind else Level.OK
@@ -145,16 +131,7 @@ class Outcomes:
     def tell(
         self, verb: str, goal: str, stamp: int, text: str, values: Mapping[str, object], level: Level = Level.OK
     ) -> None:
-        """Publish an outcome.
-
-        Args:
-            verb: what was asked for.
-            goal: id of the request.
-            stamp: when it is so, ns.
-            text: one sentence for people.
-            values: for programs, SI.
-            level: whether it succeeded.
-        """
+        """Publish an outcome of the goal of that id, at a time, ns."""
         self._publisher.publish(dated(DiagnosticArray(status=[status(verb, level, text, values, goal)]), stamp, ""))
 
 
@@ -241,22 +218,17 @@ class Goals:
             done: called in the node's own thread; publishes the outcome, gives a sentence and values about it.
         """
 
-        def called(answer: Reply) -> None:
+        def called() -> str:
             if self._present is not None:
                 seconds = f"{time.monotonic() - self._present.began:.0f} s so far"
-                answer.send(False, f"busy: {self.doing} ({seconds}); ask again when that is done")
-                return
-            try:
-                doing, work = begin()
-            except CalibrationError as error:
-                answer.send(False, str(error))
-                return
+                raise CalibrationError(f"busy: {self.doing} ({seconds}); ask again when that is done")
+            doing, work = begin()
             goal = self._present = _Goal(verb, uuid.uuid4(), stamp_now(self._node), doing, time.monotonic())
             self._goals.append(goal)
             self.step, self.share = "", 0.0
-            answer.send(True, goal_sentence(goal.number.hex, doing))
             self._show()
             threading.Thread(target=self._run, args=(goal, work, done), name="calculation", daemon=True).start()
+            return goal_sentence(goal.number.hex, doing)
 
         offer(self._node, f"~/{verb}", called)
 

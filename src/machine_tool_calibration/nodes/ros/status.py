@@ -54,14 +54,7 @@ class StatusTopic:
     def say(
         self, level: Level, text: str, entries: Mapping[str, object], more: Sequence[DiagnosticStatus] = ()
     ) -> None:
-        """Publish a status; the messages that the node has ignored are added.
-
-        Args:
-            level: how it is.
-            text: one sentence for people.
-            entries: values for programs.
-            more: further entries, for the topic of the node's own.
-        """
+        """Publish a status; the messages that were ignored are added, `more` entries to the node's own topic only."""
         self._said, self._ignored = (level, text, entries, more), self._node.ignored_entries
         self._is_dated = self._clock() > 0
         self._publisher.publish(self._message([self._own(level, text, entries), *more]))

@@ -73,7 +73,6 @@ class Tap:
         type_hash: that the publishers tell.
         messages: taken so far.
         lost: that the publisher sent after the first one taken and that never came.
-        unseen: that it had sent before the first one taken.
     """
 
     topic: str
@@ -84,7 +83,6 @@ class Tap:
     type_hash: str = ""
     messages: int = 0
     lost: int = 0
-    unseen: int = 0
     _last: int = field(default=0, repr=False)
 
     @property
@@ -98,9 +96,7 @@ class Tap:
         if number in (0, _NO_NUMBER) or len(self.offered) > 1:
             self._last = 0
             return
-        if self.messages == 1:
-            self.unseen = number - 1
-        elif self._last and number > self._last:
+        if self._last and number > self._last:
             self.lost += number - self._last - 1
         self._last = number
 
@@ -109,12 +105,7 @@ class Taps:
     """All topics that are recorded."""
 
     def __init__(self, node: Node, clock: str = "") -> None:
-        """A hidden node beside the given one, which nobody spins.
-
-        Args:
-            node: whose namespace and graph it shares.
-            clock: absolute name of the simulated clock that the messages are dated by, if there is one.
-        """
+        """A hidden node beside the given one, which nobody spins; messages are dated by the simulated clock, if any."""
         self._node = node
         # remappings are applied by the owner; here they would rename this node too
         self._hidden = rclpy.create_node(
@@ -132,12 +123,7 @@ class Taps:
         self._undated: list[Taken] = []
 
     def add(self, topic: str, message_type: str, request: Qos | None = None) -> None:
-        """Subscribe to a topic by its absolute name.
-
-        Args:
-            topic: the name.
-            message_type: such as `sensor_msgs/msg/JointState`.
-            request: what to ask of publishers; what all that are there can give if None.
+        """Subscribe to a topic by its absolute name, as requested, or for what all publishers that are there can give.
 
         Raises:
             CalibrationError: the message type is not installed.
@@ -150,11 +136,7 @@ class Taps:
         return [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
 
     def discover(self, topic: str) -> bool:
-        """Learn what a topic's publishers offer, and ask for what they can give.
-
-        Returns:
-            Whether anything is known of it now that was not.
-        """
+        """Learn what a topic's publishers offer, and ask for what they can give; whether anything is new."""
         tap = self.taps[topic]
         found = [info for info in self._node.get_publishers_info_by_topic(topic) if info.topic_type == tap.type]
         offered = tuple(offered_qos(info.qos_profile) for info in found)
@@ -183,8 +165,7 @@ class Taps:
     def take(self, *, last: bool = False) -> list[Taken]:
         """What has come, in the order of its coming; in simulated time in that of its sending, as far as it is dated.
 
-        Args:
-            last: whether nothing more will be taken: then no message waits for ticks.
+        The `last` time no message waits for ticks.
         """
         taken: list[Taken] = []
         for tap in self.taps.values():
@@ -273,11 +254,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def message_class(message_type: str) -> type:
-    """The class of a message type such as `sensor_msgs/msg/JointState`.
-
-    Raises:
-        CalibrationError: it is not installed.
-    """
+    """The class of a message type such as `sensor_msgs/msg/JointState`; CalibrationError where it is not installed."""
     parts = message_type.split("/")
     try:
         found: type = getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
