@@ -333,6 +333,13 @@ class Neighbours:
                 out |= most & (np.abs(residual[which] - level) < within)
         return out
 
+    def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
+        """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
+        repeats = self.repeats.near(which, residual)[1]
+        own = residual[which][:, None]
+        alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
+        return np.asarray(np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1))
+
 
 class _Ordered:
     """Readings group by group, in the order of time."""
