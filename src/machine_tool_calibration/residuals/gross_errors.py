@@ -331,6 +331,7 @@ class _Search:
         if not np.isfinite(fit.noise.scale):
             return np.zeros(len(held), dtype=bool)
         explained = self.neighbours.explained(held, fit.residual, fit.noise.scale, fit.noise.limit)
+        explained |= self.neighbours.in_a_row(held, fit.residual)
         explained |= self.neighbours.repeated(held, fit.residual, fit.noise.scale * fit.noise.limit)
         return explained & (np.abs(fit.residual * self.sigma)[held] < _COURSE)
 
