@@ -13,6 +13,7 @@ from machine_tool_calibration.estimation.variance_components import components
 
 GROUPS, EACH = 6, 6
 N = GROUPS * EACH
+ONE = np.ones(1)
 
 
 def problem(
@@ -74,7 +75,7 @@ def test_posterior_is_that_of_the_dense_restricted_likelihood(sizes: tuple[float
         logs.append(log)
         squares.append(left)
     gram = projected(model, spread, place, readings)
-    prior = {ratio: log for ratio, log, _ in size_grid(gram, lambda ratio, log: 0.0)}
+    prior = {ratio: log for ratio, log, _ in size_grid(gram, lambda ratio, log: 0.0, finer=2)}
     expected = np.array(logs) + [prior[ratio] for ratio in found.ratios]
     assert found.log_weights == pytest.approx(expected - logsumexp(expected), abs=1e-6)
     assert found.squares == pytest.approx(np.array(squares), rel=1e-9)
@@ -86,8 +87,8 @@ def test_a_large_spread_is_found_with_its_size() -> None:
     for seed in range(3):
         model, spread, place, readings = problem(seed, (3.0,), groups=40)
         found = components(projected(model, spread, place, readings))
-        low, middle, high = (found.quantile(0, p) for p in (0.025, 0.5, 0.975))
-        assert found.probability(0) > 0.999
+        low, middle, high = found.quantiles(ONE, (0.025, 0.5, 0.975))
+        assert found.probability([0]) > 0.999
         assert low < 3.0 < high
         assert middle == pytest.approx(3.0, rel=0.25)
         # Two cells of the grid.
@@ -99,16 +100,16 @@ def test_no_spread_is_not_found() -> None:
     for seed in range(5):
         model, spread, place, readings = problem(seed, (0.0,))
         found.append(components(projected(model, spread, place, readings)))
-    assert np.median([each.probability(0) for each in found]) < 0.5
-    assert np.median([each.quantile(0, 0.5) for each in found]) == 0.0
+    assert np.median([each.probability([0]) for each in found]) < 0.5
+    assert np.median([each.quantiles(ONE, [0.5])[0] for each in found]) == 0.0
 
 
 @pytest.mark.parametrize("sizes", [(1.0,), (1.0, 0.5)])
 def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
     model, spread, place, readings = problem(8, sizes)
     found = components(projected(model, spread, place, readings))
-    for family in range(len(sizes)):
-        values = [found.quantile(family, p) for p in np.linspace(0.0, 1.0, 101)]
+    for family, alone in enumerate(np.eye(len(sizes))):
+        values = found.quantiles(alone, np.linspace(0.0, 1.0, 101))
         assert (np.diff(values) >= 0.0).all()
         assert values[0] == 0.0
         # As much lies below a quantile as its probability says, to the resolution of the grid.
@@ -117,7 +118,7 @@ def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
         step = np.exp(0.500001 * np.diff(np.log(grid)).max())
         assert grid[-1] < values[-1] < grid[-1] * step
         for p in (0.2, 0.5, 0.9):
-            value = found.quantile(family, p)
+            (value,) = found.quantiles(alone, [p])
             assert found.weights[column < value / step].sum() <= p
             assert found.weights[column <= value * step].sum() >= p
 
@@ -128,9 +129,9 @@ def test_a_declared_uncertainty_that_is_too_small_is_no_spread() -> None:
     for seed in range(8):
         model, spread, place, readings = problem(seed, (0.0,), groups=3)
         found.append(components(projected(model, spread, place, 10.0 * readings)))
-    assert np.median([each.probability(0) for each in found]) < 0.6
-    assert np.median([each.quantile(0, 0.5) for each in found]) < 0.2
-    assert max(each.quantile(0, 0.5) for each in found) < 1.5
+    assert np.median([each.probability([0]) for each in found]) < 0.6
+    assert np.median([each.quantiles(ONE, [0.5])[0] for each in found]) < 0.2
+    assert max(each.quantiles(ONE, [0.5])[0] for each in found) < 1.5
 
 
 @pytest.mark.parametrize("large", range(4))
@@ -141,6 +142,15 @@ def test_of_four_families_the_one_that_does_not_reproduce_is_found(large: int) -
     sizes = np.where(np.arange(4) == large, 3.0, 0.0)
     readings = rng.normal(size=count) + spread @ (sizes[place] * rng.normal(size=len(place)))
     found = components(projected(np.ones((count, 1)), spread, place, readings))
-    assert found.probability(large) > 0.999
-    assert found.quantile(large, 0.025) < 3.0 < found.quantile(large, 0.975)
-    assert max(found.quantile(other, 0.5) for other in range(4) if other != large) < 0.4
+    assert found.probability([large]) > 0.999
+    low, high = found.quantiles(np.eye(4)[large], (0.025, 0.975))
+    assert low < 3.0 < high
+    assert max(found.quantiles(np.eye(4)[other], [0.5])[0] for other in range(4) if other != large) < 0.4
+
+
+def test_the_size_of_two_families_together_is_the_root_of_the_sum_of_their_squares() -> None:
+    model, spread, place, readings = problem(8, (3.0, 2.0))
+    found = components(projected(model, spread, place, readings))
+    both, first, second = (found.quantiles(np.array(weights), [0.5])[0] for weights in ((4, 1), (4, 0), (0, 1)))
+    assert max(first, second) < both < 1.1 * np.hypot(first, second)
+    assert found.probability([0, 1]) >= max(found.probability([0]), found.probability([1]))

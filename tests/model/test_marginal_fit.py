@@ -96,10 +96,11 @@ def generalised(model: Array, spread: Array, readings: Array, ratio: float) -> G
 
 
 def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> None:
-    """Only these, equally probable."""
+    """Only these, of offsets as of slopes, equally probable."""
 
-    def grid(gram: Gram, log_evidence: LogEvidence) -> list[tuple[tuple[float, ...], float, float]]:
-        return [((ratio,), 0.0, log_evidence((ratio,), 0.0)) for ratio in ratios]
+    def grid(gram: Gram, log_evidence: LogEvidence, finer: int) -> list[tuple[tuple[float, ...], float, float]]:
+        every = [(ratio,) * (int(gram.family.max()) + 1) for ratio in ratios]
+        return [(sizes, 0.0, log_evidence(sizes, 0.0)) for sizes in every]
 
     monkeypatch.setattr(variance_components, "size_grid", grid)
 

@@ -10,7 +10,7 @@ import pytest
 
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.reproducibility import reproducibility
+from machine_tool_calibration.model.reproducibility import offsets_apart, reproducibility
 from machine_tool_calibration.session.folder import read_session
 
 HEAD = """format: mtcal-session/1
@@ -58,3 +58,13 @@ def test_how_runs_over_a_plane_differ_is_told_by_several_that_read_the_same_plac
     session = read_session(tmp_path)
     assert ("run" in [f.name for f in reproducibility(build_model(session)[0].observations)]) == told
     assert bool(identify(session).document()["spread"]) == told
+
+
+def test_offsets_that_show_have_a_size_of_their_own() -> None:
+    family = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2])
+    offset = np.array([1, 0, 1, 0, 1, 0, 1, 0, 1], dtype=bool)
+    seen = np.array([0, 1, 0, 1, 0, 1, 1, 1, 1], dtype=bool)
+    # The first family's are the model's; the last one has nothing else.
+    found, was = offsets_apart(family, offset, seen)
+    assert found.tolist() == [0, 0, 0, 0, 3, 1, 3, 1, 2]
+    assert was.tolist() == [0, 1, 2, 1]

@@ -109,3 +109,27 @@ def test_a_run_on_another_zero_loses_no_reading(tmp_path: Path) -> None:
     assert found_in(session) == []
     (spread,) = identify(session).document()["spread"]
     assert spread["size"] > 5e-6
+
+
+@pytest.mark.parametrize("after", [26, 28, 30])
+def test_a_step_within_a_run_loses_no_reading(after: int) -> None:
+    """The model takes up most of it, so that five or ten readings before and after it stand out together."""
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=3)).session
+    readings = session.readings
+    later = np.flatnonzero((readings.setup == 2) & (readings.repeat == 0))[after:]
+    displacement = readings.displacement.copy()
+    displacement[later] += 17.0 * session.sigma
+    assert found_in(session.with_readings(replace(readings, displacement=displacement))) == []
+
+
+def test_what_reproduces_is_no_gross_error() -> None:
+    """Both readings of one place are off by as much."""
+    session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3)).session
+    readings = session.readings
+    displacement = readings.displacement.copy()
+    displacement[[60, 217]] += 17.0 * session.sigma
+    assert [readings.columns[axis][60] for axis in "xyz"] == [readings.columns[axis][217] for axis in "xyz"]
+    assert found_in(session.with_readings(replace(readings, displacement=displacement))) == []
+    displacement[217] -= 17.0 * session.sigma
+    alone = found_in(session.with_readings(replace(readings, displacement=displacement)))
+    assert [outlier.row for outlier in alone] == [60]

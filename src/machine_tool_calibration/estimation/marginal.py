@@ -32,7 +32,7 @@ _LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4), 4: (0.4, 
 # A lattice goes on while its last size has more than this share of the evidence; more steps are rounding.
 _EDGE, _MOST_STEPS = 1e-3, 40
 # Share of the likeliest sizes' evidence from which sizes count in an average.
-_SHARE = 1e-5
+_SHARE = 1e-4
 
 
 def _log_prior(lattice: Array) -> Array:
@@ -183,7 +183,7 @@ LogEvidence = Callable[[tuple[float, ...], float], float]
 
 
 def size_grid(
-    gram: Gram, log_evidence: LogEvidence | None = None, share: float = _SHARE
+    gram: Gram, log_evidence: LogEvidence | None = None, share: float = _SHARE, finer: int = 1
 ) -> list[tuple[tuple[float, ...], float, float]]:
     """Sizes of what does not reproduce that have a share of the evidence: combinations of one lattice for each family.
 
@@ -193,27 +193,28 @@ def size_grid(
         gram: inner products.
         log_evidence: of sizes; that without any candidate if absent.
         share: of the likeliest sizes' evidence, below which sizes are left out.
+        finer: steps into which each step of the lattice is divided.
 
     Returns:
         The sizes of all families, the logarithm of their prior, and that of the evidence.
     """
     spread = gram.of_spread
     given = log_evidence or (lambda ratio, prior: marginal_at(spread, ratio, prior).log_null)
-    return _Sizes(gram, given).with_share(share)
+    return _Sizes(gram, given, finer).with_share(share)
 
 
 class _Sizes:
     """Combinations of sizes by their places on the lattices: one lattice for each family, zero first."""
 
-    def __init__(self, gram: Gram, log_evidence: LogEvidence) -> None:
+    def __init__(self, gram: Gram, log_evidence: LogEvidence, finer: int = 1) -> None:
         families = int(gram.family.max(initial=-1)) + 1 - len(gram.sizes)
         several = max(families, min(families + bool(gram.sizes), 3), 1)
         first, factor, count = _LATTICES[min(several, max(_LATTICES))]
-        lattice = first * factor ** np.arange(float(_MOST_STEPS))
+        lattice = first * factor ** (np.arange(float(finer * _MOST_STEPS)) / finer)
         known = [(list(own), [float(np.log(p)) for p in own.values()]) for own in gram.sizes]
         self.values = [[0.0, *lattice.tolist()]] * families + [sizes for sizes, _ in known]
         self.priors = [_log_prior(lattice).tolist()] * families + [logs for _, logs in known]
-        self.first = [count + 1] * families + [len(sizes) for sizes, _ in known]
+        self.first = [finer * count + 1] * families + [len(sizes) for sizes, _ in known]
         self.log_evidence = log_evidence
         self.found: dict[tuple[int, ...], tuple[tuple[float, ...], float, float]] = {}
         self.top = -np.inf

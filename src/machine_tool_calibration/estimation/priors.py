@@ -29,7 +29,8 @@ every spread looks like a missing effect."""
 
 SERIES = (1.0, 1.0, 0.7)
 """Sizes of the Legendre polynomials of degree 0 to 2 in the time of a run: what is slow is larger. A cubic costs every
-spread more than it explains, so that an effect of few coefficients was more probable than it."""
+spread more than it explains, so that an effect of few coefficients was more probable than it. In what is published an
+offset that shows has a size of its own."""
 
 SEVERAL_RUNS = 4
 """Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:
@@ -133,7 +134,7 @@ LIKELY = 0.2
 """The same from which an effect is called likely: what one would look at next."""
 
 SURE = 0.95
-"""Probability that something is missing from which it is said although no effect can be named."""
+"""Probability that something is missing from which the verdict is that no effect explains it."""
 
 ALIKE, THE_SAME = 0.9, 0.98
 """Cosine between the signals of two effects outside the model from which they are look-alikes; and from which a

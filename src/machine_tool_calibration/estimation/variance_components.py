@@ -14,10 +14,19 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import Gram, log_noise, marginal_at, noise_variance, size_grid
+from machine_tool_calibration.estimation.marginal import (
+    Gram,
+    log_noise,
+    marginal_at,
+    noise_variance,
+    size_grid,
+)
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 __all__ = ["Components", "Functions", "WidenedPart", "components"]
+
+# Steps of what is published for one that a search needs; logarithm of the widest.
+_FINER, _STEP = 2, 0.9
 
 
 @dataclass(frozen=True)
@@ -43,26 +52,27 @@ class Components:
         """(t,) posterior probabilities."""
         return np.exp(self.log_weights)
 
-    def quantile(self, family: int, probability: float) -> float:
-        """Size of a family, in units of the noise, that is not exceeded with a probability."""
-        column = np.array(self.ratios)[:, family]
-        values = np.unique(column)
-        mass = np.array([self.weights[column == value].sum() for value in values])
-        total = np.cumsum(mass)
-        k = min(int(np.searchsorted(total, probability)), len(values) - 1)
-        known = values[values > 0]
-        if values[k] == 0 or len(known) == 1:
-            return float(values[k])
-        # What a grid point stands for is spread evenly in the logarithm, to half way to its neighbours.
-        middle = np.sqrt(known[:-1] * known[1:])
-        edges = np.concatenate([[known[0] ** 2 / middle[0]], middle, [known[-1] ** 2 / middle[-1]]])
-        low, high = edges[k - len(values) + len(known) :][:2]
-        share = np.clip((probability - total[k] + mass[k]) / max(float(mass[k]), 1e-300), 0.0, 1.0)
-        return float(low * (high / low) ** share)
+    def quantiles(self, weights: Array, probabilities: Sequence[float]) -> list[float]:
+        """Sizes that are not exceeded with some probabilities, in units of the noise.
 
-    def probability(self, family: int) -> float:
-        """That a family is not zero."""
-        return min(float(self.weights[np.array(self.ratios)[:, family] > 0].sum()), 1.0)
+        Args:
+            weights: (families,) of the squares of the families' sizes, of whose sum it is the root.
+            probabilities: in ascending order.
+        """
+        size = np.sqrt(np.square(np.array(self.ratios)) @ weights)
+        zero = float(self.weights[size == 0].sum())
+        logs, share = np.log(size[size > 0]), self.weights[size > 0]
+        # What a size that was tried stands for is spread evenly in the logarithm, to half way to its neighbours.
+        columns = np.array(self.ratios).T
+        steps = np.concatenate([np.diff(np.log(np.unique(column[column > 0]))) for column in columns])
+        half = 0.5 * float(steps.min(initial=_STEP))
+        at = np.unique(np.concatenate([logs - half, logs + half]))
+        below = zero + np.clip((at[:, None] - logs + half) / (2.0 * half), 0.0, 1.0) @ share
+        return [float(np.exp(np.interp(p, below, at))) if p > zero else 0.0 for p in probabilities]
+
+    def probability(self, families: Sequence[int]) -> float:
+        """That not all of some families are zero."""
+        return min(float(self.weights[np.array(self.ratios)[:, list(families)].any(axis=1)].sum()), 1.0)
 
 
 def components(gram: Gram, repeats: Gram | None = None) -> Components:
@@ -78,11 +88,12 @@ def components(gram: Gram, repeats: Gram | None = None) -> Components:
         marginal = marginal_at(telling, ratio, prior)
         return marginal.log_prior + float(logsumexp(log_noise(marginal.squares, telling.dof)))
 
-    ratios, _, logs = zip(*size_grid(telling, log_evidence), strict=True)
+    ratios, _, logs = zip(*size_grid(telling, log_evidence, finer=_FINER), strict=True)
     squares = np.array([marginal_at(gram, ratio).squares for ratio in ratios])
     log_weights = np.array(logs) - logsumexp(logs)
     variances = [noise_variance(marginal_at(telling, ratio).squares, telling.dof) for ratio in ratios]
-    return Components(tuple(ratios), log_weights, squares, float(np.sqrt(np.exp(log_weights) @ variances)), gram.dof)
+    noise = float(np.sqrt(np.exp(log_weights) @ variances))
+    return Components(tuple(ratios), log_weights, squares, noise, gram.dof)
 
 
 Functions = tuple[IntArray, Array]

@@ -29,14 +29,14 @@ from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.random_unknowns import RandomPosterior, RandomUnknowns
-from machine_tool_calibration.model.reproducibility import Family, of_repeats, reproducibility
+from machine_tool_calibration.model.reproducibility import Family, of_repeats, offsets_apart, reproducibility
 from machine_tool_calibration.model.solved import Solved
 
 __all__ = ["FamilySize", "MarginalFit", "marginal_fit"]
 
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
-_COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 8, 3
+_COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 24, 3
 # Readings up to which what every model lacks is in what is published: of more, U is what grows least.
 _ENOUGH = 20_000
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
@@ -112,6 +112,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         lacking = [_imperfect(m.observations) for m in solved.assembly.models]
         families = [own + further for own, further in zip(families, lacking, strict=True)]
     parts, place, names = _widened(problem, families)
+    offset = np.concatenate([np.zeros(0, dtype=bool), *(f.offsets for own in families for f in own if f.name in names)])
     u = len(place)
     wide = Problem(
         parts,
@@ -122,7 +123,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
     if u or solved.random is not None:
-        found = _averaged(solved, problem, wide, place, names)
+        found = _averaged(solved, problem, wide, place, offset, names)
     else:
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
         found = _Marginal(
@@ -178,7 +179,9 @@ class _Marginal:
     ratios: Array
 
 
-def _averaged(solved: Solved, problem: Problem, wide: Problem, place: IntArray, names: tuple[str, ...]) -> _Marginal:
+def _averaged(
+    solved: Solved, problem: Problem, wide: Problem, place: IntArray, offset: BoolArray, names: tuple[str, ...]
+) -> _Marginal:
     """The mean over the sizes of what does not reproduce."""
     solution, m, u = solved.solution, problem.size, len(place)
     total, squares = gram(wide, np.concatenate([solution.theta, np.zeros(u)]), solution.local)
@@ -190,7 +193,8 @@ def _averaged(solved: Solved, problem: Problem, wide: Problem, place: IntArray, 
     # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
     imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
     runs = np.flatnonzero(~imperfect)
-    own, families = place[runs], tuple(name for name in names if name != IMPERFECT)
+    families = tuple(name for name in names if name != IMPERFECT)
+    own, was = offsets_apart(place[runs], offset[runs], seen[runs])
     some = np.append(runs, u)
     inner = projected[np.ix_(some, some)]
     observed = [model.observations for model in solved.assembly.models]
@@ -221,7 +225,7 @@ def _averaged(solved: Solved, problem: Problem, wide: Problem, place: IntArray, 
         steps, covariances, found_random = zip(*tried, strict=True)
         mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
         random = found_random[int(np.argmax(weights))]
-    sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, families)
+    sizes = _sizes(solved, found, np.where(seen, squares[m:-1], 0.0)[runs], own, [names[k] for k in was])
     return _Marginal(mean, covariance, scatter, sizes, random, squares_left, np.sqrt(weights @ tau**2))
 
 
@@ -388,14 +392,16 @@ def _scatter(chi_square: float, dof: int) -> float:
 
 
 def _sizes(
-    solved: Solved, found: Components, seen: Array, place: IntArray, names: tuple[str, ...]
+    solved: Solved, found: Components, seen: Array, place: IntArray, names: Sequence[str]
 ) -> tuple[FamilySize, ...]:
     """Sizes in metres, of that part of the functions which the model does not take up."""
     sigma = np.concatenate([model.sigma for model in solved.assembly.models])
     unit = found.noise * float(np.sqrt(np.mean(sigma**2)))
     out = []
-    for k, name in enumerate(names):
-        factor = unit * float(np.sqrt(seen[place == k].sum() / len(sigma)))
-        low, middle, high = (factor * found.quantile(k, q) for q in (0.025, 0.5, 0.975))
-        out.append(FamilySize(name, middle, low, high, found.probability(k)))
+    mean_square = np.bincount(place, seen, len(names)) / len(sigma)
+    for name in dict.fromkeys(names):
+        own = [k for k, other in enumerate(names) if other == name]
+        weights = np.where(np.isin(np.arange(len(names)), own), mean_square, 0.0)
+        low, middle, high = (unit * size for size in found.quantiles(weights, (0.025, 0.5, 0.975)))
+        out.append(FamilySize(name, middle, low, high, found.probability(own)))
     return tuple(out)

@@ -18,7 +18,7 @@ from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
-__all__ = ["Family", "PureError", "of_repeats", "reproducibility"]
+__all__ = ["Family", "PureError", "of_repeats", "offsets_apart", "reproducibility"]
 
 # Readings of a group for each degree, so that a short run is not all spread.
 _FOR_A_DEGREE = 3
@@ -38,11 +38,13 @@ class Family:
         name: run, mounting, pass, or rows of equal x.
         group: (n,) index of the group of each reading, from 0; -1 for a reading of none.
         shapes: (d, n) values of the group's d functions, of a size of about 1.
+        offset: whether the first function is one.
     """
 
     name: str
     group: IntArray
     shapes: Array
+    offset: bool = True
 
     @property
     def of_runs(self) -> bool:
@@ -61,6 +63,34 @@ class Family:
         there = np.flatnonzero(self.group >= 0)
         out[self.group[there], :, there] = self.shapes[:, there].T
         return out.reshape(-1, n)
+
+    @property
+    def offsets(self) -> BoolArray:
+        """(count d,) which of the functions are offsets of their group."""
+        return np.tile(np.arange(len(self.shapes)) == (0 if self.offset else -1), self.count)
+
+
+def offsets_apart(family: IntArray, offset: BoolArray, seen: BoolArray) -> tuple[IntArray, IntArray]:
+    """Families in which offsets that show have a size of their own.
+
+    An offset comes from mounting and probing, a slope and a bow from heat: the size of one says nothing of the other.
+    Offsets that the model takes up, as where every run counts from its own zero, keep the size of the others.
+
+    Args:
+        family: (u,) of each function, from 0.
+        offset: (u,) whether it is an offset of its group.
+        seen: (u,) whether the model leaves something of it.
+
+    Returns:
+        (u,) family of each function; and for each family the one that it was, the new ones being last.
+    """
+    out, was = family.copy(), np.arange(int(family.max(initial=-1)) + 1)
+    for k in was:
+        own = (family == k) & offset
+        if (own & seen).any() and not own[family == k].all():
+            out[own] = len(was)
+            was = np.append(was, k)
+    return out, was
 
 
 @dataclass(frozen=True)
@@ -205,7 +235,7 @@ def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
         row = np.unique(np.round(observations.position[:, j] / _STILL), return_inverse=True)[1].reshape(-1)
         count = np.bincount(row)
         if priors.SEVERAL_RUNS <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
-            yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy())
+            yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy(), offset=False)
 
 
 def _passes(observations: Observations, axis: int) -> IntArray:

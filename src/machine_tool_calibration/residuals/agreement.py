@@ -333,6 +333,22 @@ class Neighbours:
                 out |= most & (np.abs(residual[which] - level) < within)
         return out
 
+    def in_a_row(self, which: IntArray, residual: Array) -> BoolArray:
+        """(k,) whether several next to a reading deviate in its sense, none by less than half as much."""
+        along, values = self.run.near(which, residual)
+        own = residual[which][:, None]
+        alike = values * np.sign(own) > 0.5 * np.abs(own)
+        before, after = alike[:, along < 0][:, ::-1], alike[:, along > 0]
+        count = sum(np.cumprod(side, axis=1).sum(axis=1) for side in (before, after))
+        return np.asarray(count >= priors.AGREEING)
+
+    def repeated(self, which: IntArray, residual: Array, limit: float) -> BoolArray:
+        """(k,) whether a reading has repeats, and all of them deviate as it does: what reproduces is no gross error."""
+        repeats = self.repeats.near(which, residual)[1]
+        own = residual[which][:, None]
+        alike = (np.abs(repeats - own) < limit) & (np.abs(repeats) > limit)
+        return np.asarray(np.isfinite(repeats).any(axis=1) & (alike | np.isnan(repeats)).all(axis=1))
+
 
 class _Ordered:
     """Readings group by group, in the order of time."""

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.elimination import Rows
@@ -191,6 +191,7 @@ class _Search:
         self.problem = assemble([model]).problem
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
+        self.neighbours = Neighbours(self.readings)
         self.sigma = model.sigma
         self.n = self.part.n_readings
         theta, local = self.problem.zero
@@ -207,6 +208,11 @@ class _Search:
             fit = self._fit(held)
             held, alike = self._agreed(asked, held, fit)
             fit = self._fit(held)
+            if (together := self._together(held, fit)).any():
+                self.explained[held[together]] = True
+                held = held[~together]
+                fit = self._fit(held)
+                continue
             # What was asked once is asked again, so that the set comes to rest.
             beyond = np.abs(fit.predicted) > min(fit.noise.limit, priors.SUSPECTED_BESIDE)
             more = np.union1d(asked, np.flatnonzero(beyond))
@@ -237,7 +243,7 @@ class _Search:
         theta, local, residuals = robust_start(self.problem, unknowns)
         self.start, every = (theta, local[0]), np.arange(self.n)
         spare = max(1.0 - unknowns / self.n, 0.1)
-        off, neighbours = residuals[0] / np.sqrt(spare), Neighbours(self.readings)
+        off, neighbours = residuals[0] / np.sqrt(spare), self.neighbours
         noise = noise_of(np.abs(off), spare * self.n)
         some = every[np.linspace(0, self.n - 1, min(self.n, LOOKED_AT)).astype(int)]
         beside = noise_of(np.abs(off[some] - neighbours.course(some, off)), spare * len(some))
@@ -316,6 +322,18 @@ class _Search:
                 doubtful = doubtful[~self.explained[doubtful]]
                 alike |= {int(k): doubtful for k in either[~self.explained[either]]}
         return np.flatnonzero(found & ~self.explained), alike
+
+    def _together(self, held: IntArray, fit: _Fit) -> BoolArray:
+        """(k,) which of the gross errors follow from their neighbours, or reproduce, and are none.
+
+        Where the model takes up a part of what several readings share, that shows once all of them are held out.
+        """
+        if not np.isfinite(fit.noise.scale):
+            return np.zeros(len(held), dtype=bool)
+        explained = self.neighbours.explained(held, fit.residual, fit.noise.scale, fit.noise.limit)
+        explained |= self.neighbours.in_a_row(held, fit.residual)
+        explained |= self.neighbours.repeated(held, fit.residual, fit.noise.scale * fit.noise.limit)
+        return explained & (np.abs(fit.residual * self.sigma)[held] < _COURSE)
 
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""

@@ -1,76 +1,116 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Waves at unequal times: the largest peaks, against fits. Steps: the largest changes."""
+"""Waves at unequal times and steps: what they take up beside a model, against fits, and the peaks that are kept."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.search.structure import _largest_changes as largest_changes
-from machine_tool_calibration.diagnosis.search.structure import _strongest_periods as strongest_periods
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.search.structure import (
+    _around,
+    _frequencies,
+    _Outside,
+    _peaks,
+    _periodogram,
+    _wave,
+    structure_candidates,
+)
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.model import Parameter, Term
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 TIME = np.sort(np.random.default_rng(2).uniform(50.0, 1050.0, 200))
 ONE_RUN = np.zeros(200, np.int64)
+LENGTH = float(np.ptp(TIME))
 
 
-def test_periods_of_waves_come_out_strongest_first() -> None:
+def plan(name: str, seed: int = 5) -> Session:
+    return simulate(SimulationSpec(plan=PRESETS[name], seed=seed)).session
+
+
+def with_change(session: Session, change: np.ndarray) -> Session:
+    readings = session.readings
+    return session.with_readings(replace(readings, displacement=readings.displacement + change))
+
+
+def test_frequencies_of_waves_come_out_strongest_first() -> None:
     wave = np.sin(2 * np.pi * TIME / 37.0 + 0.4) + 0.4 * np.cos(2 * np.pi * TIME / 11.3) + 5.0
-    found = strongest_periods(TIME, ONE_RUN, wave)
+    frequency = _frequencies(2.5, 100.0) / LENGTH
+    power = _periodogram(TIME - TIME[0], ONE_RUN, wave, frequency)
     # Each peak with its neighbours, half a step of frequency away.
-    assert len(found) == 24
-    lowest, highest = 2.5 / np.ptp(TIME), 200 / (2.0 * np.ptp(TIME))
-    step = (highest - lowest) / (int(4 * (highest - lowest) * np.ptp(TIME)) - 1)
-    for peak, period in ((found[:3], 37.0), (found[3:6], 11.3)):
-        frequency = 1.0 / np.array(peak)
-        assert abs(frequency[1] - 1.0 / period) < step
-        np.testing.assert_allclose(np.diff(frequency), step / 2, rtol=1e-6)
+    found = _around(frequency, _peaks(power)[:2])
+    step = frequency[1] - frequency[0]
+    for peak, period in ((found[:3], 37.0), (found[3:], 11.3)):
+        assert abs(peak[1] - 1.0 / period) < step
+        np.testing.assert_allclose(np.diff(peak), step / 2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("run", [ONE_RUN, np.arange(200) // 45, np.random.default_rng(5).integers(3, size=200)])
-def test_peaks_are_those_of_fits_of_every_wave_beside_the_means_of_runs(run: np.ndarray) -> None:
+def test_the_periodogram_is_that_of_fits_of_every_wave_beside_the_means_of_runs(run: np.ndarray) -> None:
     noise = np.random.default_rng(4).normal(size=200)
-    length = np.ptp(TIME)
-    lowest, highest = 2.5 / length, 200 / (2.0 * length)
-    frequency = np.linspace(lowest, highest, int(4 * (highest - lowest) * length))
+    frequency = _frequencies(2.5, 100.0) / LENGTH
     means = np.eye(5)[:, run][: run.max() + 1]
+    left = float(np.linalg.lstsq(means.T, noise, rcond=None)[1][0])
     power = []
     for f in frequency:
         wave = np.array([np.sin(2 * np.pi * f * TIME), np.cos(2 * np.pi * f * TIME)])
-        power.append(-np.linalg.lstsq(np.vstack([means, wave]).T, noise, rcond=None)[1][0])
-    around = np.pad(power, 1, constant_values=-np.inf)
-    peaks = np.flatnonzero((around[1:-1] > around[:-2]) & (around[1:-1] > around[2:]))
-    best = peaks[np.argsort(-around[1:-1][peaks])][:8]
-    np.testing.assert_allclose(strongest_periods(TIME, run, noise)[1::3], 1.0 / frequency[best], rtol=1e-9)
+        power.append(left - np.linalg.lstsq(np.vstack([means, wave]).T, noise, rcond=None)[1][0])
+    np.testing.assert_allclose(_periodogram(TIME, run, noise, frequency), power, rtol=1e-6, atol=1e-9)
 
 
-def test_a_wave_of_which_runs_take_up_most_is_found() -> None:
-    """It comes and goes in fifteen minutes, each run counts from its own zero and takes five."""
-    time, run = 10.0 * np.arange(432), np.arange(432) // 36
-    wave = np.sin(2 * np.pi * time / 900.0 + 1.0)
-    left = wave - (np.bincount(run, wave) / np.bincount(run))[run]
-    assert strongest_periods(time, run, left)[1] == pytest.approx(900.0, rel=0.05)
+def test_peaks_may_be_at_the_ends() -> None:
+    assert _peaks(np.array([5.0, 1.0, 2.0, 1.0, 3.0])).tolist() == [0, 4, 2]
+    assert _peaks(np.zeros(4)).tolist() == []
 
 
 def test_nothing_to_look_for() -> None:
-    assert strongest_periods(TIME, ONE_RUN, np.zeros(200)) == []
-    five = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
-    assert strongest_periods(np.arange(5.0), np.zeros(5, np.int64), five) == []
+    assert len(_frequencies(2.5, 2.0)) == 0
+    assert _around(np.array([0.5]), np.array([0])) == [0.5, 0.5, 0.5]
 
 
-def test_changes_are_those_of_fits_of_every_step_beside_the_means_of_runs() -> None:
-    rng = np.random.default_rng(7)
-    run = np.repeat([0, 1, 2], [80, 50, 70])
-    values = rng.normal(size=200) + np.where((run == 1) & (np.arange(200) >= 121), 4.0, 0.0)
-    means = np.eye(3)[:, run]
+@pytest.mark.parametrize("name", ["tracking_2d", "probing_cross"])
+def test_what_steps_and_waves_take_up_is_what_adding_them_to_the_model_gains(name: str) -> None:
+    model = build_model(plan(name))[0]
+    fit = fit_models([model])
+    time = model.observations.clock
+    steps = (time > np.quantile(time, [[0.2], [0.45], [0.8]])).astype(float)[:, None]
+    waves = np.stack([_wave(time, 1.0 / period) for period in (300.0, 900.0)])
+    outside = _Outside(Pool(fit))
+    for shapes in (steps, waves):
+        # The first is where all reproduces.
+        found = outside.explained(shapes, slice(0, len(time)))[0]
+        for k, columns in enumerate(shapes):
+            names = tuple(Parameter(f"column {j}", "m", shared=True) for j in range(len(columns)))
+            wider = fit_models([model.with_terms([Term("columns", names, columns)])])
+            gain = fit.solution.chi_square - wider.solution.chi_square
+            # As much as a ten-thousandth of a column is left to rounding.
+            assert found[k] == pytest.approx(gain, rel=0.01, abs=0.01)
 
-    def left(moment: float) -> float:
-        columns = np.vstack([means, moment < TIME])
-        return float(np.linalg.lstsq(columns.T, residual, rcond=None)[1][0])
 
-    residual = values - (np.bincount(run, values) / np.bincount(run))[run]
-    found = largest_changes(TIME[::-1], run[::-1], residual[::-1])
-    assert found[0] == TIME[120]
-    squares = [left(moment) for moment in found]
-    assert squares == sorted(squares)
-    within = [moment for k, moment in enumerate(TIME[:-1]) if run[k] == run[k + 1]]
-    assert squares[0] <= min(map(left, within)) + 1e-9
+def test_a_slow_wave_of_which_the_model_takes_up_most_is_found() -> None:
+    """It comes and goes in fifteen minutes; each diagonal, of six, counts from its own zero."""
+    silent = plan("step_diagonal", 31)
+    phase = 2.0 * np.pi * silent.readings.columns["time"] / 900.0
+    found = diagnose(with_change(silent, 25.0 * silent.sigma * np.sin(phase + 0.7)))
+    assert found.verdict == "unexplained"
+    assert found.accepted == ()
+    # Of a period within a few percent.
+    shapes = [structure.shape for structure in found.search.structure if structure.covariate == "time"]
+    assert any("wave" in shape and 870.0 < float(shape.split()[-2]) < 930.0 for shape in shapes)
+
+
+def test_a_step_is_looked_for_where_it_explains_most() -> None:
+    """Between the ones that are tried in any case, in a run of which the model takes up most of it."""
+    silent = plan("probing_cross", 8)
+    time = silent.readings.columns["time"]
+    moment = time[int(0.37 * len(time))]
+    session = with_change(silent, 6.0 * silent.sigma * (time > moment))
+    steps = [c for c in structure_candidates(Pool(fit_models([build_model(session)[0]]))) if "step" in c.name]
+    assert moment in {shape.shape[0] for candidate in steps for shape in candidate.shapes}
+    assert diagnose(session).verdict == "unexplained"

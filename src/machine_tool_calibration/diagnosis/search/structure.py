@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cached_property, partial
 from itertools import combinations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, occurrence
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.evidence import gram_of
+from machine_tool_calibration.estimation import priors
+from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.covariates import covariates
@@ -26,9 +30,9 @@ _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _ANGLES = ("c", "azimuth", "elevation", "normal")
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
-# Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and at the largest
-# changes, of a run and of all that comes later.
-_MOMENTS, _CHANGES = 24, 6
+# Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and where it explains
+# most; and most moments that are looked at for that.
+_MOMENTS, _CHANGES, _LOOKED_AT = 24, 6, 1000
 # Range of a direction's component below which it is the same for all readings.
 _SAME = 1e-6
 
@@ -36,6 +40,9 @@ _SAME = 1e-6
 # over the whole session: slower waves are smooth functions.
 _OVERSAMPLED, _PEAKS, _FEWEST = 4, 8, 2.5
 _MOST_FREQUENCIES = 20000
+# Most periods over the session of a slow wave, of which the model and what does not reproduce take up the more, and
+# columns that are projected at once.
+_SLOW, _BATCH = 60.0, 120
 # Numbers that are worked on at once; sum of squares of a wave below which it is zero at all readings.
 _AT_ONCE, _NOTHING = 4e5, 1e-12
 
@@ -48,9 +55,13 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     where the machine does not move as rigid bodies, those of a direction of approach and a position where lost motion
     is not the same everywhere.
     """
-    out = []
+    out, outside = [], _Outside(pool)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
-        for candidate in _of_session(observations, pool.residuals[piece] / pool.sigma[piece]):
+        own = [_structure(c, how, (Shaped((), columns),)) for c, how, columns in _functions(observations)]
+        if len(observations) >= _ENOUGH:
+            residual = pool.residuals[piece] / pool.sigma[piece]
+            own += _events(observations, residual, partial(outside.explained, piece=piece))
+        for candidate in own:
             shapes = tuple(Shaped(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
             assert candidate.dependence is not None
             label, (covariate, how) = pool.label(k), candidate.dependence
@@ -59,12 +70,42 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     return out
 
 
-def _of_session(observations: Observations, residual: Array) -> Iterator[Candidate]:
+class _Outside:
+    """What the model, and what does not reproduce, leave of many columns."""
+
+    def __init__(self, pool: Pool) -> None:
+        self._pool = pool
+
+    @cached_property
+    def _sizes(self) -> set[tuple[float, ...]]:
+        """Sizes of what does not reproduce beside which columns are looked at: none, and the likeliest."""
+        gram = gram_of(self._pool, self._pool.screen(self._pool.spread[0]))
+        likeliest = max(size_grid(gram), key=lambda one: one[2])[0]
+        return {likeliest, (0.0,) * len(likeliest)}
+
+    def explained(self, shapes: Array, piece: slice) -> list[Array]:
+        """(s,) sums of squares that (s, d, n) sets of columns of a session take up, beside each of some sizes."""
+        pool, (count, d, n) = self._pool, shapes.shape
+        out = np.zeros((len(self._sizes), count))
+        for first in range(0, count, _BATCH // d):
+            some = slice(first, min(first + _BATCH // d, count))
+            columns = pool.only(shapes[some].reshape(-1, n), piece)
+            projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
+            own = np.arange(len(columns)).reshape(-1, d)
+            # What the model takes up of a column has rounding left.
+            least = np.eye(d) * priors.ABSORBED * projected.squares[own][:, :, None]
+            for k, ratio in enumerate(sorted(self._sizes)):
+                marginal = marginal_at(gram_of(pool, projected), ratio)
+                inner = marginal.inner(own.reshape(-1), own.reshape(-1)).reshape(len(own), d, len(own), d)
+                core = inner[np.arange(len(own)), :, np.arange(len(own))] + least
+                data = marginal.data[own]
+                out[k, some] = np.sum(data * np.linalg.solve(core, data[..., None])[..., 0], axis=1)
+        return list(out)
+
+
+def _functions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     for functions in (_of_one, _products, _lost_motions):
-        for covariate, how, columns in functions(observations):
-            yield _structure(covariate, how, (Shaped((), columns),))
-    if len(observations) >= _ENOUGH:
-        yield from _events(observations, residual)
+        yield from functions(observations)
 
 
 def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
@@ -115,23 +156,67 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
 
 
-def _events(observations: Observations, residual: Array) -> Iterator[Candidate]:
+def _events(
+    observations: Observations, residual: Array, explained: Callable[[Array], list[Array]]
+) -> Iterator[Candidate]:
     """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s.
 
     Where no time was recorded, the order of the readings serves, and both are counts of readings.
+
+    Args:
+        observations: of a session.
+        residual: (n,) over the standard uncertainty.
+        explained: sums of squares that sets of columns take up, in one or more ways.
     """
     name, time = "time" if observations.timed else "order", observations.clock
-    moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    changes = [_largest_changes(time, run, residual) for run in (np.zeros_like(observations.run), observations.run)]
-    every = np.unique(np.concatenate([moments, *changes]))
-    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in every)
-    yield _structure(named("column", name), say("shape.step_at", at=""), steps, len(time))
-    waves = []
-    for period in _strongest_periods(time, observations.run, residual):
-        phase = 2.0 * np.pi * (time - time[0]) / period
-        waves.append(Shaped((period,), np.array([np.sin(phase), np.cos(phase)])))
-    if waves:
-        yield _structure(named("column", name), say("shape.wave", at=""), tuple(waves), len(time) // 2)
+    covariate, moments = named("column", name), np.unique(time)[:-1]
+    evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
+    some = np.unique(np.linspace(0, len(moments) - 1, min(len(moments), _LOOKED_AT)).astype(int))
+    # Of many readings some, then all around the best.
+    for _ in range(2 if len(some) < len(moments) else 1):
+        powers = explained((time > moments[some, None]).astype(float)[:, None])
+        best = np.unique(np.concatenate([some[_peaks(power)[:_CHANGES]] for power in powers]))
+        stride = -(-len(moments) // len(some))
+        some = np.unique(np.clip(best[:, None] + np.arange(-stride, stride + 1), 0, len(moments) - 1))
+    steps = [Shaped((m,), (time > m).astype(float)[None]) for m in np.union1d(evenly, moments[best]).tolist()]
+    yield _structure(covariate, say("shape.step_at", at=""), tuple(steps), len(time))
+    wave, length = say("shape.wave", at=""), float(np.ptp(time))
+    highest = len(time) / 2.0
+    slow = _frequencies(_FEWEST, min(_SLOW, highest)) / length
+    fast = _frequencies(_SLOW, highest)[:_MOST_FREQUENCIES] / length
+    found = {
+        "slow": explained(np.stack([_wave(time, f) for f in slow])) if len(slow) else [],
+        "fast": [_periodogram(time - time[0], observations.run, residual, fast)] if len(fast) else [],
+    }
+    for (speed, powers), frequency in zip(found.items(), (slow, fast), strict=True):
+        near = {k for power in powers for k in _around(frequency, _peaks(power)[:_PEAKS])}
+        waves = tuple(Shaped((1.0 / k,), _wave(time, k)) for k in sorted(near))
+        if waves:
+            candidate = _structure(covariate, wave, waves, len(time) // 2)
+            yield replace(candidate, name=f"{candidate.name}{speed}")
+
+
+def _wave(time: Array, frequency: float) -> Array:
+    phase = 2.0 * np.pi * frequency * (time - time[0])
+    return np.array([np.sin(phase), np.cos(phase)])
+
+
+def _frequencies(lowest: float, highest: float) -> Array:
+    """Frequencies in periods over the session, several for each independent one."""
+    return np.arange(lowest, highest, 1.0 / _OVERSAMPLED)
+
+
+def _around(frequency: Array, places: IntArray) -> list[float]:
+    """Frequencies at some places, and half a step beside them."""
+    half = 0.5 * float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
+    return [float(frequency[k] + shift) for k in places for shift in (-half, 0.0, half)]
+
+
+def _peaks(power: Array) -> IntArray:
+    """Places of the peaks, the largest first; the ends may be peaks as well."""
+    padded = np.pad(power, 1)
+    peaks = np.flatnonzero((power > padded[:-2]) & (power >= padded[2:]))
+    return peaks[np.argsort(-power[peaks], kind="stable")]
 
 
 def _structure(covariate: str, how: Said, shapes: tuple[Shaped, ...], equally: int = 0) -> Candidate:
@@ -161,57 +246,11 @@ def _within(values: Array, group: IntArray) -> Array:
     return out
 
 
-def _largest_changes(time: Array, run: IntArray, residual: Array) -> Array:
-    """Moments after which the residuals change most, each the time of the last reading before.
-
-    A counter that loses its count shows so: all that counts from the same zero is off from then on.
-
-    Args:
-        time: (n,) of the readings.
-        run: (n,) readings with a mean of their own, such as those that count from one zero.
-        residual: (n,) over the standard uncertainty.
-    """
-    order = np.argsort(time, kind="stable")
-    time, run, residual = time[order], run[order], residual[order]
-    size = np.bincount(run)[run]
-    # Of a column that is 1 after a moment, its product with the residuals, and its square beside the runs' means.
-    product = residual.sum() - np.cumsum(residual)
-    square = np.cumsum((size - 1.0 - 2.0 * occurrence(run)) / size)
-    moment = np.append(np.diff(time) > 0, False) & (square > _SAME)
-    power = np.pad(np.where(moment, product**2 / np.where(moment, square, 1.0), 0.0), 1)
-    peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:]))
-    return time[peaks[np.argsort(-power[1:-1][peaks])][:_CHANGES]]
-
-
-def _strongest_periods(time: Array, run: IntArray, residual: Array) -> list[float]:
-    """Periods of the largest peaks of the periodogram (Lomb 1976, Scargle 1982).
-
-    From the session's length down to two readings'. Only these are looked at more closely: at all others less is to
-    be explained.
-
-    Args:
-        time: (n,) of the readings.
-        run: (n,) readings with a mean of their own: of slow waves it takes up most.
-        residual: (n,) over the standard uncertainty.
-    """
-    length = float(np.ptp(time))
-    highest = len(time) / (2.0 * length)
-    lowest = _FEWEST / length
-    count = int(min(_OVERSAMPLED * (highest - lowest) * length, _MOST_FREQUENCIES))
-    if count < 3 or not residual.any():
-        return []
-    frequency = np.linspace(lowest, highest, count)
-    power = _periodogram(time - time[0], run, residual, frequency)
-    # The ends may be peaks as well.
-    padded = np.pad(power, 1)
-    peaks = np.flatnonzero((power > padded[:-2]) & (power >= padded[2:]))
-    best = peaks[np.argsort(-power[peaks])][:_PEAKS]
-    step = float(frequency[1] - frequency[0])
-    return [float(1.0 / (frequency[k] + shift)) for k in best for shift in (-0.5 * step, 0.0, 0.5 * step)]
-
-
 def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) -> Array:
-    """(f,) sum of squares that a sine and a cosine of each frequency take up beside the means of runs."""
+    """(f,) sum of squares that a sine and a cosine of each frequency take up beside the means of runs.
+
+    Lomb (1976) and Scargle (1982), with a mean of each run; of fast waves the model takes up little else.
+    """
     order = np.argsort(run, kind="stable")
     time, values, run = time[order], values[order], run[order]
     first, size = np.unique(run, return_index=True, return_counts=True)[1:]
