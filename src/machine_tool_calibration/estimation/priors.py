@@ -134,15 +134,20 @@ LIKELY = 0.2
 """The same from which an effect is called likely: what one would look at next."""
 
 SURE = 0.95
-"""Probability that something is missing from which the verdict is that no effect explains it."""
+"""Probability that something is missing from which the verdict is that no effect explains it; and that one of two
+effects is the one, from which they are told apart, alike as they are."""
 
 ALIKE, THE_SAME = 0.9, 0.98
 """Cosine between the signals of two effects outside the model from which they are look-alikes; and from which a
 structure lies in the span of an effect, and is that effect."""
 
-LAW = 0.5
+UNRELATED = 0.5
+"""Probability that two effects are in together, over that if they were unrelated, below which they exchange it."""
+
+LAW, SECOND_TIME_CONSTANT = 0.5, 1.0
 """Share of a surer effect's signal below which another one that is the same but for a smooth function of time is what
-that effect differs from its law by: a warm-up has more than one time constant."""
+that effect differs from its law by; and the same where that effect has a time constant and the other none: slow parts
+of a machine warm up by as much as quick ones, and a drift beside a warm-up of its size is the slow part of it."""
 
 ABSORBED = 1e-4
 """Share of its squares outside the model below which an effect is absorbed: 1 % of its norm."""

@@ -50,7 +50,9 @@ def test_probabilities_of_all_sets_sum_to_one() -> None:
         for k in range(5):
             alone = sum(p for members, p in zip(found.sets, found.probability, strict=True) if k in members)
             assert found.of(k) == pytest.approx(alone)
-        assert found.of(*range(5)) + found.without(0, 0) == pytest.approx(
+            both = sum(p for members, p in zip(found.sets, found.probability, strict=True) if {0, k} <= set(members))
+            assert found.of(k, given=[0]) * found.of(0) == pytest.approx(both)
+        assert found.of(*range(5)) == pytest.approx(
             1.0 - next(p for members, p in zip(found.sets, found.probability, strict=True) if not members)
         )
 
@@ -86,6 +88,9 @@ def test_candidates_exchange_their_probability_only_where_one_is_instead_of_the_
     columns[:, 1] = 8.0 * (0.999 * columns[:, 0] / 8.0 + np.sqrt(1.0 - 0.999**2) * columns[:, 1] / 8.0)
     alike = searched(columns, noise + 0.45 * columns[:, 0])
     assert alike.exchanges(0, 1) and alike.exchanges(1, 0)
+    # Each may be in instead of the other, and neither instead of what is nothing like it.
+    assert alike.may_replace(0, 1) and alike.may_replace(1, 0)
+    assert not alike.may_replace(3, 0)
 
 
 def test_a_pair_that_hides_each_other_is_found() -> None:
@@ -140,15 +145,3 @@ def test_a_factor_of_a_member_is_beside_the_rest() -> None:
     assert found.log_factor(0) == pytest.approx(beside)
     # The other is no longer noise: the evidence is stronger than alone.
     assert found.log_factor(0) > found.single.log_factors[0]
-
-
-def test_one_of_a_pair_nearly_alike_gains_where_the_signal_is_clear_and_not_where_it_may_be_noise() -> None:
-    columns, noise = made(7, 1)
-    pair = np.column_stack([columns[:, 0], columns[:, 0]])
-    clear, faint = (searched(pair, size * columns[:, 0] + noise - columns @ (columns.T @ noise) / 64.0)
-                    for size in (1.0, 0.3))  # fmt: skip
-    assert clear.gains(set(), 0) and clear.gains(set(), 1)
-    # Beside the other, that says all already, neither does.
-    assert not clear.gains({1}, 0)
-    assert faint.of(0) < faint.probability[[not s for s in faint.sets].index(True)]
-    assert not faint.gains(set(), 0)

@@ -81,6 +81,11 @@ class Candidate:
         return () if self.effect is None else self.effect.contains
 
     @property
+    def decays(self) -> bool:
+        """Whether it has a time constant."""
+        return any(shape.unit == "s" for shape in self.nonlinear)
+
+    @property
     def count(self) -> int:
         """Sets of nonlinear coefficients over which the prior is spread."""
         return max(self.equally, len(self.shapes))

@@ -147,7 +147,7 @@ def search_effects(
     groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
     further = priors.ACCEPTED if side_by_side else priors.FURTHER
-    accepted = _accepted(columns, findings, groups, found, further) if still else ()
+    accepted = _accepted(columns, groups, found, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
@@ -354,42 +354,57 @@ def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
 
 
 def _accepted(
-    columns: _Columns,
-    findings: Sequence[Finding],
-    groups: Sequence[tuple[str, ...]],
-    found: Posterior,
-    further: float,
+    columns: _Columns, groups: Sequence[tuple[str, ...]], found: Posterior, further: float
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not; of a group of which some member is, its first if that gains.
+    """Effects that are in more likely than not, the surest first; of look-alikes the likeliest stands for all.
+
+    Each given those before it: what is likely in different sets is not for that likely together.
 
     Args:
         columns: of all that was looked for.
-        findings: of all effects.
         groups: of look-alikes.
         found: the posterior.
-        further: probability that a further one, or one of its look-alikes, is in, from which it is accepted beside the
-            surest.
+        further: probability from which a further effect is accepted beside the surest.
     """
     place = columns.place
-    sure = [f.name for f in findings if f.probability > priors.ACCEPTED]
-    known = {place[name] for name in sure}
-    for group in groups:
-        members = [place[name] for name in group]
-        if not known & set(members) and found.of(*members) > priors.ACCEPTED and found.gains(known, members[0]):
-            sure.append(group[0])
-    sure.sort(key=lambda name: -found.log_factor(place[name]))
-    alike = {name: next((group for group in groups if name in group), (name,)) for name in sure}
-    sure = [n for n in sure if n == sure[0] or found.of(*(place[other] for other in alike[n])) > further]
-    signals = {name: _signal(columns, found, place[name]) for name in sure}
-    return tuple(n for k, n in enumerate(sure) if not any(_of_law(columns.pool, signals, n, m) for m in sure[:k]))
+    left = [[place[name] for name in group] for group in groups]
+    left += [[k] for k in range(columns.effects) if k in columns.seen and not any(k in group for group in left)]
+    accepted: list[int] = []
+    while left:
+        chances = [round(found.of(*group, given=accepted), 2) for group in left]
+        heads = [max(group, key=lambda k: found.of(k, given=accepted)) for group in left]
+        best = max(range(len(left)), key=lambda j: (chances[j], found.log_factor(heads[j])))
+        if chances[best] <= (further if accepted else priors.ACCEPTED):
+            break
+        accepted.append(heads[best])
+        del left[best]
+    accepted.sort(key=lambda k: -found.log_factor(k))
+    signals = [_signal(columns, found, k) for k in accepted]
+    return _without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
 
 
-def _of_law(pool: Pool, signals: Mapping[str, Array], name: str, other: str) -> bool:
-    """Whether an effect is a small part of what a surer one may differ from its law by: smooth in time as it is."""
-    if rms(signals[name] / pool.sigma) > priors.LAW * rms(signals[other] / pool.sigma):
+def _without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array]) -> tuple[str, ...]:
+    """Names of the effects, the surest first, without those by which another one differs from its law."""
+
+    def slow(k: int, j: int) -> bool:
+        """Whether one without a time constant is the slow part of one that has such."""
+        pair = effects[j].decays and not effects[k].decays
+        return pair and _of_law(pool, signals[k], signals[j], priors.SECOND_TIME_CONSTANT)
+
+    every = range(len(effects))
+    left = [k for k in every if not any(slow(k, j) for j in every)]
+    return tuple(
+        effects[k].name
+        for i, k in enumerate(left)
+        if not any(_of_law(pool, signals[k], signals[j], priors.LAW) for j in left[:i])
+    )
+
+
+def _of_law(pool: Pool, signal: Array, other: Array, most: float) -> bool:
+    """Whether a signal is what another one may differ from its law by: smooth in time as it is, and no larger."""
+    if rms(signal / pool.sigma) > most * rms(other / pool.sigma):
         return False
-    both = np.concatenate([signals[name][None], signals[other][None], smooth_share(pool, signals[other])])
-    inner = pool.screen(both).gram[:-1, :-1]
+    inner = pool.screen(np.concatenate([signal[None], other[None], smooth_share(pool, other)])).gram[:-1, :-1]
     basis = basis_of(inner[1:, 1:])
     return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > priors.ALIKE**2 * inner[0, 0])
 

@@ -192,9 +192,9 @@ def alias_groups(
 ) -> tuple[tuple[str, ...], ...]:
     """Effects that this data cannot distinguish: the first of each group is its most probable member.
 
-    Two are alike if one reproduces at least 0.9 (cosine) of the other's signal outside the model, or if they exchange
-    probability (`Posterior.exchanges`). What contains the first describes all that it does, and is no alternative to it
-    for that.
+    Two are alike if they exchange probability (`Posterior.exchanges`), or if one reproduces at least 0.9 (cosine) of
+    the other's signal outside the model, unless the readings tell them apart all the same, as they do where an effect
+    is large. What contains the first describes all that it does, and is no alternative to it for that.
 
     Args:
         findings: the most probable first.
@@ -213,8 +213,12 @@ def alias_groups(
         return float(np.sqrt(min(float(seen @ seen) / own, 1.0))) if own > 0 else 0.0
 
     def is_alike(head: Finding, other: Finding) -> bool:
-        if head.probability > priors.LIKELY and found.exchanges(index[head.name], index[other.name]):
-            return True
+        one, two = index[head.name], index[other.name]
+        if head.probability > priors.LIKELY:
+            if found.exchanges(one, two):
+                return True
+            if not found.may_replace(two, one):
+                return False
         contained = head.name in other.candidate.contains
         return not contained and max(cosine(head, other.name), cosine(other, head.name)) >= priors.ALIKE
 

@@ -8,7 +8,7 @@ every other effect over all its nonlinear coefficients and scales, until the bes
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence, Set
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import combinations
@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import logsumexp
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
@@ -32,6 +32,8 @@ _GROWN, _PAIRS = 6, 4
 _MOST, _MOST_SIDE_BY_SIDE = 5, 14
 # Logarithm of the odds to the best below which a set is not worth growing.
 _HOPELESS = -7.0
+# A probability of nothing.
+_NEVER = 1e-300
 
 
 Members = dict[int, Point]
@@ -76,11 +78,18 @@ class Posterior:
         members = {k: self.best.get(k) or self.single.best[k] for k in accepted}
         return _with_members(self.blocks, self.marginals, members)
 
-    def of(self, *candidates: int) -> float:
-        """Probability that some of these candidates are in."""
-        wanted = set(candidates)
-        total = float(sum(p for s, p in zip(self.sets, self.probability, strict=True) if wanted & set(s)))
-        return min(total, 1.0)
+    @cached_property
+    def _holds(self) -> BoolArray:
+        """(sets, candidates) which candidates each set holds."""
+        out = np.zeros((len(self.sets), len(self.log_odds)), dtype=bool)
+        for row, members in zip(out, self.sets, strict=True):
+            row[list(members)] = True
+        return out
+
+    def of(self, *candidates: int, given: Collection[int] = ()) -> float:
+        """Probability that some of these candidates are in, given that all of some others are."""
+        share = np.where(self._holds[:, list(given)].all(axis=1), self.probability, 0.0)
+        return min(float(share @ self._holds[:, list(candidates)].any(axis=1)) / max(float(share.sum()), _NEVER), 1.0)
 
     def log_factor(self, candidate: int) -> float:
         """Logarithm of a candidate's Bayes factor: beside the rest of the best set if it is in there, else alone."""
@@ -97,19 +106,19 @@ class Posterior:
         """
         return float(np.exp(min(logsumexp(self.log_odds) - self.log_odds[candidate] - log_factor, 0.0)))
 
-    def gains(self, known: Set[int], candidate: int) -> bool:
-        """Whether what is known is more probable with another candidate beside it than alone."""
-        shares = [(set(s), p) for s, p in zip(self.sets, self.probability, strict=True)]
-        return bool(sum(p for s, p in shares if s >= {*known, candidate}) > sum(p for s, p in shares if s == known))
-
     def exchanges(self, candidate: int, other: int) -> bool:
-        """Whether another candidate is in where this one is not, and more probably than where this one is."""
-        instead = self.without(other, candidate)
-        return instead > max(priors.LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
+        """Whether another candidate is in where this one is not; both are in less often than if they were unrelated."""
+        instead, likely = self.without(other, candidate), self.of(other)
+        both = likely - instead
+        return instead > priors.LIKELY * self.of(candidate) and both < priors.UNRELATED * likely * self.of(candidate)
+
+    def may_replace(self, other: int, candidate: int) -> bool:
+        """Whether another candidate may be in instead of one, unlikely as it is."""
+        return self.without(other, candidate) > (1.0 - priors.SURE) * self.of(candidate)
 
     def without(self, member: int, other: int) -> float:
         """Probability of the sets that hold one candidate and not the other."""
-        return float(sum(p for s, p in zip(self.sets, self.probability, strict=True) if member in s and other not in s))
+        return self.of(member, other) - self.of(other)
 
 
 @dataclass
