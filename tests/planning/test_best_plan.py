@@ -202,7 +202,7 @@ def test_what_cannot_be_is_said_in_one_line(changes: dict[str, Any], why: str) -
 
 def test_an_effect_that_no_plan_tells_is_said() -> None:
     with pytest.raises(ModelError, match="no plan of these candidates tells"):
-        best_plan(PLANE, "plane.yaml", Assumed(), told=["thermal_expansion_x"])
+        best_plan(PLANE, "plane.yaml", Assumed(), told=["scale"])
     with pytest.raises(ModelError, match="backlash_x"):
         best_plan(PLANE, "plane.yaml", Assumed(), told=["backlsh_x"])
 
