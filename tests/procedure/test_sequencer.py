@@ -14,8 +14,9 @@ from machine_tool_calibration.procedure.events import (
     MovedAway,
     Refused,
     SetDatum,
+    State,
+    Timing,
 )
-from machine_tool_calibration.procedure.progress import State, Timing
 
 from .procedures import TEXT, small
 from .world import SECOND, World

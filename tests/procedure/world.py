@@ -23,10 +23,11 @@ from machine_tool_calibration.procedure.events import (
     Emit,
     Motion,
     SetDatum,
+    State,
     Stop,
+    Timing,
 )
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 
 SECOND = 1_000_000_000

@@ -27,7 +27,7 @@ _FIFTH = tuple(float(v) for v in np.linspace(0.0, 0.4, 5))
 Line = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
 
 
-class TrackingPlan(Plan):
+class TrackingPlan(Plan, Pointer):
     """Stations and targets; without them a square of 0.4 m (2-D) or a cube of 0.4 m (3-D) from four stations.
 
     Attributes:
@@ -36,9 +36,6 @@ class TrackingPlan(Plan):
         points: targets one by one instead of a grid, m.
         station_uncertainty: the estimated stations are off by this (standard deviation per coordinate), m.
         order: every second repeat runs backwards (`alternate`), or all run alike (`same`).
-        zero_offset, elevation_offset: errors of the pointer, rad.
-        eccentricity: the beam passes this far beside the rotation centre, m.
-        radial: radial error motion, (cos, sin) by order of the azimuth, m.
     """
 
     method: Literal["tracking_interferometer"] = "tracking_interferometer"
@@ -53,10 +50,6 @@ class TrackingPlan(Plan):
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
     noise: Positive = 3e-7
-    zero_offset: Finite = 0.0
-    elevation_offset: Finite = 0.0
-    eccentricity: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> TrackingPlan:
@@ -84,10 +77,6 @@ class TrackingPlan(Plan):
         """Ends of the axes that hold all targets, with the zero, m."""
         return spanned(self.targets())
 
-    def pointer(self) -> Pointer:
-        """The pointer's true errors."""
-        return Pointer(**{name: getattr(self, name) for name in Pointer.model_fields})
-
     def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
         """The measurement of a plan: true stations by chance around the estimates, one run per repeat and station."""
         truth = self.places()
@@ -106,7 +95,6 @@ class TrackingPlan(Plan):
         direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
         scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
         azimuth, elevation = aim(estimate[setup], position, self.dimension)
-        pointer = self.pointer()
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
             actual = disturbance.functional_point(machine, position)
@@ -115,7 +103,7 @@ class TrackingPlan(Plan):
                 direction = (actual - station) / distance(actual, station)[:, None]
                 path = distance(actual, station)
             else:
-                origin, direction = pointer.beam(azimuth, elevation, station, disturbance.turn)
+                origin, direction = self.beam(azimuth, elevation, station, disturbance.turn)
                 path = sensed_path(actual, origin, direction)
             # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
             incidence = azimuth if self.dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
