@@ -207,12 +207,10 @@ def test_tolerances_as_people_state_them(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("EXX", "'EXX' is not of the form NAME=VALUE with a unit"),
-        ("=3um", "is not of the form NAME=VALUE"),
         ("EXX=10", "tolerance of EXX: '10' has no unit"),
         ("EXX=ten", "tolerance of EXX: 'ten' is not a number with a unit"),
         ("EXX=10urad", "tolerance of EXX: '10urad' is not of the dimension length"),
         ("C0Y=10um", "tolerance of C0Y: '10um' is not of the dimension angle"),
-        ("EXX=10parsec", "unknown unit 'parsec'"),
     ],
 )
 def test_mistakes_on_the_command_line(text: str, message: str) -> None:
@@ -223,9 +221,6 @@ def test_mistakes_on_the_command_line(text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the file is empty"),
-        ("format: mtcal-tolerances/1\n", "the key 'tolerances' is missing"),
-        ("format: mtcal-tolerances/1\ntolerances: {}\n", "line 2: tolerances has 0 entries"),
         ("format: mtcal-tolerances/1\ntolerances: {EXX: [1]}\n", "line 2: tolerances.EXX"),
         ("format: mtcal-tolerances/1\ntolerances: {EXX: 3}\nrule: x\n", "line 3: unknown key 'rule'"),
         ("format: mtcal-tolerances/1\ntolerances: {C0Y: 3 um}\n", "C0Y: '3 um' is not of the dimension angle"),

@@ -55,26 +55,11 @@ LINE = "- {name: a, type: B, enters: reading, varies: run, standard_uncertainty:
     ("text", "message"),
     [
         ("", "the file is empty"),
-        ("- 1", "must be a mapping of keys, not a list"),
-        ("contributors: []", "the key 'format' is missing"),
         ("format: mtcal-session/1\n", "line 1: format is 'mtcal-session/1', not mtcal-budget/1"),
-        ("format: mtcal-budget/1\n", "the key 'contributors' is missing"),
         ("format: mtcal-budget/1\ncontributors: []\n", "line 2: contributors has 0 entries, not at least 1"),
-        (HEAD + "- {name: a\n", "line 4: not valid YAML"),
         (HEAD + LINE + ", size: 3}\n", r"line 3: unknown key 'contributors\[0\].size'"),
-        (HEAD + LINE + ", sorce: x}\n", r"line 3: unknown key .*\(did you mean 'source'\?\)"),
-        (HEAD + LINE.replace("type: B, ", "") + "}\n", r"line 3: the key 'contributors\[0\].type' is missing"),
         (HEAD + LINE.replace("type: B", "type: C") + "}\n", r"contributors\[0\].type is 'C', not 'A' or 'B'"),
-        (
-            HEAD + LINE.replace("enters: reading", "enters: by") + "}\n",
-            r"contributors\[0\].enters is 'by', not 'reading'",
-        ),
-        (
-            HEAD + LINE.replace("varies: run", "varies: day") + "}\n",
-            r"contributors\[0\].varies is 'day', not 'reading'",
-        ),
         (HEAD + LINE.replace("1.0e-6", "-1.0e-6") + "}\n", "standard_uncertainty must be greater than 0, not -1e-06"),
-        (HEAD + LINE.replace("1.0e-6", "few") + "}\n", "standard_uncertainty must be a finite number, not 'few'"),
         (HEAD + LINE.replace("1.0e-6", "1 um") + "}\n", "standard_uncertainty must be a finite number, not '1 um'"),
         (
             HEAD + LINE.split(", standard")[0] + "}\n",
@@ -82,12 +67,7 @@ LINE = "- {name: a, type: B, enters: reading, varies: run, standard_uncertainty:
         ),
         (HEAD + LINE + ", half_width: 1}\n", "must be given, not standard_uncertainty and half_width"),
         (HEAD + LINE + ", coverage_factor: 2}\n", "expanded and coverage_factor belong together"),
-        (
-            HEAD + LINE.replace("standard_uncertainty", "expanded") + "}\n",
-            "expanded and coverage_factor belong together",
-        ),
         (HEAD + LINE.replace("standard_uncertainty", "half_width") + "}\n", "a normal distribution has no ends"),
-        (HEAD + LINE + ", distribution: round}\n", r"contributors\[0\].distribution is 'round', not 'normal'"),
         (HEAD + LINE + ", degrees_of_freedom: 0}\n", "degrees_of_freedom must be at least 1, not 0"),
         (HEAD + LINE + ", expansion: 1.0e-5}\n", "expansion .* belongs to what enters by temperature"),
         (
@@ -105,11 +85,6 @@ def test_every_mistake_is_one_line(tmp_path: Path, text: str, message: str) -> N
         read_budget(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
-
-
-def test_files_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="no such file"):
-        read_budget(tmp_path / "none.yaml")
 
 
 def test_a_template_is_read_as_it_is_printed(tmp_path: Path) -> None:

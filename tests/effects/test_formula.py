@@ -12,8 +12,7 @@ import yaml
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.expression import parse
-from machine_tool_calibration.effects.formula import formula_effect, read_effects
+from machine_tool_calibration.effects.formula import formula_effect, parse, read_effects
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest

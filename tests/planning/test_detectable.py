@@ -13,7 +13,7 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.planning import detectable as module
-from machine_tool_calibration.planning.detectable import detectable
+from machine_tool_calibration.planning.forecast import detectable
 from machine_tool_calibration.session.session import Session
 
 NAMES = ("backlash_x", "linear_drift", "pointer_radial_error", "dead_path", "scale", "probe_pretravel", "lost_motion_y")

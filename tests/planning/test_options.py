@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,15 +13,9 @@ from machine_tool_calibration.session.session import Session
 
 Simulated = Callable[..., Session]
 EVERY = (
-    "tracking_2d",
-    "tracking_3d",
-    "rotary_axis",
-    "step_diagonal",
-    "step_diagonal_three_orders",
-    "probing_cross",
-    "iso230_2",
-    "drilled_plate",
-)
+    "tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "step_diagonal_three_orders", "probing_cross",
+    "iso230_2", "drilled_plate",
+)  # fmt: skip
 
 
 def named(options: list[Option], kind: str) -> Option:
@@ -52,13 +47,7 @@ def test_every_option_is_a_session_that_the_method_understands(simulated: Simula
 
 def test_an_instrument_that_travels_is_mounted_again_and_a_clamped_part_is_not(simulated: Simulated) -> None:
     again = named(further_options(simulated("tracking_2d")), "again")
-    assert [setup.id for setup in again.session.description.setups] == [
-        *"ABCD",
-        "again_A",
-        "again_B",
-        "again_C",
-        "again_D",
-    ]
+    assert [setup.id for setup in again.session.description.setups] == [*"ABCD", *(f"again_{s}" for s in "ABCD")]
     assert "mounting" in again.aside
     probing = simulated("probing_cross")
     again = named(further_options(probing), "again")
@@ -190,8 +179,6 @@ def test_a_night_between_two_setups_is_not_measuring_time(simulated: Simulated) 
     session = simulated("tracking_2d")
     columns = dict(session.readings.columns)
     late = columns["time"] + np.where(session.readings.setup > 1, 50_000.0, 0.0)
-    from dataclasses import replace
-
     slow = session.with_readings(replace(session.readings, columns={**columns, "time": late}))
     rows = first_repetition(slow)
     spent = pace(slow, rows)
@@ -202,7 +189,5 @@ def test_a_night_between_two_setups_is_not_measuring_time(simulated: Simulated) 
 def test_without_a_time_there_is_no_duration(simulated: Simulated) -> None:
     session = simulated("drilled_plate")
     columns = {n: v for n, v in session.readings.columns.items() if n != "time"}
-    from dataclasses import replace
-
     timeless = session.with_readings(replace(session.readings, columns=columns))
     assert all(option.seconds is None for option in further_options(timeless))

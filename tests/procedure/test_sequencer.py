@@ -1,10 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, MovedAway, Refused
-from machine_tool_calibration.procedure.progress import State, Timing
+from machine_tool_calibration.procedure.events import (
+    Aimed,
+    Arrived,
+    Captured,
+    CaptureFailed,
+    Motion,
+    MovedAway,
+    Refused,
+    SetDatum,
+    State,
+    Timing,
+)
 
 from .procedures import TEXT, small
 from .world import SECOND, World
@@ -47,16 +59,14 @@ def test_never_pairs_wrongly_however_messages_come(seed, loss, disorder):
 )
 def test_broken_beams_and_restarts_in_the_middle(seed, mishaps, disorder):
     world = World(small(), seed, 0.02, disorder)
-    deliver = world.deliver
 
-    def delivered(to, content):
+    def before():
         for turn, mishap in list(mishaps):
             if world.turn >= turn:
                 getattr(world, mishap)()
                 mishaps.remove((turn, mishap))
-        deliver(to, content)
 
-    world.deliver = delivered
+    world.before = before
     world.run()
     assert world.sequencer.state is State.FINISHED, world.sequencer.message
     world.check()
@@ -64,14 +74,7 @@ def test_broken_beams_and_restarts_in_the_middle(seed, mishaps, disorder):
 
 def test_a_lost_beam_is_tied_to_known_targets():
     world = World(small())
-    deliver = world.deliver
-
-    def delivered(to, content):
-        if len(world.emitted) == 9 and world.datum.endswith("-1"):
-            world.lose_datum()
-        deliver(to, content)
-
-    world.deliver = delivered
+    world.before = lambda: len(world.emitted) == 9 and world.datum.endswith("-1") and world.lose_datum()
     world.run()
     world.check()
     assert world.sequencer.counters.recoveries == 1
@@ -81,14 +84,7 @@ def test_a_lost_beam_is_tied_to_known_targets():
 
 def test_a_paused_procedure_is_finished_with_what_was_measured():
     world = World(small())
-    deliver = world.deliver
-
-    def delivered(to, content):
-        if len(world.emitted) == 7 and world.sequencer.state is State.RUNNING:
-            world.sequencer.pause()
-        deliver(to, content)
-
-    world.deliver = delivered
+    world.before = lambda: len(world.emitted) == 7 and world.sequencer.pause()
     world.run()
     assert world.sequencer.state is State.PAUSED
     world.sequencer.finish()
@@ -121,19 +117,12 @@ def test_a_datum_that_does_not_fit_ends_in_an_error():
 @pytest.mark.parametrize("partner", ["axes", "pointer", "instrument"])
 def test_a_partner_that_died_is_named_and_the_procedure_can_be_resumed(partner):
     world = World(small(), timing=QUICK)
-    deliver = world.deliver
-
-    def delivered(to, content):
-        if len(world.emitted) == 5:
-            world.dead.add(partner)
-        deliver(to, content)
-
-    world.deliver = delivered
+    world.before = lambda: len(world.emitted) == 5 and world.dead.add(partner)
     world.run()
     assert world.sequencer.state is State.ERROR
     name = "rotary pointer" if partner == "pointer" else partner
     assert world.sequencer.message == f"no answer from {name} for 5 s"
-    world.dead, world.deliver = set(), deliver
+    world.dead, world.before = set(), lambda: None
     world.do(world.sequencer.resume(world.clock, world.wall))
     world.run()
     assert world.sequencer.state is State.FINISHED
@@ -165,14 +154,8 @@ class Slow(World):
 @pytest.mark.parametrize("mishap", ["", "lose_datum", "restart_instrument", "restart_axes"])
 def test_an_instrument_that_answers_late_is_heard(mishap):
     world = Slow(small(), timing=QUICK)
-    deliver, mishaps = world.deliver, [mishap] if mishap else []
-
-    def delivered(to, content):
-        if len(world.emitted) == 9 and mishaps:
-            getattr(world, mishaps.pop())()
-        deliver(to, content)
-
-    world.deliver = delivered
+    mishaps = [mishap] if mishap else []
+    world.before = lambda: len(world.emitted) == 9 and mishaps and getattr(world, mishaps.pop())()
     world.run()
     assert world.sequencer.state is State.FINISHED, world.sequencer.message
     world.check()
@@ -181,18 +164,11 @@ def test_an_instrument_that_answers_late_is_heard(mishap):
 
 def test_pause_and_resume():
     world = World(small())
-    deliver = world.deliver
-
-    def delivered(to, content):
-        if len(world.emitted) == 7 and world.sequencer.state is State.RUNNING and not paused:
-            paused.append(world.sequencer.pause())
-        deliver(to, content)
-
-    paused = []
-    world.deliver = delivered
+    world.before = lambda: len(world.emitted) == 7 and world.sequencer.pause()
     world.run()
     assert world.sequencer.state is State.PAUSED
     world.mail.clear()
+    world.before = lambda: None
     world.do(world.sequencer.resume(world.clock, world.wall))
     world.run()
     world.check()
@@ -266,8 +242,6 @@ def test_commands_carry_times_for_a_real_controller():
 
 
 def test_an_unsteady_path_is_given_time_and_then_up():
-    from machine_tool_calibration.procedure.events import CaptureFailed, SetDatum
-
     world = World(small())
     (motion, _aim) = world.sequencer.start(world.clock, world.wall)
     for attempt in range(4):
@@ -288,8 +262,8 @@ def test_three_dimensions_point_upwards():
     world = World(small(text))
     world.sequencer.start(world.clock, world.wall)
     azimuth, elevation = world.sequencer._pending.angles
-    assert elevation == pytest.approx(__import__("math").atan2(0.05, __import__("math").hypot(0.35, 0.05)))
-    assert azimuth == pytest.approx(__import__("math").atan2(0.05, 0.35))
+    assert elevation == pytest.approx(math.atan2(0.05, math.hypot(0.35, 0.05)))
+    assert azimuth == pytest.approx(math.atan2(0.05, 0.35))
 
 
 def jogged(stamp, times=1):

@@ -7,6 +7,7 @@ the instrument may be asked for a reading before it knows where the axes are.
 
 import math
 import random
+from collections.abc import Callable
 
 import numpy as np
 
@@ -22,10 +23,11 @@ from machine_tool_calibration.procedure.events import (
     Emit,
     Motion,
     SetDatum,
+    State,
     Stop,
+    Timing,
 )
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 
 SECOND = 1_000_000_000
@@ -58,6 +60,8 @@ class World:
         self.pointer: tuple[str, tuple[float, float, float]] = ("", (0.0, 0.0, 0.0))
         self.heard: dict[str, object] = {}
         self.datum, self.zero, self.datums = "", 0.0, 0
+        self.before: Callable[[], object] = lambda: None
+        """What happens before a message is delivered."""
         self.stations = {s.id: np.array(s.position) for s in plan.procedure.session.setups}
 
     # --- truth
@@ -95,6 +99,7 @@ class World:
                 self.do(self.sequencer.tick(self.clock, self.wall))
 
     def deliver(self, to: str, content: object) -> None:
+        self.before()
         if to in self.dead:
             return
         match to:

@@ -116,14 +116,8 @@ def test_a_structure_behind_its_sensor():
     """Against the differential equation tau y' = T - y, y(0) = T(0), solved step by step."""
     drift = Drift(21.0, ((0.8, 3000.0, 0.7), (0.3, 9000.0, 2.0)), 1e-4)
     time = np.linspace(0.0, 9000.0, 4)
-    found = solve_ivp(
-        lambda t, y: (drift(t) - y) / 1200.0,
-        (0.0, 9000.0),
-        [float(drift(np.zeros(1))[0])],
-        t_eval=time,
-        rtol=1e-10,
-        atol=1e-12,
-    )
+    start = [float(drift(np.zeros(1))[0])]
+    found = solve_ivp(lambda t, y: (drift(t) - y) / 1200.0, (0, 9000), start, t_eval=time, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(drift.lagged(time, 1200.0), found.y[0], atol=1e-8)
     _, late, _ = put_in("tracking_3d", "thermal_lag_x", 1e-5, tau=1.0)
     _, now, _ = put_in("tracking_3d", "thermal_expansion_x", 1e-5)

@@ -68,7 +68,7 @@ def test_live_readings_are_those_of_the_session():
         )
         station = np.array(simulated.truth.expected["stations"])[setup]
         azimuth = column["azimuth"][row]
-        origin, direction = live.beam(now, plan.pointer(), azimuth, 0.0, station)
+        origin, direction = live.beam(now, plan, azimuth, 0.0, station)
         length = sensed_path(live.functional_point(now), origin, direction)
         first.setdefault(setup, length[0])
         turned = np.array([azimuth])

@@ -30,25 +30,6 @@ def random_values(axes, angle, length, seed=0):
     return {n: rng.uniform(-1, 1) * (length if n[1] in "XYZ" else angle) for a in axes for n in motion_names(a)}
 
 
-def test_lever_arms_of_table_on_table_are_those_of_equation_23():
-    e = random_values("XYZ", 1e-5, 3e-6)
-    error = machine("w-Y-X-b-Z-t", e).position_error(POINT)[0]
-    expected = [
-        e["EXX"] + e["EXY"] + e["EXZ"] + Z * e["EBX"] + Z * e["EBY"],
-        e["EYX"] + e["EYY"] + e["EYZ"] + X * e["ECY"] - Z * e["EAY"] - Z * e["EAX"],
-        e["EZX"] + e["EZY"] + e["EZZ"] - X * e["EBY"],
-    ]
-    np.testing.assert_allclose(error, expected, atol=2e-10)  # products of errors: 1e-5 * (3e-6 + 1e-5 * 0.3)
-
-
-def test_lever_arms_of_the_five_axis_machine_are_those_of_equations_4_and_5():
-    e = random_values("XYZ", 1e-5, 3e-6, seed=1)
-    c0y = 4.3e-5
-    error = machine("w-C-b-Y-X-Z-t", e, squareness={"C0Y": c0y}).position_error(POINT * [1, 1, 0])[0]
-    expected = [e["EXX"] + e["EXY"] + e["EXZ"] - Y * c0y, e["EYX"] + e["EYY"] + e["EYZ"] + X * e["ECY"]]
-    np.testing.assert_allclose(error[:2], expected, atol=5e-10)
-
-
 @pytest.mark.parametrize(
     ("chain", "arms"),
     [

@@ -21,15 +21,9 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
-    "BudgetFile",
-    "contributors_of",
-    "default_budget",
-    "instruments",
-    "known_contributors",
-    "read_budget",
-    "template",
+    "BudgetFile", "contributors_of", "default_budget", "instruments", "known_contributors", "read_budget", "template",
     "template_of",
-]
+]  # fmt: skip
 
 FORMAT = "mtcal-budget/1"
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.budget import complete
-from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError, did_you_mean
+from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.session.session import Session
@@ -52,10 +52,8 @@ class Until:
                 raise SessionError(f"until U: {value!r} must be positive")
             return cls(u=u)
         if name == "told" and value:
-            known, told = catalogue(own), tuple(part.strip() for part in value.split(","))
-            for effect in told:
-                if effect not in known:
-                    raise ModelError(f"no effect {effect!r}{did_you_mean(effect, known)}")
+            told = tuple(part.strip() for part in value.split(","))
+            find_effects(told, own)  # refuses unknown ones
             return cls(told=told)
         raise SessionError(f"until: {text!r} is neither U=2um nor told=backlash_y,thermal_expansion_x")
 
@@ -117,22 +115,15 @@ def determined(chosen: FitRequest) -> int:
 
 def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], bool]:
     found, _ = complete.diagnose(chosen, progress=lambda what, share: None)
-    by_name = {one.name: one for one in found.search.findings}
-    probabilities, every = {}, True
-    for name in names:
-        one = by_name.get(name)
-        p = 0.0 if one is None else float(one.probability)
-        probabilities[name] = p
-        if one is None:
-            every = False
-            continue
-        effect = one.candidate.effect
-        limits = {} if effect is None else {c.name: max(abs(c.low), abs(c.high)) for c in effect.coefficients}
-        seen = bool(one.detectable) and all(
-            size <= _SMALL * limits.get(name, np.inf) for name, size in one.detectable.items()
-        )
-        every &= p >= _THERE or (p <= _ABSENT and seen)
-    return probabilities, every
+    probabilities, enough = dict.fromkeys(names, 0.0), dict.fromkeys(names, False)
+    for one in found.search.findings:
+        if one.name in probabilities:
+            p = probabilities[one.name] = float(one.probability)
+            effect = one.candidate.effect
+            limits = {} if effect is None else {c.name: max(abs(c.low), abs(c.high)) for c in effect.coefficients}
+            seen = [size <= _SMALL * limits.get(name, np.inf) for name, size in one.detectable.items()]
+            enough[one.name] = p >= _THERE or (p <= _ABSENT and bool(seen) and all(seen))
+    return probabilities, all(enough.values())
 
 
 def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:

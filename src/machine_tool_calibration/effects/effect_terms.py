@@ -17,7 +17,7 @@ from machine_tool_calibration.model.observations import Observations, together
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["add_effects", "best_shape", "common_shape", "displacement_field", "effect_term", "without_absorbed"]
+__all__ = ["add_effects", "common_shape", "displacement_field", "effect_term", "without_absorbed"]
 
 
 def displacement_field(
@@ -95,12 +95,6 @@ def _coefficient(effect: Effect, of: Coefficient, reference: float, shared: bool
     )
 
 
-def best_shape(fit: Fit, effect: Effect) -> tuple[tuple[float, ...], Array]:
-    """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there."""
-    shape, sizes = common_shape(fit.joint, effect, effect.shape_grid(fit.model.observations))
-    return shape, sizes[fit.index]
-
-
 def common_shape(
     joint: JointFit, effect: Effect, grid: Sequence[tuple[float, ...]]
 ) -> tuple[tuple[float, ...], list[Array]]:
@@ -121,8 +115,7 @@ def common_shape(
     """
     if not grid:
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
-    observed = [m.observations if effect.why_not(m.observations) is None else None for m in joint.assembly.models]
-
+    observed = _acting(effect, joint)
     discrete = all(coefficient.discrete for coefficient in effect.shapes)
 
     def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[bool]]:
@@ -174,6 +167,11 @@ def common_shape(
     return shape, size
 
 
+def _acting(effect: Effect, joint: JointFit) -> list[Observations | None]:
+    """Readings of each session; None where the effect cannot act."""
+    return [m.observations if effect.why_not(m.observations) is None else None for m in joint.assembly.models]
+
+
 def without_absorbed(fit: JointFit, effects: Sequence[Effect]) -> tuple[list[Effect], tuple[NotDetermined, ...]]:
     """The effects without those that the models take up together.
 
@@ -181,7 +179,7 @@ def without_absorbed(fit: JointFit, effects: Sequence[Effect]) -> tuple[list[Eff
     """
     kept, absorbed = [], []
     for effect in effects:
-        acting = [m.observations if effect.why_not(m.observations) is None else None for m in fit.assembly.models]
+        acting = _acting(effect, fit)
         grid = effect.shape_grid(together([o for o in acting if o is not None]))
         tried = ([[] if o is None else [effect_term(effect, o, shape, mapped=False)] for o in acting] for shape in grid)
         screened = (screen_joint(fit, terms) for terms in tried)
@@ -201,16 +199,17 @@ def _determined_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Term], tu
         return [], ()
     screened = screen(fit, np.concatenate([term.columns for term in terms]))
     seen = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
-    kept, left, first = [], [], 0
+    kept, left, first = [], list[NotDetermined](), 0
     for term in terms:
         own = seen[first : first + len(term.columns)]
         first += len(term.columns)
-        kept.append(term if own.all() else _with_columns(term, own))
-        left += [NotDetermined(p.name, _TAKEN_UP, p.owner) for p, s in zip(term.parameters, own, strict=True) if not s]
+        kept.append(_with_columns(term, own, _TAKEN_UP, left))
     return kept, tuple(left)
 
 
-def _with_columns(term: Term, keep: BoolArray) -> Term:
+def _with_columns(term: Term, keep: BoolArray, why: str, left: list[NotDetermined]) -> Term:
+    """A term with some of its columns; the others are added to what is left out."""
+    left += [NotDetermined(p.name, why, p.owner) for p, k in zip(term.parameters, keep, strict=True) if not k]
     parameters = tuple(p for p, k in zip(term.parameters, keep, strict=True) if k)
     return Term(term.name, parameters, term.columns[keep], None if term.field is None else term.field[keep])
 
@@ -228,7 +227,7 @@ def _without_repeated_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Ter
     seen = scale**2 > ABSORBED * screened.squares[:-1]
     starts = np.cumsum([0, *(len(term.columns) for term in terms)])
     taken: list[int] = []
-    kept, left = list(terms), []
+    kept, left = list(terms), list[NotDetermined]()
     for k in sorted(range(len(terms)), key=lambda k: len(terms[k].columns)):
         own = np.arange(starts[k], starts[k + 1])
         # Among a term's own columns the model decides: what they repeat of each other is not meant.
@@ -241,12 +240,8 @@ def _without_repeated_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Ter
         if (again.all() and len(own) == 1) or not again.any():
             taken += [int(j) for j in own if seen[j]]
             continue
-        good = ~again
-        term = terms[k]
-        kept[k] = _with_columns(term, good)
-        why = say("undetermined.said_by_others")
-        left += [NotDetermined(p.name, why, p.owner) for p, g in zip(term.parameters, good, strict=True) if not g]
-        taken += [int(j) for j in own[good] if seen[j]]
+        kept[k] = _with_columns(terms[k], ~again, say("undetermined.said_by_others"), left)
+        taken += [int(j) for j in own[~again] if seen[j]]
     return [term for term in kept if term.parameters], tuple(left)
 
 
@@ -285,7 +280,8 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
         for effect in curved:
             others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
             fit = fit_models([base.with_terms(others)]).fits[0]
-            shapes[effect.id] = best_shape(fit, effect)
+            shape, sizes = common_shape(fit.joint, effect, effect.shape_grid(observations))
+            shapes[effect.id] = shape, sizes[fit.index]
     full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
     loose = _unbounded(full, curved, {name: shape for name, (shape, _) in shapes.items()})
     if loose:

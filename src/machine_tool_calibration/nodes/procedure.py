@@ -48,7 +48,7 @@ from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import goal_of, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.procedure import events, plan, read_procedure
-from machine_tool_calibration.procedure.progress import State, Timing
+from machine_tool_calibration.procedure.events import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 

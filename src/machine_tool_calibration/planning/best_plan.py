@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
-from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
@@ -215,7 +215,7 @@ def quickest_plan(
 
 def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
     """What every candidate tells, (q, 3) places of the numbers, and whether a budget is in them."""
-    effects = _effects(told, assumed.own)
+    effects = find_effects(told, assumed.own)
 
     def fitted(procedure: Procedure) -> JointFit:
         session = planned_session(procedure, assumed.warming).session
@@ -229,17 +229,10 @@ def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[
     shared = assumed.errors(observed)
     candidates = Candidates(everything, offered.unit_of(observed), known, shared)
     if told and not candidates.told.all():
-        lost = [name for name, good in zip(_coefficients(everything, told), candidates.told, strict=True) if not good]
+        names = [p.name for p in everything.assembly.parameters if p.owner in told]
+        lost = [name for name, good in zip(names, candidates.told, strict=True) if not good]
         raise ModelError(f"no plan of these candidates tells {', '.join(lost)}: the model takes it up")
     return candidates, known.points if told else known.points[candidates.told], shared is not None
-
-
-def _effects(told: Sequence[str], own: Sequence[Effect]) -> list[Effect]:
-    known = catalogue(own)
-    for name in told:
-        if name not in known:
-            raise ModelError(f"no effect {name!r}{did_you_mean(name, known)}")
-    return [known[name] for name in told]
 
 
 def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
@@ -252,10 +245,6 @@ def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
         grid = effect.shape_grid(model.observations)
         terms.append(effect_term(effect, model.observations, grid[len(grid) // 2] if grid else ()))
     return model.with_terms(terms)
-
-
-def _coefficients(joint: JointFit, told: Sequence[str]) -> list[str]:
-    return [p.name for p in joint.assembly.parameters if p.owner in told]
 
 
 def _quality(offered: Offer, choice: Choice, u: Array) -> PlanQuality:

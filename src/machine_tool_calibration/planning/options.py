@@ -139,15 +139,13 @@ def _repeated(session: Session, rows: IntArray) -> Iterator[Option]:
         return Option.of(session, kind, together((measure, how), ""), extended, besides, turned)
 
     yield option("again", say("measure.as_before"), Changed(rows))
-    backwards = _backwards(session, rows)
-    if backwards is not None:
-        yield option("backwards", backwards[1], backwards[0])
-    both = _both_ways(session, rows)
-    if both is not None:
-        yield option("both_ways", say("measure.both_ways"), both)
-    other = _other_order(session, rows)
-    if other is not None:
-        yield option("order", say("measure.order", axis=other[1].upper()), other[0])
+    for kind, found in (
+        ("backwards", _backwards(session, rows)),
+        ("both_ways", _both_ways(session, rows)),
+        ("order", _other_order(session, rows)),
+    ):
+        if found is not None:
+            yield option(kind, found[1], found[0])
     if any(name.startswith("temperature") for name in session.readings.columns):
         # A day's swing while it is measured, and another day.
         swing = _SWING * np.sin(2 * np.pi * np.arange(len(rows)) / max(len(rows), 1))
@@ -180,7 +178,7 @@ def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     return Changed(rows, approaches), say("measure.backwards")
 
 
-def _both_ways(session: Session, rows: IntArray) -> Changed | None:
+def _both_ways(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     """Every run of a rotary axis followed by the same angles in reverse; None where the runs turn back already."""
     if not spec_of(session).turns_one_axis:
         return None
@@ -192,12 +190,13 @@ def _both_ways(session: Session, rows: IntArray) -> Changed | None:
         return None
     order = np.concatenate([np.concatenate([run, run[::-1]]) for run in runs])
     name = f"dir_{axis}"
+    words = say("measure.both_ways")
     if name not in session.readings.columns:
-        return Changed(rows[order])
+        return Changed(rows[order]), words
     there = session.readings.columns[name][rows]
     # Back at an angle the axis comes from the next one; at the last from beyond it.
     sense = [np.concatenate([there[run], -there[np.append(run, run[-1])[:0:-1]]]) for run in runs]
-    return Changed(rows[order], {name: np.concatenate(sense)})
+    return Changed(rows[order], {name: np.concatenate(sense)}), words
 
 
 def _approaches(session: Session, rows: IntArray, group: IntArray, before: float) -> dict[str, Array]:
@@ -235,4 +234,5 @@ def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None
     station = np.array([first[int(s)] for s in setup])
     order = np.lexsort([*(np.round(position[:, j], 9) for j in reversed(slow_last)), station])
     rows = rows[order]
-    return Changed(rows, _approaches(session, rows, setup[order], 1.0)), "xyz"[slow_last[-1]]
+    words = say("measure.order", axis="XYZ"[slow_last[-1]])
+    return Changed(rows, _approaches(session, rows, setup[order], 1.0)), words

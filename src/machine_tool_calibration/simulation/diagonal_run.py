@@ -18,7 +18,7 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
-__all__ = ["DiagonalPlan", "plan_diagonals"]
+__all__ = ["DiagonalPlan"]
 
 Order = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 Signs = Annotated[str, Field(pattern=r"^([pn]{3}|0[pn]{2}|[pn]0[pn]|[pn]{2}0)$")]
@@ -91,6 +91,66 @@ class DiagonalPlan(Plan):
             out.append(_Run(name, "linear", sign, start, _moves(letters[0], sign, step, self.blocks)))
         return out
 
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement of a plan: every setup once, then all again for the next repeat."""
+        runs = self.runs()
+        angle = rng.uniform(0.0, 2.0 * np.pi, len(runs))
+        tilt = self.mirror_tilt * np.column_stack([np.cos(angle), np.sin(angle)])
+        aside = self.beam_error * rng.normal(size=(len(runs), 2))
+        setup = np.tile(np.concatenate([np.full(len(run.moves), i) for i, run in enumerate(runs)]), self.repeats)
+        each = sum(len(run.moves) for run in runs)
+        repeat = np.repeat(np.arange(self.repeats), each)
+        position = np.tile(np.concatenate([run.positions() for run in runs]), (self.repeats, 1))
+        block = blocks(setup, repeat)
+        time = ordered_times(block, self.interval, self.pause)
+        direction = {
+            axis: np.concatenate([last_direction(position[block == b, i]) for b in range(block[-1] + 1)])
+            for i, axis in enumerate("XYZ")
+        }
+        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
+        start = np.array([run.start for run in runs])
+        end = np.array([run.positions()[-1] for run in runs])
+
+        def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+            first, last = machine.functional_point(start), machine.functional_point(end)
+            beam = tilted((last - first) / np.linalg.norm(last - first, axis=1, keepdims=True), aside)
+            source = first - self.distance * beam
+            actual = disturbance.functional_point(machine, position)
+            normal = tilted(beam[setup], tilt[setup] + disturbance.mirror)
+            fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
+            path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed, disturbance.errors))
+            moved = path - self.distance
+            sight = Sight(moved, beam[setup], change=since_first(moved, block))
+            return path + disturbance.added(sight)
+
+        def judged(machine: VirtualMachine) -> dict[str, Any]:
+            corner = np.asarray(self.corner)
+            errors = {}
+            for axis, letter in enumerate("xyz"):
+                at = corner + np.arange(self.blocks + 1)[:, None] * self.step[axis] * np.eye(3)[axis]
+                error = machine.position_error(at)
+                errors[letter] = (error - error[0]).tolist()
+            return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
+
+        description = {
+            "method": "step_diagonal",
+            "machine": self.machine(),
+            "step": list(self.step),
+            "blocks": self.blocks,
+            "setups": [
+                {
+                    "id": r.name,
+                    "kind": r.kind,
+                    "direction": r.sign.tolist(),
+                    "start": r.start.tolist(),
+                    "mirror": "flat",
+                }
+                for r in runs
+            ],
+        }
+        columns = axis_columns(position, direction)
+        return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)
+
 
 @dataclass(frozen=True)
 class _Run:
@@ -113,58 +173,3 @@ def _moves(order: str, sign: Array, step: Array, count: int) -> Array:
         done = (k + len(order) - 1 - place) // len(order)
         made[:, axis] = done * step[axis] * sign[axis]
     return made
-
-
-def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan: every setup once, then all again for the next repeat."""
-    runs = plan.runs()
-    angle = rng.uniform(0.0, 2.0 * np.pi, len(runs))
-    tilt = plan.mirror_tilt * np.column_stack([np.cos(angle), np.sin(angle)])
-    aside = plan.beam_error * rng.normal(size=(len(runs), 2))
-    setup = np.tile(np.concatenate([np.full(len(run.moves), i) for i, run in enumerate(runs)]), plan.repeats)
-    each = sum(len(run.moves) for run in runs)
-    repeat = np.repeat(np.arange(plan.repeats), each)
-    position = np.tile(np.concatenate([run.positions() for run in runs]), (plan.repeats, 1))
-    block = blocks(setup, repeat)
-    time = ordered_times(block, plan.interval, plan.pause)
-    direction = {
-        axis: np.concatenate([last_direction(position[block == b, i]) for b in range(block[-1] + 1)])
-        for i, axis in enumerate("XYZ")
-    }
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
-    start = np.array([run.start for run in runs])
-    end = np.array([run.positions()[-1] for run in runs])
-
-    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        first, last = machine.functional_point(start), machine.functional_point(end)
-        beam = tilted((last - first) / np.linalg.norm(last - first, axis=1, keepdims=True), aside)
-        source = first - plan.distance * beam
-        actual = disturbance.functional_point(machine, position)
-        normal = tilted(beam[setup], tilt[setup] + disturbance.mirror)
-        fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
-        path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed, disturbance.errors))
-        moved = path - plan.distance
-        sight = Sight(moved, beam[setup], change=since_first(moved, block))
-        return path + disturbance.added(sight)
-
-    def judged(machine: VirtualMachine) -> dict[str, Any]:
-        corner = np.asarray(plan.corner)
-        errors = {}
-        for axis, letter in enumerate("xyz"):
-            at = corner + np.arange(plan.blocks + 1)[:, None] * plan.step[axis] * np.eye(3)[axis]
-            error = machine.position_error(at)
-            errors[letter] = (error - error[0]).tolist()
-        return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
-
-    description = {
-        "method": "step_diagonal",
-        "machine": plan.machine(),
-        "step": list(plan.step),
-        "blocks": plan.blocks,
-        "setups": [
-            {"id": r.name, "kind": r.kind, "direction": r.sign.tolist(), "start": r.start.tolist(), "mirror": "flat"}
-            for r in runs
-        ],
-    }
-    columns = axis_columns(position, direction)
-    return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)

@@ -18,7 +18,7 @@ from machine_tool_calibration.simulation.motions import rotate
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 
-__all__ = ["DirectPlan", "plan_direct"]
+__all__ = ["DirectPlan"]
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
 Datum = Literal["none", "offset", "rigid"]
@@ -106,62 +106,61 @@ class DirectPlan(Plan):
         }
         return usual.get(self.kind, ())
 
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement of a plan: one setup, run after run."""
+        run = self.run()
+        forth = np.arange(len(run.points))
+        one = np.concatenate([forth, forth[::-1]]) if self.both_ways or self.kind == "iso230_2" else forth
+        index = np.tile(one, self.repeats * self.mountings)
+        repeat = np.tile(np.repeat(np.arange(self.repeats), len(one)), self.mountings)
+        setup = np.repeat(np.arange(self.mountings), self.repeats * len(one))
+        position, sense = run.points[index], run.sense[index]
+        time = ordered_times(setup, self.interval, self.pause)
+        if self.kind not in ("iso230_2", "straightness"):  # readings at the same point are taken together
+            visit = blocks(setup, *np.round(position.T * 1e9).astype(np.int64))
+            time = visit * self.interval + setup * self.pause
+        direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
+        _approach_from_below(self, direction, len(forth))
+        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
+        datum = self.datum or _DATUM.get(self.kind, "rigid")
+        place, turned = rng.normal(size=(2, self.mountings, 3))
+        place = self.misplacement * place * (datum != "none")
+        turned = self.misplacement * 20.0 * turned * (datum == "rigid")
+
+        def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+            # made or compared while the part is warm: at 20 degrees Celsius the distances are smaller
+            actual = disturbance.functional_point(machine, position) / np.reshape(1.0 + disturbance.growth, (-1, 1))
+            seen = rotate(actual, turned[setup]) + place[setup]
+            deviation: Array = np.einsum("ni,ni->n", sense, seen - position)
+            path = np.einsum("ni,ni->n", sense, position)
+            sight = Sight(path, sense, azimuth=np.arctan2(sense[:, 1], sense[:, 0]), change=path)
+            return deviation + disturbance.added(sight)
+
+        def judged(machine: VirtualMachine) -> dict[str, Any]:
+            points = np.unique(run.points, axis=0)
+            out: dict[str, Any] = {"points": points.tolist(), "position_error": machine.position_error(points).tolist()}
+            if datum != "none":
+                out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
+            return out
+
+        name = self.axis.upper() if self.kind in ("iso230_2", "straightness") else self.kind
+        instrument = self.instrument or _INSTRUMENT.get(self.kind)
+        description = {
+            "method": "direct",
+            **({"instrument": instrument} if instrument else {}),
+            "machine": self.machine(),
+            "datum": datum,
+            "terms": list(self.asked()),
+            "setups": [{"id": name if self.mountings == 1 else f"{name}{i + 1}"} for i in range(self.mountings)],
+        }
+        columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
+        return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
+
 
 @dataclass(frozen=True)
 class _Run:
     points: Array  # (m, 3) m
     sense: Array  # (m, 3) unit
-
-
-def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan: one setup, run after run."""
-    run = plan.run()
-    forth = np.arange(len(run.points))
-    one = np.concatenate([forth, forth[::-1]]) if plan.both_ways or plan.kind == "iso230_2" else forth
-    index = np.tile(one, plan.repeats * plan.mountings)
-    repeat = np.tile(np.repeat(np.arange(plan.repeats), len(one)), plan.mountings)
-    setup = np.repeat(np.arange(plan.mountings), plan.repeats * len(one))
-    position, sense = run.points[index], run.sense[index]
-    time = ordered_times(setup, plan.interval, plan.pause)
-    if plan.kind not in ("iso230_2", "straightness"):  # readings at the same point are taken together
-        visit = blocks(setup, *np.round(position.T * 1e9).astype(np.int64))
-        time = visit * plan.interval + setup * plan.pause
-    direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-    _approach_from_below(plan, direction, len(forth))
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
-    datum = plan.datum or _DATUM.get(plan.kind, "rigid")
-    place, turned = rng.normal(size=(2, plan.mountings, 3))
-    place = plan.misplacement * place * (datum != "none")
-    turned = plan.misplacement * 20.0 * turned * (datum == "rigid")
-
-    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        # made or compared while the part is warm: at 20 degrees Celsius the distances are smaller
-        actual = disturbance.functional_point(machine, position) / np.reshape(1.0 + disturbance.growth, (-1, 1))
-        seen = rotate(actual, turned[setup]) + place[setup]
-        deviation: Array = np.einsum("ni,ni->n", sense, seen - position)
-        path = np.einsum("ni,ni->n", sense, position)
-        sight = Sight(path, sense, azimuth=np.arctan2(sense[:, 1], sense[:, 0]), change=path)
-        return deviation + disturbance.added(sight)
-
-    def judged(machine: VirtualMachine) -> dict[str, Any]:
-        points = np.unique(run.points, axis=0)
-        out: dict[str, Any] = {"points": points.tolist(), "position_error": machine.position_error(points).tolist()}
-        if datum != "none":
-            out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
-        return out
-
-    name = plan.axis.upper() if plan.kind in ("iso230_2", "straightness") else plan.kind
-    instrument = plan.instrument or _INSTRUMENT.get(plan.kind)
-    description = {
-        "method": "direct",
-        **({"instrument": instrument} if instrument else {}),
-        "machine": plan.machine(),
-        "datum": datum,
-        "terms": list(plan.asked()),
-        "setups": [{"id": name if plan.mountings == 1 else f"{name}{i + 1}"} for i in range(plan.mountings)],
-    }
-    columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
-    return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
 
 
 def _approach_from_below(plan: DirectPlan, direction: dict[str, Array], count: int) -> None:

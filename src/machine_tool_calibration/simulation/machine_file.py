@@ -22,15 +22,9 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, random_periodic, random_smooth
 
 __all__ = [
-    "Amplitudes",
-    "MachineSpec",
-    "TableSpec",
-    "build_machine",
-    "machine_document",
-    "random_machine",
-    "read_machine",
+    "Amplitudes", "MachineSpec", "TableSpec", "build_machine", "machine_document", "random_machine", "read_machine",
     "read_record",
-]
+]  # fmt: skip
 
 
 class Amplitudes(Record):

@@ -16,7 +16,7 @@ from machine_tool_calibration.session.record import Finite, NotNegative, Positiv
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
-from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.scene import Environment, Scene
 
 __all__ = ["Measurement", "Plan", "Vector3", "axis_columns", "since_first", "spanned", "station_name"]
 
@@ -79,6 +79,10 @@ class Plan(Record):
     def machine(self) -> dict[str, Any]:
         """What the session says of the machine: its chain and travel."""
         return {"chain": self.chain, "travel": {axis.lower(): list(ends) for axis, ends in self.travel().items()}}
+
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement of the plan; `rng` decides where the instrument and the part truly stand."""
+        raise NotImplementedError
 
     def prepared(self, machine: VirtualMachine) -> VirtualMachine:
         """The machine as the plan wants it."""

@@ -3,40 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
-from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan, plan_diagonals
-from machine_tool_calibration.simulation.direct_run import DirectPlan, plan_direct
-from machine_tool_calibration.simulation.plan import Measurement
-from machine_tool_calibration.simulation.probing_run import ProbingPlan, plan_probing
-from machine_tool_calibration.simulation.rotary_run import RotaryPlan, plan_rotary
-from machine_tool_calibration.simulation.scene import Environment
-from machine_tool_calibration.simulation.tracking_run import TrackingPlan, plan_tracking
+from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
+from machine_tool_calibration.simulation.direct_run import DirectPlan
+from machine_tool_calibration.simulation.probing_run import ProbingPlan
+from machine_tool_calibration.simulation.rotary_run import RotaryPlan
+from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 
-__all__ = ["PLANS", "PRESETS", "AnyPlan", "measure"]
+__all__ = ["PLANS", "PRESETS", "AnyPlan"]
 
 AnyPlan = Annotated[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan, Field(discriminator="method")]
 
 PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan]] = {
-    "step_diagonal": DiagonalPlan,
-    "tracking_interferometer": TrackingPlan,
-    "rotary_axis": RotaryPlan,
-    "probing": ProbingPlan,
-    "direct": DirectPlan,
+    plan.model_fields["method"].default: plan
+    for plan in (DiagonalPlan, TrackingPlan, RotaryPlan, ProbingPlan, DirectPlan)
 }
 """The plan's class of each method."""
-
-_PLANNERS: Mapping[type, Callable[[Any, Environment, np.random.Generator], Measurement]] = {
-    TrackingPlan: plan_tracking,
-    DiagonalPlan: plan_diagonals,
-    RotaryPlan: plan_rotary,
-    ProbingPlan: plan_probing,
-    DirectPlan: plan_direct,
-}
 
 _FIFTH = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 
@@ -74,8 +60,3 @@ PRESETS: Mapping[str, AnyPlan] = {
     "drilled_plate": DirectPlan(kind="drilled_plate", count=16, end=0.45, noise=1e-6, interval=20.0),
 }
 """Named plans: those of the papers and of the usual tests."""
-
-
-def measure(plan: AnyPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan; `rng` decides where the instrument and the part truly stand."""
-    return _PLANNERS[type(plan)](plan, environment, rng)

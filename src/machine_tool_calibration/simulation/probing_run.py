@@ -19,7 +19,7 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins", "plan_probing"]
+__all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins"]
 
 
 class PartPoint(Record):
@@ -201,82 +201,82 @@ class ProbingPlan(Plan):
         """The machine with tables instead of smooth motions, if so planned."""
         return machine.tabulated({a: tuple(self.nodes()) for a in "XY"}) if self.tables == "linear" else machine
 
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement of a plan: angle by angle, repeat by repeat, all points."""
+        part, turns = self.surface(), self.turns()
+        nominal = np.array([[*p.position, 0.0] for p in part])
+        outward = np.array([[*p.normal, 0.0] for p in part])
+        bend = np.array([p.curvature for p in part])
+        form = self.form * rng.normal(size=len(part))
+        length_error = rng.normal()
+        shape = (len(turns), self.repeats, len(part))
+        setup, repeat, label = (index.ravel() for index in np.indices(shape))
+        angle = turns[setup]
+        time = ordered_times(setup, self.interval, self.pause)
+        contact = turn(nominal[label], "C", self.sign * angle)
+        normal = turn(outward[label], "C", self.sign * angle)
+        radius = 0.5 * self.stylus_diameter
+        centre = contact + radius * normal
+        command = centre if self.columns == "centre" else contact
+        # an approach at right angles to an axis leaves it where it was
+        direction = {axis: last_sign(-normal[:, i], 1e-9) for i, axis in enumerate("XY")}
+        direction["C"] = np.sign(np.diff(turns, prepend=turns[0] - 1.0))[setup]
+        scene = Scene(time, setup, repeat, command, angle, direction, environment, ends=self.travel())
 
-def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan: angle by angle, repeat by repeat, all points."""
-    part, turns = plan.surface(), plan.turns()
-    nominal = np.array([[*p.position, 0.0] for p in part])
-    outward = np.array([[*p.normal, 0.0] for p in part])
-    bend = np.array([p.curvature for p in part])
-    form = plan.form * rng.normal(size=len(part))
-    length_error = rng.normal()
-    shape = (len(turns), plan.repeats, len(part))
-    setup, repeat, label = (index.ravel() for index in np.indices(shape))
-    angle = turns[setup]
-    time = ordered_times(setup, plan.interval, plan.pause)
-    contact = turn(nominal[label], "C", plan.sign * angle)
-    normal = turn(outward[label], "C", plan.sign * angle)
-    radius = 0.5 * plan.stylus_diameter
-    centre = contact + radius * normal
-    command = centre if plan.columns == "centre" else contact
-    # an approach at right angles to an axis leaves it where it was
-    direction = {axis: last_sign(-normal[:, i], 1e-9) for i, axis in enumerate("XY")}
-    direction["C"] = np.sign(np.diff(turns, prepend=turns[0] - 1.0))[setup]
-    scene = Scene(time, setup, repeat, command, angle, direction, environment, ends=plan.travel())
+        def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+            place = disturbance.grown(nominal[label], "C") + form[label][:, None] * outward[label]
+            shift = disturbance.axis.get("C", 0.0)
+            surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
+            facing = machine.table_direction(outward[label], angle, "C", shift)
+            actual = centre + disturbance.functional_point(machine, command) - command
+            touched = probed(actual, normal, surface, facing, radius, bend[label])
+            sight = Sight(np.zeros(len(angle)), -normal, azimuth=np.arctan2(normal[:, 1], normal[:, 0]))
+            return touched + disturbance.added(sight)
 
-    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        place = disturbance.grown(nominal[label], "C") + form[label][:, None] * outward[label]
-        shift = disturbance.axis.get("C", 0.0)
-        surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
-        facing = machine.table_direction(outward[label], angle, "C", shift)
-        actual = centre + disturbance.functional_point(machine, command) - command
-        touched = probed(actual, normal, surface, facing, radius, bend[label])
-        sight = Sight(np.zeros(len(angle)), -normal, azimuth=np.arctan2(normal[:, 1], normal[:, 0]))
-        return touched + disturbance.added(sight)
+        def judged(machine: VirtualMachine) -> dict[str, Any]:
+            nodes = self.nodes()
+            x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes))
+            grid = np.column_stack([x, y, np.zeros(len(x))])
+            return {
+                "workpiece_error": form.tolist(),
+                "grid": grid[:, :2].tolist(),
+                "position_error": machine.position_error(grid)[:, :2].tolist(),
+                "c_errors": {"c": turns.tolist(), **_table_errors(machine, turns)},
+                "squareness": dict(machine.squareness),
+            }
 
-    def judged(machine: VirtualMachine) -> dict[str, Any]:
-        nodes = plan.nodes()
-        x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes))
-        grid = np.column_stack([x, y, np.zeros(len(x))])
-        return {
-            "workpiece_error": form.tolist(),
-            "grid": grid[:, :2].tolist(),
-            "position_error": machine.position_error(grid)[:, :2].tolist(),
-            "c_errors": {"c": turns.tolist(), **_table_errors(machine, turns)},
-            "squareness": dict(machine.squareness),
+        def describe(machine: VirtualMachine) -> dict[str, Any]:
+            nodes = self.nodes().tolist()
+            known = {}
+            if self.known_uncertainty is not None:
+                true = float(machine.motion("EXX", np.array([nodes[-1]]))[0] - machine.motion("EXX", np.zeros(1))[0])
+                value = true + self.known_uncertainty * length_error
+                known = {"EXX": {"position": nodes[-1], "value": value, "standard_uncertainty": self.known_uncertainty}}
+            return {
+                "method": "probing",
+                "machine": {
+                    "chain": self.chain,
+                    "rotation_sign": self.sign,
+                    "travel": {"x": [nodes[0], nodes[-1]], "y": [nodes[0], nodes[-1]]},
+                    "table_grid": {"x": nodes, "y": nodes},
+                },
+                "probe": {"stylus_diameter": self.stylus_diameter},
+                "workpiece": [
+                    {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)}
+                    for p in part
+                ],
+                "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(turns)],
+                "known": known,
+            }
+
+        columns = {
+            "c": angle,
+            "x": command[:, 0],
+            "y": command[:, 1],
+            **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
         }
-
-    def describe(machine: VirtualMachine) -> dict[str, Any]:
-        nodes = plan.nodes().tolist()
-        known = {}
-        if plan.known_uncertainty is not None:
-            true = float(machine.motion("EXX", np.array([nodes[-1]]))[0] - machine.motion("EXX", np.zeros(1))[0])
-            value = true + plan.known_uncertainty * length_error
-            known = {"EXX": {"position": nodes[-1], "value": value, "standard_uncertainty": plan.known_uncertainty}}
-        return {
-            "method": "probing",
-            "machine": {
-                "chain": plan.chain,
-                "rotation_sign": plan.sign,
-                "travel": {"x": [nodes[0], nodes[-1]], "y": [nodes[0], nodes[-1]]},
-                "table_grid": {"x": nodes, "y": nodes},
-            },
-            "probe": {"stylus_diameter": plan.stylus_diameter},
-            "workpiece": [
-                {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)} for p in part
-            ],
-            "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(turns)],
-            "known": known,
-        }
-
-    columns = {
-        "c": angle,
-        "x": command[:, 0],
-        "y": command[:, 1],
-        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
-    }
-    labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
-    return Measurement(describe, scene, read, None, columns, labels, judged)
+        labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
+        return Measurement(describe, scene, read, None, columns, labels, judged)
 
 
 def _table_errors(machine: VirtualMachine, angle: Array) -> dict[str, list[float]]:

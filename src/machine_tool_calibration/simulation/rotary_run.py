@@ -17,7 +17,7 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import aim, distance
 
-__all__ = ["RotaryPlan", "plan_rotary"]
+__all__ = ["RotaryPlan"]
 
 # The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
 _TARGETS = {
@@ -96,78 +96,79 @@ class RotaryPlan(Plan):
         there = last_direction(forth)
         return np.concatenate([there, last_direction(back, -there[-1])])
 
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement: station by station, repeat by repeat; all angles for each target, or the reverse."""
+        names = list(self.marks())
+        stated = np.array([self.marks()[name] for name in names], float)
+        station = self.places()
+        estimate = station + self.station_uncertainty * rng.normal(size=station.shape)
+        target = stated + self.target_uncertainty * rng.normal(size=stated.shape)
+        turns = self.turns()
+        inner = (len(turns), len(names)) if self.at_every_angle else (len(names), len(turns))
+        setup, repeat, *within = (index.ravel() for index in np.indices((len(station), self.repeats, *inner)))
+        label, step = reversed(within) if self.at_every_angle else within
+        keep = np.ones(len(setup), bool)
+        for name, (low, high) in self.hidden.items():
+            keep &= ~((label == names.index(name)) & (turns[step] >= low) & (turns[step] <= high))
+        time = ordered_times(setup, self.interval, self.pause)[keep]
+        setup, repeat, label, step = setup[keep], repeat[keep], label[keep], step[keep]
+        angle = turns[step]
+        run = groups(setup, repeat, label)
+        direction = self.senses()[step]
+        scene = Scene(
+            time, setup, repeat, np.zeros((len(time), 3)), angle, {self.axis: direction}, environment, self.axis
+        )
+        first, second = (("ABC".index(self.axis) + k) % 3 for k in (1, 2))
+
+        def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+            actual = disturbance.on_table(machine, target[label], angle, self.axis) + disturbance.point
+            source = station[setup] + disturbance.station
+            path = distance(actual, source)
+            azimuth, _ = aim(source, actual)
+            # the retroreflectors turn with the table
+            incidence = np.arctan2(*(actual - source)[:, [second, first]].T) - machine.rotation_sign * angle
+            sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
+            return path + disturbance.added(sight)
+
+        def judged(machine: VirtualMachine) -> dict[str, Any]:
+            at = np.unique(turns)
+            return {
+                "angles": at.tolist(),
+                "errors": {name: machine.motion(name, at).tolist() for name in motion_names(self.axis)},
+                "average_line": dict(machine.average_line),
+                "stations": station.tolist(),
+                "targets": {name: target[i].tolist() for i, name in enumerate(names)},
+            }
+
+        def uncertain(value: float) -> dict[str, float]:
+            return {"position_uncertainty": value} if value > 0 else {}
+
+        description = {
+            "method": "rotary_axis",
+            "machine": {"chain": self.chain, "axis": self.axis},
+            "rotation_sign": self.sign,
+            "targets": [
+                {"id": name, "position": stated[i].tolist(), **uncertain(self.target_uncertainty)}
+                for i, name in enumerate(names)
+            ],
+            "setups": [
+                {"id": station_name(i), "position": p.tolist(), **uncertain(self.station_uncertainty)}
+                for i, p in enumerate(estimate)
+            ],
+        }
+        letter = self.axis.lower()
+        return Measurement(
+            lambda machine: description,
+            scene,
+            read,
+            run,
+            {letter: angle, f"dir_{letter}": direction},
+            {"target": np.array(names, dtype=object)[label]},
+            judged,
+        )
+
 
 def _about(p: tuple[float, float, float], axis: str) -> Vector3:
     """A point given for C, turned round so that it lies about another axis."""
     shift = {"C": 0, "A": 1, "B": 2}[axis]
     return (p[-shift], p[1 - shift], p[2 - shift])
-
-
-def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan: station by station, repeat by repeat; all angles for each target, or the reverse."""
-    names = list(plan.marks())
-    stated = np.array([plan.marks()[name] for name in names], float)
-    station = plan.places()
-    estimate = station + plan.station_uncertainty * rng.normal(size=station.shape)
-    target = stated + plan.target_uncertainty * rng.normal(size=stated.shape)
-    turns = plan.turns()
-    inner = (len(turns), len(names)) if plan.at_every_angle else (len(names), len(turns))
-    setup, repeat, *within = (index.ravel() for index in np.indices((len(station), plan.repeats, *inner)))
-    label, step = reversed(within) if plan.at_every_angle else within
-    keep = np.ones(len(setup), bool)
-    for name, (low, high) in plan.hidden.items():
-        keep &= ~((label == names.index(name)) & (turns[step] >= low) & (turns[step] <= high))
-    time = ordered_times(setup, plan.interval, plan.pause)[keep]
-    setup, repeat, label, step = setup[keep], repeat[keep], label[keep], step[keep]
-    angle = turns[step]
-    run = groups(setup, repeat, label)
-    direction = plan.senses()[step]
-    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment, plan.axis)
-    first, second = (("ABC".index(plan.axis) + k) % 3 for k in (1, 2))
-
-    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        actual = disturbance.on_table(machine, target[label], angle, plan.axis) + disturbance.point
-        source = station[setup] + disturbance.station
-        path = distance(actual, source)
-        azimuth, _ = aim(source, actual)
-        # the retroreflectors turn with the table
-        incidence = np.arctan2(*(actual - source)[:, [second, first]].T) - machine.rotation_sign * angle
-        sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
-        return path + disturbance.added(sight)
-
-    def judged(machine: VirtualMachine) -> dict[str, Any]:
-        at = np.unique(turns)
-        return {
-            "angles": at.tolist(),
-            "errors": {name: machine.motion(name, at).tolist() for name in motion_names(plan.axis)},
-            "average_line": dict(machine.average_line),
-            "stations": station.tolist(),
-            "targets": {name: target[i].tolist() for i, name in enumerate(names)},
-        }
-
-    def uncertain(value: float) -> dict[str, float]:
-        return {"position_uncertainty": value} if value > 0 else {}
-
-    description = {
-        "method": "rotary_axis",
-        "machine": {"chain": plan.chain, "axis": plan.axis},
-        "rotation_sign": plan.sign,
-        "targets": [
-            {"id": name, "position": stated[i].tolist(), **uncertain(plan.target_uncertainty)}
-            for i, name in enumerate(names)
-        ],
-        "setups": [
-            {"id": station_name(i), "position": p.tolist(), **uncertain(plan.station_uncertainty)}
-            for i, p in enumerate(estimate)
-        ],
-    }
-    letter = plan.axis.lower()
-    return Measurement(
-        lambda machine: description,
-        scene,
-        read,
-        run,
-        {letter: angle, f"dir_{letter}": direction},
-        {"target": np.array(names, dtype=object)[label]},
-        judged,
-    )

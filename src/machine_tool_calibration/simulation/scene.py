@@ -11,16 +11,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 
 __all__ = [
-    "COLUMNS",
-    "Drift",
-    "Environment",
-    "Scene",
-    "blocks",
-    "last_direction",
-    "last_sign",
-    "ordered_times",
+    "COLUMNS", "Drift", "Environment", "Scene", "blocks", "last_direction", "last_sign", "ordered_times",
     "random_environment",
-]
+]  # fmt: skip
 
 
 COLUMNS = (

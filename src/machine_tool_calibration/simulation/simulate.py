@@ -19,7 +19,6 @@ from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import build_machine, machine_document
 from machine_tool_calibration.simulation.plan import Measurement, since_first
-from machine_tool_calibration.simulation.plans import measure
 from machine_tool_calibration.simulation.scene import blocks, random_environment
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 
@@ -102,7 +101,7 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
         )
     machine = plan.prepared(machine)
     environment = random_environment(rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns)
-    measurement = measure(plan, environment, rng["setup"])
+    measurement = plan.measured(environment, rng["setup"])
     shaken = Disturbance()
     if spec.repeatability:
         shaken = Disturbance(point=spec.repeatability * rng["repeatability"].normal(size=(len(measurement.scene), 3)))

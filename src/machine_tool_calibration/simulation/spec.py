@@ -21,16 +21,9 @@ from machine_tool_calibration.simulation.plans import PLANS, PRESETS, AnyPlan
 from machine_tool_calibration.simulation.scene import COLUMNS
 
 __all__ = [
-    "Chips",
-    "FlawSpec",
-    "SimulationSpec",
-    "Spread",
-    "parse_effect",
-    "parse_setting",
-    "read_spec",
-    "refuse_implausible",
-    "spec_from",
-]
+    "Chips", "FlawSpec", "SimulationSpec", "Spread", "parse_effect", "parse_setting", "read_spec",
+    "refuse_implausible", "spec_from",
+]  # fmt: skip
 
 
 # Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.

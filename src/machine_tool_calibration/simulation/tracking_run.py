@@ -16,7 +16,7 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
-__all__ = ["TrackingPlan", "plan_tracking"]
+__all__ = ["TrackingPlan"]
 
 _STATIONS: dict[int, tuple[tuple[float, float, float], ...]] = {
     2: ((-0.35, 0.05, 0.0), (0.15, -0.4, 0.0), (0.7, 0.3, 0.0), (0.1, 0.85, 0.0)),
@@ -27,7 +27,7 @@ _FIFTH = tuple(float(v) for v in np.linspace(0.0, 0.4, 5))
 Line = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
 
 
-class TrackingPlan(Plan):
+class TrackingPlan(Plan, Pointer):
     """Stations and targets; without them a square of 0.4 m (2-D) or a cube of 0.4 m (3-D) from four stations.
 
     Attributes:
@@ -36,9 +36,6 @@ class TrackingPlan(Plan):
         points: targets one by one instead of a grid, m.
         station_uncertainty: the estimated stations are off by this (standard deviation per coordinate), m.
         order: every second repeat runs backwards (`alternate`), or all run alike (`same`).
-        zero_offset, elevation_offset: errors of the pointer, rad.
-        eccentricity: the beam passes this far beside the rotation centre, m.
-        radial: radial error motion, (cos, sin) by order of the azimuth, m.
     """
 
     method: Literal["tracking_interferometer"] = "tracking_interferometer"
@@ -53,10 +50,6 @@ class TrackingPlan(Plan):
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
     noise: Positive = 3e-7
-    zero_offset: Finite = 0.0
-    elevation_offset: Finite = 0.0
-    eccentricity: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> TrackingPlan:
@@ -84,63 +77,57 @@ class TrackingPlan(Plan):
         """Ends of the axes that hold all targets, with the zero, m."""
         return spanned(self.targets())
 
-    def pointer(self) -> Pointer:
-        """The pointer's true errors."""
-        return Pointer(**{name: getattr(self, name) for name in Pointer.model_fields})
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement of a plan: true stations by chance around the estimates, one run per repeat and station."""
+        truth = self.places()
+        spread = rng.normal(size=truth.shape) * self.station_uncertainty
+        if self.dimension == 2:
+            spread[:, 2] = 0.0
+        estimate = truth + spread
+        targets, runs = self.targets(), self.repeats
+        forward = np.arange(len(targets))
+        one = [forward[::-1] if self.order == "alternate" and r % 2 else forward for r in range(runs)]
+        index = np.tile(np.concatenate(one), len(truth))
+        setup = np.repeat(np.arange(len(truth)), runs * len(targets))
+        repeat = np.tile(np.repeat(np.arange(runs), len(targets)), len(truth))
+        time = ordered_times(setup, self.interval, self.pause)
+        position = targets[index]
+        direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
+        scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
+        azimuth, elevation = aim(estimate[setup], position, self.dimension)
 
+        def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+            actual = disturbance.functional_point(machine, position)
+            station = truth[setup] + disturbance.station
+            if self.pointing == "tracking":
+                direction = (actual - station) / distance(actual, station)[:, None]
+                path = distance(actual, station)
+            else:
+                origin, direction = self.beam(azimuth, elevation, station, disturbance.turn)
+                path = sensed_path(actual, origin, direction)
+            # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
+            incidence = azimuth if self.dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
+            first = np.unique(setup, return_index=True)[1]
+            sight = Sight(path, direction, azimuth, incidence, path - path[first][setup])
+            return path + disturbance.added(sight)
 
-def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan: true stations by chance around the estimates, one run per repeat and station."""
-    truth = plan.places()
-    spread = rng.normal(size=truth.shape) * plan.station_uncertainty
-    if plan.dimension == 2:
-        spread[:, 2] = 0.0
-    estimate = truth + spread
-    targets, runs = plan.targets(), plan.repeats
-    forward = np.arange(len(targets))
-    one = [forward[::-1] if plan.order == "alternate" and r % 2 else forward for r in range(runs)]
-    index = np.tile(np.concatenate(one), len(truth))
-    setup = np.repeat(np.arange(len(truth)), runs * len(targets))
-    repeat = np.tile(np.repeat(np.arange(runs), len(targets)), len(truth))
-    time = ordered_times(setup, plan.interval, plan.pause)
-    position = targets[index]
-    direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
-    azimuth, elevation = aim(estimate[setup], position, plan.dimension)
-    pointer = plan.pointer()
+        def judged(machine: VirtualMachine) -> dict[str, Any]:
+            return {
+                "points": targets.tolist(),
+                "position_error": machine.position_error(targets).tolist(),
+                "stations": truth.tolist(),
+            }
 
-    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        actual = disturbance.functional_point(machine, position)
-        station = truth[setup] + disturbance.station
-        if plan.pointing == "tracking":
-            direction = (actual - station) / distance(actual, station)[:, None]
-            path = distance(actual, station)
-        else:
-            origin, direction = pointer.beam(azimuth, elevation, station, disturbance.turn)
-            path = sensed_path(actual, origin, direction)
-        # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
-        incidence = azimuth if plan.dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
-        first = np.unique(setup, return_index=True)[1]
-        sight = Sight(path, direction, azimuth, incidence, path - path[first][setup])
-        return path + disturbance.added(sight)
-
-    def judged(machine: VirtualMachine) -> dict[str, Any]:
-        return {
-            "points": targets.tolist(),
-            "position_error": machine.position_error(targets).tolist(),
-            "stations": truth.tolist(),
+        description = {
+            "method": "tracking_interferometer",
+            "dimension": self.dimension,
+            "pointing": self.pointing,
+            "machine": self.machine(),
+            "setups": [
+                {"id": station_name(i), "position": [float(v) for v in p]}
+                | ({"position_uncertainty": self.station_uncertainty} if self.station_uncertainty > 0 else {})
+                for i, p in enumerate(estimate)
+            ],
         }
-
-    description = {
-        "method": "tracking_interferometer",
-        "dimension": plan.dimension,
-        "pointing": plan.pointing,
-        "machine": plan.machine(),
-        "setups": [
-            {"id": station_name(i), "position": [float(v) for v in p]}
-            | ({"position_uncertainty": plan.station_uncertainty} if plan.station_uncertainty > 0 else {})
-            for i, p in enumerate(estimate)
-        ],
-    }
-    columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
-    return Measurement(lambda machine: description, scene, read, setup, columns, truth=judged)
+        columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
+        return Measurement(lambda machine: description, scene, read, setup, columns, truth=judged)

@@ -45,20 +45,9 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = [
-    "Circle",
-    "Feature",
-    "File",
-    "Line",
-    "Outline",
-    "Points",
-    "Workpiece",
-    "points_csv",
-    "points_yaml",
-    "procedure_with",
-    "read_workpiece",
-    "workpiece_entries",
-    "workpiece_points",
-]
+    "Circle", "Feature", "File", "Line", "Outline", "Points", "Workpiece", "points_csv", "points_yaml",
+    "procedure_with", "read_workpiece", "workpiece_entries", "workpiece_points",
+]  # fmt: skip
 
 
 _LARGEST, _SMALLEST = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
