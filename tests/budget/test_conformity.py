@@ -93,13 +93,13 @@ def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., 
 
 
 def test_volumetric_error(reproducible: None) -> None:
-    """The largest of many lengths, drawn with their joint uncertainty: above the measured one rather than below."""
+    """The largest of many lengths: what was measured neither conforms to itself nor fails."""
     fitted = fit_sessions(simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session)
     length = np.linalg.norm(fitted.error_map.error[:, :2], axis=1)
     found = one(judged(fitted, {"volumetric": float(length.max())}))
     assert found.value == pytest.approx(length.max())
-    assert found.probability < 0.5
-    assert found.decision in ("undecided", "fail")
+    assert found.probability == pytest.approx(0.5, abs=0.01)
+    assert found.decision == "undecided"
     assert one(judged(fitted, {"volumetric": 2 * float(length.max())})).decision == "pass"
 
 
