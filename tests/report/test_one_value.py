@@ -20,9 +20,8 @@ from machine_tool_calibration.recording.session_bag import session_from_bag, ses
 from machine_tool_calibration.report import sections as room
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.identification import Measured, summary_rows
 from machine_tool_calibration.reports.improvement import improvement_document
-from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.folder import write_session

@@ -4,8 +4,8 @@
 from typing import Any
 
 from machine_tool_calibration.reports.goodness import scatter_words
-from machine_tool_calibration.reports.standards import standard_tables
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.values import standard_tables
 
 RUN: dict[str, Any] = {
     "axis": "X", "setup": "x", "position": [0.0, 0.1, 0.2], "count_up": [2, 2, 2], "count_down": [2, 1, 2],

@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 
 import pytest
-from rich.console import Console
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.reports.identification import show_result
-from machine_tool_calibration.reports.signs import negative_words
+from machine_tool_calibration.reports.goodness import negative_words
+from machine_tool_calibration.reports.identification import result_parts
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -47,9 +45,7 @@ def test_so_it_is_where_it_is_in_the_model(exchanged: Session) -> None:
     result = identify(exchanged, effects=("backlash_x", "backlash_y"))
     # That of X is nothing, whatever its sign.
     assert list(negative_words(result.joint, result.effects)) == [NEGATIVE]
-    screen = io.StringIO()
-    show_result(Console(file=screen, width=200), result.document(), [exchanged], result)
-    assert NEGATIVE in screen.getvalue()
+    assert NEGATIVE in list(result_parts(result.document(), [exchanged], result))
 
 
 def test_so_it_is_of_lost_motion() -> None:

@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from machine_tool_calibration.cli.output import PATH, PictureFile, console, json_option, save_picture, write_json
+from machine_tool_calibration.cli.output import PATH, PictureFile, json_option, save_picture, tell_either
 from machine_tool_calibration.reports.quantities import plus_minus, quantity, rounded
-from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.step_diagonal.compare import FormulationComparison
@@ -55,11 +56,8 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
         from machine_tool_calibration.plots.step_diagonal import draw_comparison
 
         save_picture(partial(draw_comparison, comparison), plot)
-    if as_json:
-        write_json({**_document(comparison), "suspicious": suspicious})
-    else:
-        _show(comparison)
-        show_suspicions(console(), suspicious)
+    parts = chain(_parts(comparison), suspicion_words(suspicious))
+    tell_either({**_document(comparison), "suspicious": suspicious}, parts, as_json)
 
 
 def _document(comparison: FormulationComparison) -> Mapping[str, Any]:
@@ -82,8 +80,7 @@ def _profiles(found: Profiles) -> dict[str, Any]:
     return out
 
 
-def _show(comparison: FormulationComparison) -> None:
-    out = console()
+def _parts(comparison: FormulationComparison) -> Iterator[Part]:
     title = "Value ± expanded uncertainty (k = 2) from the readings alone"
     rows: list[tuple[str, ...]] = []
     heads = ("figure", *(_HEADS[name] for name in comparison.profiles))
@@ -101,7 +98,7 @@ def _show(comparison: FormulationComparison) -> None:
         "positioning: error at the last block position; straightness: largest minus smallest deviation from the "
         "least-squares line; squareness: slope of one axis's line against the other's"
     )
-    show_table(out, TextTable(title, heads, tuple(rows), note))
+    yield TextTable(title, heads, tuple(rows), note)
     if "conventional" in comparison.profiles and "new" in comparison.profiles:
         off = [
             np.nanmax(np.abs(a - b))
@@ -114,9 +111,9 @@ def _show(comparison: FormulationComparison) -> None:
                 ": it takes the mirrors to be at right angles to their beams, and what a tilt makes of the way across "
                 f"the beam for positioning errors and squareness of the machine. The readings show tilts of {tilts}"
             )
-        out.print(f"{words}.")
+        yield f"{words}."
     for name, why in comparison.refused.items():
-        out.print(f"{name}: {why}")
+        yield f"{name}: {why}"
 
 
 def _label(kind: str, name: str, profiles: Profiles) -> str:

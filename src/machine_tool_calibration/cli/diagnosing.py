@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
-    from machine_tool_calibration.reports.measured import Measured
+    from machine_tool_calibration.reports.identification import Measured
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -65,7 +65,7 @@ class Wanted:
         from machine_tool_calibration.effects.catalogue import own_effects
         from machine_tool_calibration.methods.fitted import FitRequest
         from machine_tool_calibration.recording.open import open_measurement
-        from machine_tool_calibration.reports.measured import Measured
+        from machine_tool_calibration.reports.identification import Measured
         from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import click
 
 from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.tables import Part, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +45,7 @@ __all__ = [
     "seed_option",
     "session_labels",
     "tell",
+    "tell_either",
     "write_json",
 ]
 
@@ -127,12 +129,20 @@ def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenan
         note_written([file])
 
 
-def tell(answer: Answer, as_json: bool) -> None:
-    """Say what was found: the document for programs, or the text for people."""
+def tell(answer: Answer, as_json: bool, parts: Iterable[Part] | None = None) -> None:
+    """Say what was found: the document for programs, or the text for people, in other parts where these are given."""
     if as_json:
         write_json(answer.document())
     else:
-        answer.show(console())
+        show(console(), answer.parts() if parts is None else parts)
+
+
+def tell_either(document: Mapping[str, Any], parts: Iterable[Part], as_json: bool) -> None:
+    """The same of what is no answer of the interface; parts that nobody reads are not made, if they are an iterator."""
+    if as_json:
+        write_json(document)
+    else:
+        show(console(), parts)
 
 
 def console(*, stderr: bool = False) -> Console:

@@ -14,13 +14,12 @@ from machine_tool_calibration.cli.diagnosing import effects_file_option, model_o
 from machine_tool_calibration.cli.output import (
     FILE,
     PictureFile,
-    console,
     json_option,
     note_written,
     progress_bar,
     save_picture,
     seed_option,
-    write_json,
+    tell_either,
 )
 from machine_tool_calibration.errors import CalibrationError
 
@@ -95,17 +94,14 @@ def command(
 def _forecast(file: Path, assumed: Assumed, as_json: bool) -> None:
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
-    from machine_tool_calibration.reports.forecast import show_forecast
+    from machine_tool_calibration.reports.planning import forecast_parts
 
     with progress_bar() as progress:
         found = forecast(
             read_procedure(file), model=assumed.model, own=assumed.own, warming=assumed.warming,
             angular=assumed.angular, progress=progress,
         )  # fmt: skip
-    if as_json:
-        write_json(found.document())
-        return
-    show_forecast(console(), found)
+    tell_either(found.document(), forecast_parts(found), as_json)
 
 
 def _optimised(
@@ -120,7 +116,7 @@ def _optimised(
     from machine_tool_calibration.budget.shared_errors import shared_errors
     from machine_tool_calibration.planning.best_plan import best_plan
     from machine_tool_calibration.plots.best_plan import draw_best_plan
-    from machine_tool_calibration.reports.best_plan import show_best_plan
+    from machine_tool_calibration.reports.planning import best_plan_parts
     from machine_tool_calibration.session.text import read_text
 
     if output is not None and output.exists():
@@ -128,10 +124,7 @@ def _optimised(
     with progress_bar() as progress:
         complete = replace(assumed, errors=shared_errors)
         found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
-    if as_json:
-        write_json(found.document())
-    else:
-        show_best_plan(console(), found)
+    tell_either(found.document(), best_plan_parts(found), as_json)
     save_picture(partial(draw_best_plan, found), plot)
     if output is not None:
         try:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -18,12 +19,11 @@ from machine_tool_calibration.methods.probing.propagation import MonteCarlo
 from machine_tool_calibration.methods.probing.shapes import Circle, Element
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Features"]
 
@@ -73,8 +73,8 @@ class Features(Answer, Found):
         """What it is, in one line."""
         return f"{', '.join(one.name for one in self.elements)}; frame: {self.datum}"
 
-    def show(self, screen: Console, /) -> None:
-        """Print the features with expanded uncertainty (k = 2), their frame, and what gives none."""
+    def parts(self) -> Iterator[Part]:
+        """The features with expanded uncertainty (k = 2), their frame, and what gives none."""
         drawn, rows = self.drawn, []
         for asked, row in zip(self.quantities, self.table.to_dict("records"), strict=True):
             told, interval = NOT_DETERMINED, ""
@@ -88,9 +88,9 @@ class Features(Answer, Found):
         heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
         title = "Features of the workpiece, ± U (k = 2)"
         note = f"frame: {self.datum}; U is without instrument and temperature"
-        show_table(screen, TextTable(title, heads, tuple(rows), note))
+        yield TextTable(title, heads, tuple(rows), note)
         for name, why in self.left_out.items():
-            screen.print(f"Not a feature: {name}: {why}.")
+            yield f"Not a feature: {name}: {why}."
 
     def plot(self) -> Figure:
         """Where the features are, deviations magnified, with ellipses of their uncertainty."""

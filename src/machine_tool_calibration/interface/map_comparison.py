@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,12 +16,11 @@ from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.reports.quantities import micrometres, p_value, plus_minus, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["MapComparison"]
 
@@ -59,21 +59,19 @@ class MapComparison(Answer, Compared):
         verdict = "agree" if self.agree else "contradict each other"
         return f"{' and '.join(self.labels)} {verdict} at {len(self.points)} points"
 
-    def show(self, screen: Console, /) -> None:
-        """Print the differences, the motion between the datums and the verdict."""
-        show_table(screen, _differences(self))
+    def parts(self) -> Iterator[Part]:
+        """The differences, the motion between the datums and the verdict."""
+        yield _differences(self)
         moved = [
             f"{m.name} {quantity(m.value, m.unit, m.u)}"
             for m in self.motion
             if np.isfinite(m.value) and max(abs(m.value), m.u) > _NOTHING
         ]
-        screen.print()
-        screen.print(
-            f"Taken out before, as the datums differ by it: {', '.join(moved)}."
-            if moved
-            else "Both maps have the same datum at these points: there is no common motion to take out."
-        )
-        screen.print(_verdict(self))
+        if moved:
+            yield f"Taken out before, as the datums differ by it: {', '.join(moved)}."
+        else:
+            yield "Both maps have the same datum at these points: there is no common motion to take out."
+        yield _verdict(self)
 
     def plot(self) -> Figure:
         """Both maps, and the normalised differences."""

@@ -23,12 +23,10 @@ from machine_tool_calibration.report.figures import (
     told,
 )
 from machine_tool_calibration.report.turnable import turnable
-from machine_tool_calibration.reports.budget import budget_tables
+from machine_tool_calibration.reports.budget import budget_parts, conformity_parts, decision_words
 from machine_tool_calibration.reports.comparison import records, times_declared
-from machine_tool_calibration.reports.conformity import conformity_table, decision_words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.goodness import fits
-from machine_tool_calibration.reports.history_tables import tried_models
+from machine_tool_calibration.reports.goodness import fits, negative_words
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
@@ -36,7 +34,7 @@ from machine_tool_calibration.reports.identification import (
     readings_set_aside,
     summary_rows,
 )
-from machine_tool_calibration.reports.improvement import steps_table
+from machine_tool_calibration.reports.improvement import steps_table, tried_models
 from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.quantities import (
     micrometres,
@@ -46,10 +44,8 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
-from machine_tool_calibration.reports.signs import negative_words
-from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
 from machine_tool_calibration.reports.tables import TextTable, heads
-from machine_tool_calibration.reports.values import value_tables
+from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
@@ -297,14 +293,13 @@ def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
 
 def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     if found.budget is not None:
-        yield from budget_tables(found.budget)
+        yield from budget_parts(found.budget)
         yield Picture("budget", say("report.figure_budget"), draw_budget(found.budget))
 
 
 def _conformity(found: Evaluation) -> Iterator[str | TextTable]:
     if found.conformity is not None:
-        yield decision_words(found.conformity)
-        yield conformity_table(found.conformity)
+        yield from conformity_parts(found.conformity)
 
 
 def _undetermined(found: Evaluation) -> Iterator[str | TextTable]:

@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `mtcal budget` tells: the contributors, what each gives to a result, and the document for programs."""
+"""What `mtcal budget` and `mtcal conformity` tell: contributors, verdicts, and the documents for programs."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from machine_tool_calibration.budget.conformity import VOLUMETRIC, Conformity, Verdict
 from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Line, Sum
 from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
-from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
-from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads
 from machine_tool_calibration.words import named, say, together
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 __all__ = [
     "budget_document",
-    "budget_tables",
+    "budget_parts",
     "chosen_sums",
+    "conformity_document",
+    "conformity_parts",
+    "decision_words",
     "default_names",
     "line_name",
-    "show_budget",
     "sum_name",
     "unit_of",
 ]
@@ -81,24 +81,13 @@ def unit_of(one: Sum) -> tuple[float, str]:
     return (1e6, "µ" + unit) if unit in ("m", "rad") else (1.0, unit)
 
 
-def show_budget(screen: Console, budget: Budget, names: Sequence[str]) -> None:
-    """Print a budget.
+def budget_parts(budget: Budget, names: Sequence[str] = ()) -> Iterator[Part]:
+    """A budget in tables and sentences.
 
     Args:
-        screen: where to.
-        budget: what to print.
+        budget: of which.
         names: quantities that were asked for; empty for those that are told of every measurement.
     """
-    for part in budget_tables(budget, names):
-        if isinstance(part, TextTable):
-            show_table(screen, part)
-        else:
-            screen.print()
-            screen.print(part)
-
-
-def budget_tables(budget: Budget, names: Sequence[str] = ()) -> Iterator[TextTable | str]:
-    """A budget as tables and sentences, in the order in which they are read; arguments as of `show_budget`."""
     yield _contributors(budget)
     sums = chosen_sums(budget, names or default_names(budget))
     detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
@@ -307,3 +296,64 @@ def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
             "interval": list(budget.drawn.interval(one.index)),
         }
     return out
+
+
+def conformity_parts(found: Conformity) -> Iterator[Part]:
+    """The decision of all tolerances together, and the verdicts, one a row."""
+    yield decision_words(found)
+    yield TextTable(
+        say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %"),
+        heads("figure", "tolerance", "measured_u", "probability", "decision", "why"),
+        tuple(map(_row, found.each)),
+        say("conformity.by_budget" if found.uncertainty == "budget" else "conformity.nothing_decided"),
+    )
+
+
+def decision_words(found: Conformity) -> str:
+    """Of all tolerances together, in a sentence."""
+    key = "conformity.together" if found.uncertainty == "budget" else "conformity.together_incomplete"
+    return say(key, decision=named("decision", found.decision))
+
+
+def _row(verdict: Verdict) -> tuple[str, ...]:
+    measured = quantity(verdict.value, verdict.unit, verdict.u) if math.isfinite(verdict.value) else NOT_DETERMINED
+    return (
+        _figure(verdict.name),
+        quantity(verdict.tolerance, verdict.unit),
+        measured,
+        _percent(verdict.probability),
+        named("decision", verdict.decision),
+        verdict.why,
+    )
+
+
+def _figure(name: str) -> str:
+    """What of a name a tolerance is for, which is not its values along the axis."""
+    if name in ERROR_MOTIONS:
+        return say(f"conformity.{'about_line' if parse_motion(name).is_straightness else 'range'}", name=name)
+    return say("conformity.volumetric") if name == VOLUMETRIC else name
+
+
+def _percent(probability: float) -> str:
+    """Never 0 or 100 %, which no measurement proves."""
+    if not math.isfinite(probability):
+        return NOT_DETERMINED
+    if probability < 0.001:
+        return "< 0.1 %"
+    return "> 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
+
+
+def conformity_document(found: Conformity) -> dict[str, Any]:
+    """The verdicts for programs, SI; what is not determined is None."""
+    return {
+        "format": "mtcal-conformity/1",
+        "provenance": found.origin.document(),
+        "rule": found.rule,
+        "conformance_probability": found.level,
+        "uncertainty": found.uncertainty,
+        "decision": found.decision,
+        "figures": [
+            {"standard_uncertainty" if key == "u" else key: value for key, value in vars(verdict).items()}
+            for verdict in found.each
+        ],
+    }

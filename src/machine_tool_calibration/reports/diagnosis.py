@@ -15,8 +15,8 @@ from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
 from machine_tool_calibration.planning.advice import Advice, alias_groups_of
-from machine_tool_calibration.planning.dominant import Dominant
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
+from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import (
     duration,
     micrometres,
@@ -25,7 +25,7 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
@@ -33,43 +33,13 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.planning.what_to_measure import Conclusions
 
 __all__ = [
     "Report",
+    "diagnosis_parts",
     "diagnosis_report",
-    "dominant_words",
-    "show_diagnosis",
 ]
-
-
-def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
-
-    In shares: what U is, the map says, and the sizes assumed here are no part of that.
-    """
-    if found.cause == "readings":
-        yield say("found.dominant_readings", share=f"{100 * found.shares['readings']:.0f}")
-        return
-    share = f"{100 * found.shares[found.cause]:.0f}"
-    if found.cause == "time":
-        yield say("found.dominant_time", share=share, size=quantity(found.drift, "m/s"))
-    else:
-        yield say("found.dominant", share=share, size=quantity(found.angular, "rad"))
-    for remedy in found.remedies:
-        measure: str = remedy.measure
-        if remedy.seconds is not None:
-            key = "found.remedy_besides" if remedy.aside else "found.remedy_time"
-            measure = say(key, measure=measure, time=duration(remedy.seconds), besides=remedy.aside)
-        left, again = (
-            None if u is None else f"{100 * u / found.uncertainty:.0f}" for u in (remedy.uncertainty, found.again)
-        )
-        key = "found.remedy" if again is None else "found.remedy_again"
-        yield say(key, measure=measure, share=left, again=again)
-    if not found.remedies:
-        yield say("found.no_remedy")
 
 
 # Errors of position that are not the machine's: a map that takes them up is wrong by them.
@@ -336,20 +306,17 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     return TextTable(say("found.excluded"), heads("effect", "why"), rows)
 
 
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, *, details: bool = False) -> None:
+def diagnosis_parts(found: Diagnosis, then: Conclusions, *, details: bool = False) -> Iterator[Part]:
     """The verdict, the effects and the next step; with details all words, all tables and all effects."""
-    if not details:
-        for paragraph in verdict_words(found, then.changes, then.advice, brief=True):
-            screen.print(paragraph)
-        show_table(screen, _brief(found, then.changes))
-        screen.print(next_step(found, then.advice))
-        screen.print(say("found.details"))
+    if details:
+        report = diagnosis_report(found, then.advice, then.changes, shown=0)
+        yield from (*report.words, *report.forecast)
+        yield from (*report.tables, *report.details)
         return
-    report = diagnosis_report(found, then.advice, then.changes, shown=0)
-    for paragraph in (*report.words, *report.forecast):
-        screen.print(paragraph)
-    for table in (*report.tables, *report.details):
-        show_table(screen, table)
+    yield from verdict_words(found, then.changes, then.advice, brief=True)
+    yield _brief(found, then.changes)
+    yield next_step(found, then.advice)
+    yield say("found.details")
 
 
 def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:

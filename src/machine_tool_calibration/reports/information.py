@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import declared_words, duration, fixed
-from machine_tool_calibration.reports.tables import TextTable, heads, show_head, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Verbatim, named, say
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.recording.reader import BagReader
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
@@ -25,9 +23,9 @@ if TYPE_CHECKING:
 __all__ = [
     "counts_in_words",
     "measurement_document",
+    "recording_parts",
+    "session_parts",
     "session_tables",
-    "show_recording",
-    "show_session",
 ]
 
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
@@ -79,37 +77,34 @@ def measurement_document(
     return document
 
 
-def show_recording(out: Console, bag: BagReader, absent: str) -> None:
+def recording_parts(bag: BagReader, absent: str) -> Iterator[Part]:
     """Files, duration and topics of a recording, and why it holds no measurement if it holds none."""
     size = sum(file.stat().st_size for file in bag.files)
     try:
         start = datetime.fromtimestamp(bag.first / 1e9, UTC).isoformat(sep=" ", timespec="seconds")
     except (ValueError, OverflowError, OSError):
         start = f"{bag.first} ns"
-    show_head(out, str(bag.path), say("recorded.recording", n=len(bag.files), size=f"{size / 1e6:.2f}"))
-    out.print(say("recorded.messages", n=bag.messages_in_all, time=f"{bag.duration:.1f}", start=start))
+    yield f"{bag.path}{say('recorded.recording', n=len(bag.files), size=f'{size / 1e6:.2f}')}"
+    yield say("recorded.messages", n=bag.messages_in_all, time=f"{bag.duration:.1f}", start=start)
     rows = []
     for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
         rate = f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else ""
         latched = say("text.yes") if any(profile.latched for profile in topic.qos) else ""
         rows.append((topic.name, topic.type, str(topic.messages), rate, latched))
-    show_table(
-        out, TextTable(say("recorded.topics"), heads("topic", "type", "messages", "per_second", "latched"), tuple(rows))
-    )
+    yield TextTable(say("recorded.topics"), heads("topic", "type", "messages", "per_second", "latched"), tuple(rows))
     if absent:
-        out.print(say("recorded.nothing", why=absent.split(": ", 1)[-1]))
+        yield say("recorded.nothing", why=absent.split(": ", 1)[-1])
 
 
-def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
+def session_parts(session: Session, summary: SessionSummary) -> Iterator[Part]:
     """Setups and columns of a session."""
     method = named("method", summary.method.replace("_", " "))
-    show_head(out, session.source, say("recorded.session", method=method, chain=session.description.machine.chain))
-    out.print(counts_in_words(session, summary))
-    for table in session_tables(session, summary):
-        show_table(out, table)
-    show_suspicions(out, summary.suspicious)
+    yield f"{session.source}{say('recorded.session', method=method, chain=session.description.machine.chain)}"
+    yield counts_in_words(session, summary)
+    yield from session_tables(session, summary)
+    yield from suspicion_words(summary.suspicious)
     if summary.labels:
-        out.print(say("recorded.labels", names=", ".join(summary.labels)))
+        yield say("recorded.labels", names=", ".join(summary.labels))
 
 
 def counts_in_words(session: Session, summary: SessionSummary) -> str:

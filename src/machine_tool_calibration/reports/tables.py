@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of text: what they hold, and how a terminal shows them."""
+"""What is told: sentences and tables of text in the order in which they are read, and how a terminal shows them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "heads", "is_number", "shortened", "show_head", "show_suspicions", "show_table"]
+__all__ = ["Part", "TextTable", "Typed", "heads", "is_number", "shortened", "show", "show_table", "suspicion_words"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -40,6 +40,14 @@ class TextTable:
     note: str = ""
 
 
+class Typed(str):
+    """A line to be copied into a file, which is never broken."""
+
+
+Part = str | TextTable
+"""Of what is told: a sentence or a table. Terminal, report and pages show the same parts, each in its way."""
+
+
 def heads(*names: str) -> tuple[str, ...]:
     """Heads of columns by their keys in the catalogue's room `head`; over names there is none."""
     return tuple(say(f"head.{name}") if name else "" for name in names)
@@ -58,17 +66,24 @@ def shortened(rows: Sequence[tuple[str, ...]], most: int | None) -> tuple[tuple[
     return (*rows[:half], tuple("…" if k == 0 else "" for k in range(len(rows[0]))), *rows[-half:])
 
 
-def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
-    """Print what is suspicious in the sessions that were read (`suspicions`), a line each."""
-    for words in suspicious:
-        screen.print(say("result.suspicious", what=words))
+def suspicion_words(suspicious: Iterable[str]) -> Iterator[str]:
+    """What is suspicious in the sessions that were read (`suspicions`), a sentence each."""
+    return (say("result.suspicious", what=words) for words in suspicious)
 
 
-def show_head(screen: Console, head: str, words: str = "") -> None:
-    """Print a line that begins with what it is about."""
+def show(screen: Console, parts: Iterable[Part]) -> None:
+    """Print sentences and tables one below the other, a sentence apart from a table before it."""
     from rich.text import Text
 
-    screen.print(Text.assemble((head, "bold"), words))
+    below = False
+    for part in parts:
+        if isinstance(part, TextTable):
+            show_table(screen, part)
+        else:
+            if below:
+                screen.print()
+            screen.print(Text(part), soft_wrap=isinstance(part, Typed))
+        below = isinstance(part, TextTable)
 
 
 def show_table(screen: Console, table: TextTable) -> None:

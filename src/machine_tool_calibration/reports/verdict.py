@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
-from machine_tool_calibration.reports.goodness import fits
+from machine_tool_calibration.reports.goodness import fits, negative_words
 from machine_tool_calibration.reports.quantities import (
     p_value,
     probability,
@@ -24,7 +24,6 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session

@@ -13,8 +13,7 @@ from bokeh.models import AllIndices, BoxAnnotation, CDSView, FactorRange, IndexF
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.comparison import in_words
-from machine_tool_calibration.reports.comparison_tables import comparison_tables
+from machine_tool_calibration.reports.comparison import comparison_tables, in_words
 from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (

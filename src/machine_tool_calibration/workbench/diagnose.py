@@ -12,8 +12,8 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
+from machine_tool_calibration.reports.goodness import negative_words
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
-from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.workbench.look import (
     DIM,
     bar_button,

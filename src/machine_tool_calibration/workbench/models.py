@@ -28,8 +28,8 @@ from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
 from machine_tool_calibration.procedure import Procedure
-from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 
 __all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "looked_ahead", "opened", "planned"]
@@ -335,4 +335,4 @@ def planned(
     found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
     now = None if model is None else current(subject.measurement.sessions[0], model.fit.result.error_map)
     words = f"procedure {procedure.name}, by itself"
-    return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))
+    return now, outlook_of(found, words), printed(forecast_parts(found))
