@@ -222,7 +222,6 @@ def _form(target: Path | None, otherwise: str) -> str:
 def _imported(
     sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
 ) -> Imported:
-    """The session of foreign tables."""
     from machine_tool_calibration.importing import import_table, parse_mapping
 
     content, name = mapping_from(foreign, description)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, console, options
+from machine_tool_calibration.cli.output import PATH, RosName, bar, console, options
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.tables import TextTable
 
@@ -53,22 +53,11 @@ graph_options = options(
 @contextmanager
 def readings_bar() -> Iterator[Progress]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    screen = console(stderr=True)
-    if not screen.is_terminal:
-        yield _lines(screen)
-        return
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=screen, transient=True) as shown:
-        task = shown.add_task("starting", total=None)
-        yield lambda text, done, total: shown.update(task, description=text, completed=done, total=total)
+    with bar("starting", counted=True) as update:
+        if update is None:
+            yield _lines(console(stderr=True))
+        else:
+            yield lambda text, done, total: update(description=text, completed=done, total=total)
 
 
 def _lines(screen: Console) -> Progress:

@@ -13,11 +13,13 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.tables import Part, show
 
@@ -34,6 +36,7 @@ __all__ = [
     "PATH",
     "PictureFile",
     "RosName",
+    "bar",
     "console",
     "json_option",
     "note",
@@ -47,6 +50,8 @@ __all__ = [
     "tell",
     "tell_either",
     "write_json",
+    "write_new",
+    "writing",
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -120,6 +125,31 @@ def write_json(document: Any) -> None:
     click.echo(to_json(document))
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say in one line where something cannot be written.
+
+    Raises:
+        CalibrationError: a file or folder that the system refuses.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise CalibrationError(f"{error.filename or path}: cannot be written: {error.strerror}") from None
+
+
+def write_new(file: Path, text: str) -> None:
+    """Write a text file.
+
+    Raises:
+        CalibrationError: it is there already, or cannot be written.
+    """
+    if file.exists():
+        raise CalibrationError(f"{file}: is there already; choose another file")
+    with writing(file):
+        file.write_text(text, encoding="utf-8")
+
+
 def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenance | None = None) -> None:
     """Draw a picture into a file, where one is named, with what it was made from at its foot."""
     if file is not None:
@@ -168,20 +198,33 @@ class Report(Protocol):
 
 
 @contextmanager
-def progress_bar() -> Iterator[Report]:
-    """A progress bar on standard error; nothing where that is not a terminal."""
+def bar(begin: str, *, counted: bool = False) -> Iterator[Callable[..., None] | None]:
+    """A progress bar on standard error, of how many of all where they are counted; None where that is no terminal.
+
+    Yields:
+        What is told `description`, `completed` and `total`.
+    """
     screen = console(stderr=True)
     if not screen.is_terminal:
-        yield lambda what, share=None: None
+        yield None
         return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    words = TextColumn("{task.description}", markup=False)
+    count = [MofNCompleteColumn()] if counted else []
+    columns = (SpinnerColumn(), words, BarColumn(), *count, TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
-        task = shown.add_task("reading", total=None)
+        yield partial(shown.update, shown.add_task(begin, total=None))
+
+
+@contextmanager
+def progress_bar() -> Iterator[Report]:
+    """A progress bar on standard error; nothing where that is not a terminal."""
+    with bar("reading") as update:
 
         def report(what: str, share: float | None = None, /) -> None:
-            shown.update(task, description=what, total=None if share is None else 1.0, completed=share or 0.0)
+            if update is not None:
+                update(description=what, total=None if share is None else 1.0, completed=share or 0.0)
 
         yield report
 

@@ -20,6 +20,7 @@ from machine_tool_calibration.cli.output import (
     save_picture,
     seed_option,
     tell_either,
+    write_new,
 )
 from machine_tool_calibration.errors import CalibrationError
 
@@ -127,8 +128,5 @@ def _optimised(
     tell_either(found.document(), best_plan_parts(found), as_json)
     save_picture(partial(draw_best_plan, found), plot)
     if output is not None:
-        try:
-            output.write_text(found.text, encoding="utf-8")
-        except OSError as error:
-            raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
+        write_new(output, found.text)
         note_written([output])

@@ -13,6 +13,7 @@ import click
 
 from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.documents import picked
 
 __all__ = ["command"]
 
@@ -71,7 +72,7 @@ def command(
         "bag": recorded.folder,
         "messages": recorded.messages,
         "lost": recorder.lost,
-        "topics": [{"name": one.name, "type": one.type, "messages": one.messages} for one in recorded.topics],
+        "topics": [picked(one, "name", "type", "messages") for one in recorded.topics],
     }
     held = f"{recorded.messages} messages of {len(recorded.topics)} topics, {recorder.lost or 'none'} lost"
     tell_either(document, [f"{recorded.folder}: {held}"], as_json)

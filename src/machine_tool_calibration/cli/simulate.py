@@ -11,7 +11,7 @@ import click
 
 from machine_tool_calibration.cli.output import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.documents import picked, to_json
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.catalogue import METHODS
@@ -190,7 +190,7 @@ def _list(as_json: bool) -> None:
     keys = ("id", "formula", "unit", "typical", "methods", "listed")
     document = {
         "presets": {name: plan.method for name, plan in PRESETS.items()},
-        "effects": [{key: getattr(flaw, key) for key in keys} for flaw in FLAWS.values()],
+        "effects": [picked(flaw, *keys) for flaw in FLAWS.values()],
     }
     presets = tuple((name, plan.method.replace("_", " ")) for name, plan in PRESETS.items())
     rows = tuple((flaw.id, flaw.formula, quantity(flaw.typical, flaw.unit)) for flaw in FLAWS.values())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, json_option, tell_either
+from machine_tool_calibration.cli.output import PATH, json_option, tell_either, write_new
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part, TextTable
 
@@ -92,8 +92,6 @@ def _write(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path) -
     from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.procedure.workpiece.points_file import points_csv, points_yaml, procedure_with
 
-    if output.exists():
-        raise CalibrationError(f"{output}: is there already; choose another file")
     if into is not None:
         text = procedure_with(procedure_file(into), points)
     elif output.suffix.lower() == ".csv":
@@ -102,10 +100,7 @@ def _write(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path) -
         text = points_yaml(points)
     else:
         raise CalibrationError(f"{output}: points are written to .csv and .yaml")
-    try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
+    write_new(output, text)
 
 
 def _parts(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path | None) -> Iterator[Part]:

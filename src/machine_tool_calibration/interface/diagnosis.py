@@ -131,7 +131,6 @@ class Comparison(Answer):
         return comparison_document(self.found)
 
     def _of_each(self, table: str) -> pd.DataFrame:
-        """A table of each session, one below the other."""
         return one_below_the_other(self.found.labels or (), [getattr(one, table) for one in self.found.sessions])
 
 

@@ -14,7 +14,6 @@ import pandas as pd
 from machine_tool_calibration.arrays import COVERAGE
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
-from machine_tool_calibration.methods.probing.features import Quantity
 from machine_tool_calibration.methods.probing.propagation import MonteCarlo
 from machine_tool_calibration.methods.probing.shapes import Circle, Element
 from machine_tool_calibration.plots.features import draw_features
@@ -78,12 +77,14 @@ class Features(Answer, Found):
         drawn, rows = self.drawn, []
         for asked, row in zip(self.quantities, self.table.to_dict("records"), strict=True):
             told, interval = NOT_DETERMINED, ""
+            length = asked.unit == "m"
+            nominal = f"{fixed(1e3 * asked.nominal, 4)} mm" if length else f"{fixed(math.degrees(asked.nominal), 4)}°"
             if row["determined"]:
                 told = "0 (datum)" if row["u"] < _NOTHING else quantity(row["deviation"], asked.unit, row["u"])
                 if drawn is not None and row["u"] >= _NOTHING:
                     ends = (fixed(1e6 * end, decimals(2e6 * row["u"])) for end in (row["low"], row["high"]))
                     interval = f"{' to '.join(ends)} µ{asked.unit}"
-            rows.append((", ".join(asked.of), asked.what, _nominal(asked), told, interval))
+            rows.append((", ".join(asked.of), asked.what, nominal, told, interval))
         draws = f"{100 * COVERAGE:.4g} % of {drawn.draws} draws, touches {drawn.distribution}" if drawn else ""
         heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
         title = "Features of the workpiece, ± U (k = 2)"
@@ -122,10 +123,6 @@ class Features(Answer, Found):
     @property
     def _names(self) -> list[str]:
         return [asked.name for asked in self.quantities]
-
-
-def _nominal(asked: Quantity) -> str:
-    return f"{fixed(1e3 * asked.nominal, 4)} mm" if asked.unit == "m" else f"{fixed(math.degrees(asked.nominal), 4)}°"
 
 
 def _kind(one: Element) -> str:

@@ -15,6 +15,7 @@ from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import micrometres, p_value, plus_minus, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
@@ -87,14 +88,10 @@ class MapComparison(Answer, Compared):
             "compared": self.count,
             "beyond_1": self.beyond,
             "motion": [asdict(m) for m in self.motion],
-            "points": self.points,
-            "first": self.first,
+            **picked(self, "points", "first", "second", "difference", "normalised"),
             "first_u": self.u_first,
-            "second": self.second,
             "second_u": self.u_second,
-            "difference": self.difference,
             "difference_u": self.u,
-            "normalised": self.normalised,
             "provenance": [one.document() for one in self.origins],
         }
 

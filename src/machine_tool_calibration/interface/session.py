@@ -208,7 +208,6 @@ def simulate(
 
 
 def _flaws(effects: str | Sequence[str] | Mapping[str, float | Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Effects as the simulation's mappings."""
     if isinstance(effects, str):
         effects = (effects,)
     if not isinstance(effects, Mapping):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.trend import draw_trend
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict, trend_table, trend_words
 from machine_tool_calibration.trends.check import LEVEL
@@ -92,11 +93,10 @@ class Trend(Answer, Followed):
 
 
 def _course(one: Course) -> dict[str, Any]:
-    told: dict[str, Any] = {"name": one.name, "unit": one.unit, "kind": one.kind, "alarm": one.alarm}
-    told |= {"suspected": one.suspected, "limit": one.limit, "against_limit": one.against_limit}
+    told = picked(one, "name", "unit", "kind", "alarm", "suspected", "limit", "against_limit", "dates", "value")
     if one.explanation is not None:
-        told |= {key: getattr(one.explanation, key) for key in ("jump", "drift", "change", "u", "spread")}
+        told |= picked(one.explanation, "jump", "drift", "change", "u", "spread")
         told |= {"began": list(one.began), "instrument": one.explanation.shift}
         told |= {"instrument_step": one.explanation.step, "instrument_step_u": one.explanation.u_step}
     instruments = [one.ways[way] for way in one.way]
-    return told | {"dates": one.dates, "value": one.value, "value_u": one.u, "instruments": instruments}
+    return told | {"value_u": one.u, "instruments": instruments}

@@ -31,11 +31,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def draw_stations(content: Mapping[str, Any]) -> Figure:
-    """Plan of targets and stations with the lines of sight; for a volume also the side view.
-
-    Args:
-        content: the error map of a result, in its document or with arrays.
-    """
+    """Plan of targets and stations with the lines of sight; for a volume also the side view."""
     points, stations = numbers(content["points"]) * 1e3, numbers(content["stations"]) * 1e3
     uncertainty = numbers(content["stations_u"]) * 1e6
     flat = np.array(content["position_error"]).shape[1] == 2

@@ -63,7 +63,6 @@ def in_words(comparison: Comparison | JointComparison) -> str:
 
 
 def _where(parts: pd.DataFrame, part: str, overall: Overall) -> str:
-    """Which of the setups or sessions it fits worst."""
     judged = parts[parts["reduced_chi_square"].notna()]
     if len(judged) < 2:
         return say(f"compared.one_{part}")
@@ -161,11 +160,6 @@ def mark_not_determined(
 ) -> tuple[tuple[tuple[str, ...], ...], str]:
     """Empty those columns of uncertain values that hold no number at all, and say what dashes mean.
 
-    Args:
-        columns: heads of the table.
-        rows: of the table.
-        uncertain: columns that hold values with an uncertainty.
-
     Returns:
         The rows, and a note.
     """
@@ -258,18 +252,19 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
             yield _table(say("compared.by", name=name), parts, (name, *_FIGURES, "worst_row"), most=_MOST_LABELS)
     if len(comparison.regions):
         ranked = comparison.regions.sort_values("reduced_chi_square", ascending=False, kind="stable")
-        worst = ranked.groupby("axis", sort=False).head(_MOST_REGIONS).sort_values("axis", kind="stable", key=_as_axes)
+        worst = (
+            ranked.groupby("axis", sort=False)
+            .head(_MOST_REGIONS)
+            .sort_values("axis", kind="stable", key=lambda names: names.map([*_UNITS].index))
+        )
         yield _table(say("compared.regions"), worst, ("axis", "place_on_axis", *_FIGURES[:3], "mean_um"))
     if len(comparison.approaches):
         keys = ("axis", "after", *[*_UNCERTAIN][2:], "p_value")
         yield _table(say("compared.approach"), comparison.approaches, keys, say("compared.apart"))
     if len(comparison.trends):
         yield _trends(comparison)
-    yield _worst(comparison)
-
-
-def _as_axes(names: pd.Series[Any]) -> pd.Series[Any]:
-    return names.map([*_UNITS].index)
+    keys = ("row", "setup", "repeat", *comparison.texts, "residual_um", "times_expected")
+    yield _table(say("compared.readings"), comparison.worst[:_MOST_LABELS], keys, say("compared.expected"))
 
 
 def _overall(comparison: Comparison | JointComparison) -> TextTable:
@@ -294,7 +289,6 @@ def _overall(comparison: Comparison | JointComparison) -> TextTable:
 
 
 def _trends(comparison: Comparison) -> TextTable:
-    """Straight lines over time, temperature and every other covariate, the clearest first."""
     groups = _correlated_groups(comparison)
     clear = [group for group in groups if (group[0]["p_value"] or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
@@ -335,11 +329,6 @@ def _note(comparison: Comparison, shown: list[list[_Row]]) -> str:
         notes.append(say("compared.hidden", names=", ".join(hidden)))
     notes.append(say("compared.tried", n=len(trends), p=f"{1 / (len(trends) + 1):.1g}"))
     return together(notes, "; ")
-
-
-def _worst(comparison: Comparison) -> TextTable:
-    keys = ("row", "setup", "repeat", *comparison.texts, "residual_um", "times_expected")
-    return _table(say("compared.readings"), comparison.worst[:_MOST_LABELS], keys, say("compared.expected"))
 
 
 def comparison_parts(comparison: Comparison | JointComparison) -> Iterator[Part]:

@@ -61,12 +61,7 @@ def _both(found: float, declared: float) -> Said:
 
 
 def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
-    """A sentence for every coefficient that is positive by its nature and negative in the readings.
-
-    Args:
-        fit: with the effects in the model.
-        effects: their ids.
-    """
+    """A sentence for every coefficient that is positive by its nature and negative in the readings."""
     unknowns = fit.assembly.unknowns
     for found in effect_estimates(fit, list(effects)):
         unknown = unknowns[found.name]

@@ -175,13 +175,11 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _rms(vectors: np.ndarray) -> float:
-    """Root mean square length of the vectors of which anything is known."""
     known = vectors[np.isfinite(vectors).any(axis=1)]
     return float(np.sqrt(np.mean(np.nansum(known**2, axis=1))))
 
 
 def _largest(vectors: np.ndarray) -> float:
-    """Greatest length of a vector."""
     return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1))))
 
 
@@ -197,7 +195,9 @@ def result_parts(
     fit = result.joint
     yield from map(session_headline, opened)
     if document["effects"]:
-        yield say("result.model_with", model=_variants(document), effects=", ".join(document["effects"]))
+        each = [f"{entry['model']} ({entry['label']})" for entry in document.get("sessions", ())]
+        model = ", ".join(each) or document["model"]
+        yield say("result.model_with", model=model, effects=", ".join(document["effects"]))
     fitting = goodness_of_fit(document)
     doubt = fits(document["p_value"]) in ("bad", "nearly")
     yield say("result.ask_diagnosis", text=fitting) if doubt else fitting
@@ -236,12 +236,7 @@ def datum_words(document: Mapping[str, Any]) -> str:
 
 
 def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -> TextTable:
-    """What was set aside: when, where, and how far off, row by row; without rows where nothing was.
-
-    Args:
-        document: of the result.
-        opened: the sessions that were identified, with all their readings.
-    """
+    """What was set aside: when, where, and how far off, row by row; without rows where nothing was."""
     labels = [entry["label"] for entry in document.get("sessions", [{"label": None}])]
     by_label = dict(zip(labels, opened, strict=True))
     rows = []
@@ -252,8 +247,8 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
         if not np.isfinite(readings.displacement[at]):
             continue
         time = readings.columns.get("time")
-        places = [f"{axis.upper()} {_place(axis, readings.columns[axis][at])}" for axis in "xyzabc"
-                  if axis in readings.columns]  # fmt: skip
+        at_axes = {axis: readings.columns[axis][at] for axis in "xyzabc" if axis in readings.columns}
+        places = [f"{axis.upper()} {np.degrees(v) if axis in 'abc' else 1e3 * v:.6g}" for axis, v in at_axes.items()]
         labels = [together((named("column", name), Verbatim(values[at]))) for name, values in readings.labels.items()]
         rows.append(
             (
@@ -268,17 +263,6 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
         )
     columns = heads("session", "row", "time_s", "setup", "repeat", "position", "deviation")
     return TextTable(say("result.set_aside"), columns, tuple(rows[:_MOST_ROWS]), say("result.note_aside"))
-
-
-def _place(axis: str, value: float) -> str:
-    return f"{np.degrees(value) if axis in 'abc' else 1e3 * value:.6g}"
-
-
-def _variants(document: Mapping[str, Any]) -> str:
-    """The method's variant, of several sessions each with its label."""
-    if "sessions" not in document:
-        return str(document["model"])
-    return ", ".join(f"{entry['model']} ({entry['label']})" for entry in document["sessions"])
 
 
 def session_headline(session: Session) -> str:

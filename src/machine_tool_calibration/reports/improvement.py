@@ -19,7 +19,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
+from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words, table
 from machine_tool_calibration.words import say
 
 __all__ = [
@@ -112,25 +112,21 @@ def _what_grows(done: Improvement) -> str:
 
 def steps_table(done: Improvement) -> TextTable:
     """The models on the way, one a row."""
-    rows = []
     chance = {f.name: f.probability for f in done.diagnosis.ranked}
-    for step in done.steps:
-        own = [p for p in step.parameters if p.owner == step.change]
-        rows.append(
-            (
-                step.label,
-                sizes_in_words(own) if own else "",
-                probability(chance[step.change]) if step.change in chance else "",
-                micrometres(step.result.rms_residual),
-                rounded(step.reduced_chi_square),
-                micrometres(step.map_change),
-                *of_map(step.map_rms, step.map_uncertainty),
-                micrometres(step.residual_volumetric_error(done.steps[-1])),
-            )
-        )
-    before, after = ("model", "size_pm", "probability", "residual"), ("map_moves", "map", "U_map", "volumetric")
-    columns = (*heads(*before), "chi²/ν", *heads(*after))
-    return TextTable(say("improved.steps"), columns, tuple(rows), say("improved.note"))
+    return table(
+        say("improved.steps"),
+        done.steps,
+        say("improved.note"),
+        model=lambda step: step.label,
+        size_pm=lambda step: sizes_in_words([p for p in step.parameters if p.owner == step.change], ""),
+        probability=lambda step: probability(chance[step.change]) if step.change in chance else "",
+        residual=lambda step: micrometres(step.result.rms_residual),
+        chi=lambda step: rounded(step.reduced_chi_square),
+        map_moves=lambda step: micrometres(step.map_change),
+        map=lambda step: of_map(step.map_rms, step.map_uncertainty)[0],
+        U_map=lambda step: of_map(step.map_rms, step.map_uncertainty)[1],
+        volumetric=lambda step: micrometres(step.residual_volumetric_error(done.steps[-1])),
+    )
 
 
 _FIGURES: dict[str, Callable[[Entry], str]] = {
@@ -149,24 +145,21 @@ _FIGURES: dict[str, Callable[[Entry], str]] = {
 
 def tried_models(models: Sequence[Entry], current: int | None) -> TextTable:
     """Models of a history, one a row, with a mark at the one in use; a model stands twice where one went back to it."""
-    rows = tuple(
-        (
-            f"{'→' if entry.number == current else ' '} {entry.number}",
-            "" if entry.parent is None else str(entry.parent),
-            entry.made.replace("T", " ")[:16],
-            entry.model,
-            ", ".join(entry.effects) or "–",
-            entry.change or say("step.first"),
-            str(entry.used),
-            micrometres(entry.rms_residual),
-            rounded(entry.reduced_chi_square),
-            micrometres(entry.map_change_rms),
-        )
-        for entry in models
+    return table(
+        say("history.tried"),
+        models,
+        say("history.note"),
+        model=lambda entry: f"{'→' if entry.number == current else ' '} {entry.number}",
+        **{"from": lambda entry: "" if entry.parent is None else str(entry.parent)},
+        made=lambda entry: entry.made.replace("T", " ")[:16],
+        variant=lambda entry: entry.model,
+        effects=lambda entry: ", ".join(entry.effects) or "–",
+        change=lambda entry: entry.change or say("step.first"),
+        readings=lambda entry: str(entry.used),
+        residual=lambda entry: micrometres(entry.rms_residual),
+        chi=lambda entry: rounded(entry.reduced_chi_square),
+        map_moves=lambda entry: micrometres(entry.map_change_rms),
     )
-    begin = ("model", "from", "made", "variant", "effects", "change", "readings", "residual")
-    columns = (*heads(*begin), "chi²/ν", *heads("map_moves"))
-    return TextTable(say("history.tried"), columns, rows, say("history.note"))
 
 
 def compared_models(one: Entry, other: Entry) -> TextTable:

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.budget.enough import Reached
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
-from machine_tool_calibration.planning.best_plan import BestPlan, PlanQuality
+from machine_tool_calibration.planning.best_plan import BestPlan
 from machine_tool_calibration.planning.dominant import Dominant
 from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.outlook import Outlook
@@ -24,7 +24,7 @@ from machine_tool_calibration.reports.quantities import (
     probability,
     quantity,
 )
-from machine_tool_calibration.reports.tables import Part, TextTable, heads
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.words import named, say
 
 __all__ = ["best_plan_parts", "dominant_words", "forecast_parts", "outlook_table", "reached_parts"]
@@ -105,11 +105,19 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
     yield say("best_plan.searched", plans=found.tried, setups=setups, targets=targets)
     if found.stopped:
         yield say("best_plan.stopped")
-    columns = heads("plan", "setups", "targets", "repeats", "time", "U_largest", "typical")
-    rows = tuple(_plan_row(say(f"best_plan.{name}"), found, getattr(found, name)) for name in ("present", "best"))
     of = say("best_plan.of_effects", names=", ".join(found.effects)) if found.effects else say("best_plan.of_map")
-    note = "" if found.effects else say("best_plan.complete" if found.complete else "best_plan.readings_only")
-    yield TextTable(say("best_plan.title", of=of), columns, rows, note)
+    yield table(
+        say("best_plan.title", of=of),
+        {"present": found.present, "best": found.best}.items(),
+        "" if found.effects else say("best_plan.complete" if found.complete else "best_plan.readings_only"),
+        plan=lambda one: say(f"best_plan.{one[0]}"),
+        setups=lambda one: ", ".join(one[1].setups),
+        targets=lambda one: ", ".join(one[1].targets),
+        repeats=lambda one: str(one[1].repeats),
+        time=lambda one: duration(one[1].seconds),
+        U_largest=lambda one: _plan_u(found, one[1].largest),
+        typical=lambda one: _plan_u(found, one[1].typical),
+    )
     before, after = found.present.largest, found.best.largest
     change = say("best_plan.smaller", percent=f"{100.0 * (1.0 - after / before):.0f}") if np.isfinite(before) else ""
     if found.bound > 0.0:
@@ -121,18 +129,6 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
             change = f"{change}; {say('best_plan.bound_percent', least=least, percent=percent)}"
     if change:
         yield change
-
-
-def _plan_row(name: str, found: BestPlan, one: PlanQuality) -> tuple[str, ...]:
-    return (
-        name,
-        ", ".join(one.setups),
-        ", ".join(one.targets),
-        str(one.repeats),
-        duration(one.seconds),
-        _plan_u(found, one.largest),
-        _plan_u(found, one.typical),
-    )
 
 
 def _plan_u(found: BestPlan, u: float) -> str:
@@ -165,19 +161,17 @@ def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
 
 def outlook_table(every: Sequence[Outlook]) -> TextTable:
     """One row for what is known now and one for each further measurement."""
-    rows = tuple(
-        (
-            one.words or say("outlook.known"),
-            "" if not one.words else str(len(one.session.readings)),
-            "" if not one.words else duration(one.seconds),
-            one.aside,
-            _expanded(one.typical),
-            _expanded(_largest(one)),
-        )
-        for one in every
+    return table(
+        say("outlook.title"),
+        every,
+        say("outlook.note"),
+        measure=lambda one: one.words or say("outlook.known"),
+        readings=lambda one: str(len(one.session.readings)) if one.words else "",
+        time=lambda one: duration(one.seconds) if one.words else "",
+        besides=lambda one: one.aside,
+        U_map_rms=lambda one: _expanded(one.typical),
+        at_most_coordinate=lambda one: _expanded(_largest(one)),
     )
-    columns = heads("measure", "readings", "time", "besides", "U_map_rms", "at_most_coordinate")
-    return TextTable(say("outlook.title"), columns, rows, say("outlook.note"))
 
 
 def _largest(one: Outlook) -> float:

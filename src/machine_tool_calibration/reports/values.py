@@ -46,13 +46,7 @@ _DIAGONAL = (
 
 
 def standard_tables(content: Mapping[str, Any], name: str, most: int | None = None) -> Iterator[Part]:
-    """Tables and sentences of one of `STANDARDS`, in the order in which they are read; none where it has no figures.
-
-    Args:
-        content: of an error map.
-        name: of the entry.
-        most: rows of a table of positions; None for all.
-    """
+    """Tables and sentences of one of `STANDARDS`, in the order in which they are read; none where it has no figures."""
     found = content.get(name)
     if not found:
         return
@@ -153,10 +147,6 @@ def value_tables(result: Result | JointResult, most: int | None = None) -> Itera
     """Error motions, an axis a table; the map where the model has none or it depends on the approach; a part's points.
 
     Every value with its expanded uncertainty U (k = 2), which says how many digits it has.
-
-    Args:
-        result: of an identification.
-        most: rows of a table; None for all.
     """
     motions = error_motions(result)
     known = motions[motions["determined"].astype(bool) & motions["position"].notna()]
@@ -183,7 +173,6 @@ def _titled(title: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]
 
 
 def _over_axis(axis: str, table: pd.DataFrame, most: int | None) -> TextTable:
-    """All error motions of an axis, one position a row."""
     turned = table["position_unit"].iloc[0] == "rad"
     names = list(dict.fromkeys(table["motion"]))
     by_place: dict[float, dict[str, str]] = {}

@@ -41,15 +41,6 @@ def reported(
 ) -> list[Path]:
     """Write the report of a model.
 
-    Args:
-        subject: the measurement.
-        model: the model.
-        history: the models on the way to it, and itself.
-        language: of the report.
-        files: each by its ending an HTML page or a PDF.
-        diagnosis: whether to look for what the model lacks.
-        progress: told what is being done.
-
     Returns:
         The files.
     """

@@ -71,9 +71,6 @@ class Thinned:
 
     Attributes:
         step: how many stand for one that is drawn.
-
-    Args:
-        most: that are drawn.
     """
 
     def __init__(self, most: int) -> None:
@@ -217,7 +214,6 @@ class LivePage:
         return said + tables([TextTable(f"The map, {found.whose}", ("", ""), (*found.rows, *drawn))])
 
     def _setup_table(self) -> str:
-        """Readings, the last one and the residual of each setup."""
         if not self._counts:
             return ""
         found, rows = self._feed.map, []
@@ -357,7 +353,6 @@ def _displacement(value: float) -> str:
 
 
 def _where(feed: Feed, states: Sequence[NodeState]) -> str:
-    """What is listened to."""
     if feed.trouble:
         return f'<p class="error" role="alert">{escape(feed.trouble)}</p>'
     domain = os.environ.get("ROS_DOMAIN_ID", "0") if feed.domain is None else feed.domain
