@@ -42,7 +42,7 @@ def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
     assert all(row[0] > 0 and row[1:] == [None, None] for row in rows)
     (line,) = [line for line in verb("plan", "direct_iso230_2").out.splitlines() if line.startswith("position error")]
     typical = 2e6 * np.sqrt(np.mean([row[0] ** 2 for row in rows]))
-    assert line.split()[2] == f"{typical:.3g}"
+    assert line.split()[2] == f"{typical:.2g}"
     assert line.rstrip().endswith(f"{2 * len(rows)} of {3 * len(rows)}")
 
 

@@ -79,7 +79,6 @@ def command(
     size: float | None,
     amplitude: float | None,
     machine: Path | None,
-    seed: int | None,
     spread: float | None,
     chips: float | None,
     overwrite: bool,
@@ -105,8 +104,6 @@ def command(
             raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
         chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
     fields: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
-    if seed is not None:
-        fields["seed"] = seed
     if spread is not None:
         fields["spread"] = {"slope": spread, "bow": spread}
     if chips is not None:

@@ -20,7 +20,7 @@ from machine_tool_calibration.reports.budget import (
     conformity_document,
     conformity_parts,
 )
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.reports.tables import Part
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Budget(Answer, Propagated):
         most = max(first["contributions"], key=lambda part: part["share"])
         return (
             f"uncertainty budget of {count}: {first['name']}, U = "
-            f"{quantity(first['expanded_uncertainty'], first['unit'])} at most, {100 * most['share']:.0f} % of it "
+            f"{expanded_text(first['expanded_uncertainty'], first['unit'])} at most, {100 * most['share']:.0f} % of it "
             f"from {most['name']}"
         )
 

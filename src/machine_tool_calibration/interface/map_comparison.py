@@ -16,7 +16,7 @@ from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.reports.documents import picked
-from machine_tool_calibration.reports.quantities import micrometres, p_value, plus_minus, quantity
+from machine_tool_calibration.reports.quantities import p_value, plus_minus, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
@@ -136,8 +136,8 @@ def _differences(comparison: Compared) -> TextTable:
         for j in axes:
             if told[k, j]:
                 row += [
-                    micrometres(float(comparison.first[k, j]), signed=True),
-                    micrometres(float(comparison.second[k, j]), signed=True),
+                    _own(comparison.first[k, j], comparison.u_first[k, j]),
+                    _own(comparison.second[k, j], comparison.u_second[k, j]),
                     plus_minus(float(comparison.difference[k, j]), float(comparison.u[k, j]), 1e6),
                     f"{comparison.normalised[k, j]:+.2f}",
                 ]
@@ -145,3 +145,8 @@ def _differences(comparison: Compared) -> TextTable:
                 row += [""] * 4
         rows.append(tuple(row))
     return TextTable("Position errors by both maps", tuple(heads), tuple(rows), note)
+
+
+def _own(value: float, u: float) -> str:
+    """An error by one of the maps, in micrometres, with as many digits as its own U allows."""
+    return plus_minus(float(value), float(u), 1e6).partition(" ± ")[0]

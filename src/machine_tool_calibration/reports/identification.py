@@ -15,6 +15,7 @@ from machine_tool_calibration.reports.goodness import fit_words, fits, negative_
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
+    expanded_text,
     micrometres,
     not_ruled_out,
     quantity,
@@ -100,7 +101,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             text = _lost(_rms_and_most(as_exact(size, "m", u) for size, u in sizes), error)
         rows.append((say("result.position_error"), text))
         if known:
-            text = _rms_and_most(as_exact(u, "m", u) for u in expanded if u is not None)
+            text = _rms_and_most(expanded_text(u) for u in expanded if u is not None)
             if document.get("uncertainty") != "budget":
                 text = say("result.without", text=text)
             rows.append((say("result.uncertainty"), say("result.if_right", text=text) if _doubtful(document) else text))

@@ -17,9 +17,8 @@ from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import group_by_reason
 from machine_tool_calibration.reports.quantities import (
-    NOT_DETERMINED,
-    as_exact,
     duration,
+    expanded_text,
     micrometres,
     probability,
     quantity,
@@ -96,7 +95,7 @@ def _uncertainty_row(name: str, values: Any) -> tuple[str, str, str, str] | None
         return name, "–", "–", lost
     unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
     typical, most = 2 * float(np.sqrt(np.mean(found[good] ** 2))), 2 * float(found[good].max())
-    return name.replace("_", " "), quantity(typical, unit), quantity(most, unit), lost
+    return name.replace("_", " "), expanded_text(typical, unit), expanded_text(most, unit), lost
 
 
 def best_plan_parts(found: BestPlan) -> Iterator[Part]:
@@ -132,9 +131,9 @@ def best_plan_parts(found: BestPlan) -> Iterator[Part]:
 
 
 def _plan_u(found: BestPlan, u: float) -> str:
-    if not np.isfinite(u):
-        return NOT_DETERMINED
-    return f"{200.0 * u:.3g} %" if found.effects else quantity(2.0 * u, "m")
+    if found.effects and np.isfinite(u):
+        return f"{200.0 * u:.2g} %"
+    return expanded_text(2.0 * u)
 
 
 def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
@@ -145,7 +144,7 @@ def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
             one.setup,
             str(one.readings),
             duration(one.seconds),
-            *([] if effects else [quantity(one.u, "m") if np.isfinite(one.u) else NOT_DETERMINED]),
+            *([] if effects else [expanded_text(one.u)]),
             *(probability(one.probabilities.get(name)) for name in effects),
         )
         for one in stages
@@ -169,15 +168,11 @@ def outlook_table(every: Sequence[Outlook]) -> TextTable:
         readings=lambda one: str(len(one.session.readings)) if one.words else "",
         time=lambda one: duration(one.seconds) if one.words else "",
         besides=lambda one: one.aside,
-        U_map_rms=lambda one: _expanded(one.typical),
-        at_most_coordinate=lambda one: _expanded(_largest(one)),
+        U_map_rms=lambda one: expanded_text(2.0 * one.typical),
+        at_most_coordinate=lambda one: expanded_text(2.0 * _largest(one)),
     )
 
 
 def _largest(one: Outlook) -> float:
     known = one.uncertainty[np.isfinite(one.uncertainty)]
     return float(known.max()) if len(known) else float("nan")
-
-
-def _expanded(u: float) -> str:
-    return as_exact(2.0 * u, "m", 2.0 * u) if np.isfinite(u) else NOT_DETERMINED

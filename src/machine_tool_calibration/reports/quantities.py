@@ -23,6 +23,7 @@ __all__ = [
     "decimals",
     "declared_words",
     "duration",
+    "expanded_text",
     "fixed",
     "micrometres",
     "millimetres",
@@ -98,6 +99,11 @@ def as_exact(value: float, unit: str, expanded: float | None) -> str:
     places = 10 if not expanded else decimals(expanded * factor)
     after = f" {shown}" if shown else ""
     return f"{rounded(value * factor)}{after}" if places > 9 else f"{fixed(value * factor, places)}{after}"
+
+
+def expanded_text(expanded: float, unit: str = "m") -> str:
+    """An expanded uncertainty with its unit, of which two figures are shown; a dash where it is not determined."""
+    return as_exact(expanded, unit, expanded) if math.isfinite(expanded) else NOT_DETERMINED
 
 
 def _scale(unit: str, size: float) -> tuple[float, str]:

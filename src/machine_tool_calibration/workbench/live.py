@@ -19,7 +19,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.quantities import micrometres, millimetres, quantity
+from machine_tool_calibration.reports.quantities import expanded_text, micrometres, millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import (
@@ -289,7 +289,7 @@ class LivePage:
         self._fall.data = {
             "number": [count for count, _, _ in fall],
             "value": [1e6 * u for _, _, u in fall],
-            "shown": [quantity(u, "m") for _, _, u in fall],
+            "shown": [expanded_text(u) for _, _, u in fall],
             "determined": [str(determined) for _, determined, _ in fall],
         }
         self._uncertainty.visible = len(fall) > 1
