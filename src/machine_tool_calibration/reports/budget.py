@@ -14,7 +14,6 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARE
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
-from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.words import named, say, together
 
 __all__ = [
@@ -110,16 +109,14 @@ def _contributors(budget: Budget) -> TextTable:
         contributor=lambda one: line_name(one[0]),
         type=lambda one: one[1].type,
         distribution=lambda one: named("distribution", one[1].distribution),
-        u=lambda one: _declared(one[1]),
+        u=lambda one: (
+            quantity(one[1].u, one[1].unit) if one[1].unit != "1" or one[1].enters == "length" else rounded(one[1].u)
+        ),
         nu=lambda one: "" if one[1].degrees_of_freedom is None else f"{one[1].degrees_of_freedom:g}",
         enters_by=lambda one: say(f"enters.{one[1].enters}"),
         varies_with=lambda one: say(f"varies.{one[1].varies}"),
         in_a_reading=lambda one: micrometres(one[0].reading) if one[0].reading >= _LEAST_READING else "< 0.001",
     )
-
-
-def _declared(c: Contributor) -> str:
-    return quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u)
 
 
 def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:

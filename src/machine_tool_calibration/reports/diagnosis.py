@@ -63,11 +63,6 @@ def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]
     )
 
 
-def _in_map_table(diagnosis: Diagnosis) -> TextTable:
-    """Errors of the machine that are part of the map already: whatever their size, nothing needs to be added."""
-    return TextTable(say("found.in_map"), heads("errors", "part_of"), _rows(diagnosis, True))
-
-
 def _hidden_table(diagnosis: Diagnosis) -> TextTable:
     """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
     rows = _rows(diagnosis, False)
@@ -156,7 +151,8 @@ def diagnosis_report(
         _confounded(diagnosis, advice),
         _next(advice),
         _hidden_table(diagnosis),
-        _in_map_table(diagnosis),
+        # Errors of the machine that are part of the map already: whatever their size, nothing needs to be added.
+        TextTable(say("found.in_map"), heads("errors", "part_of"), _rows(diagnosis, True)),
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]

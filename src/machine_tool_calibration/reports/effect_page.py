@@ -39,15 +39,13 @@ def coefficients_in_words(effect: Effect) -> list[str]:
     for s in effect.shapes:
         chosen = say("catalogue.chosen", low=f"{s.low:g}", high=f"{s.high:g}")
         ranges.append((s, chosen if s.discrete else say("catalogue.fitted", span=range_of(s.low, s.high, s.unit))))
-    out: list[str] = [say("catalogue.coefficient", what=_what(one), span=span) for one, span in ranges]
+    out: list[str] = []
+    for one, span in ranges:
+        what = say("catalogue.named", name=one.name, meaning=one.meaning) if one.meaning else one.name
+        out.append(say("catalogue.coefficient", what=what, span=span))
     if effect.coefficients:
         return out
     return [say("catalogue.a_set" if effect.setup_level else "catalogue.as_needed"), *out]
-
-
-def _what(coefficient: Coefficient | Shape) -> str:
-    meaning = coefficient.meaning
-    return say("catalogue.named", name=coefficient.name, meaning=meaning) if meaning else coefficient.name
 
 
 def effect_document(effect: Effect) -> dict[str, Any]:

@@ -93,7 +93,10 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     known = bool(np.isfinite(uncertainty).any())
     if error.size:
-        rows.append((say("result.points"), _points(error_map.get("points"), len(error))))
+        count = len(error)
+        places = len({tuple(point) for point in error_map.get("points") or ()}) or count
+        told = str(count) if places == count else say("result.points_at", n=count, places=places)
+        rows.append((say("result.points"), told))
         text = say("text.not_determined")
         expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
@@ -129,12 +132,6 @@ def _lost(text: Said, error: np.ndarray) -> Said:
     if lost:
         text = say("result.lost_along", text=text, names=", ".join(lost))
     return say("result.lost_at", text=text, n=partly, count=len(error)) if partly else text
-
-
-def _points(points: Any, count: int) -> str:
-    """How many, and why one place may be there more than once."""
-    places = len({tuple(point) for point in points}) if points else count
-    return str(count) if places == count else say("result.points_at", n=count, places=places)
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
