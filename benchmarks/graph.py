@@ -19,7 +19,7 @@ from pathlib import Path
 import yaml
 
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.graph import Graph
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.shared import procedure_file
 
@@ -50,8 +50,8 @@ def main() -> None:
             "procedure": {"use_sim_time": True, "procedure": str(folder / "procedure.yaml")},
             "estimator": {"use_sim_time": True},
         }
-        programs = [Program(name, special.get(name, world), grace=30.0) for name in names]
-        with Graph(programs, folder / "log", domain) as graph, Client(domain, watch=graph.check) as operator:
+        nodes = {name: special.get(name, world) for name in names}
+        with Graph(nodes, folder / "log", domain) as graph, Client(domain, watch=graph.check) as operator:
             status = lambda: operator.procedure.entries  # noqa: E731
             assert operator.wait(lambda: status().get("state") == "idle" and not status()["waiting_for"], 60.0)
             operator.wait(lambda: False, 1.0)

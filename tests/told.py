@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.words import Said
 
-__all__ = ["Told", "Verb"]
+__all__ = ["Told", "Verb", "keys"]
 
 
 @dataclass(frozen=True)
@@ -51,3 +52,12 @@ class Verb:
         told = self(*words, status=1)
         assert told.out == "" and told.err.count("\n") == 1 and "fault of mtcal" not in told.err, told
         return told.err
+
+
+def keys(text: object) -> list[str]:
+    """Keys of the texts that a text is made from, in their order: what it says, whatever its words."""
+    if not isinstance(text, Said):
+        return []
+    within = text.values if isinstance(text.values, tuple) else (*text.values.values(),)
+    own = [] if isinstance(text.values, tuple) else [text.key]
+    return own + [key for part in within for key in keys(part)]

@@ -111,24 +111,3 @@ def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, verb: V
     figures = {f["name"]: f for f in document["figures"]}
     assert figures["EXX"]["tolerance"] == pytest.approx(1e-6)
     assert (figures["EXX"]["decision"], figures["M_X"]["decision"]) == ("fail", "pass")
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "message"),
-    [
-        (["budget"], 2, "Missing argument 'SESSION'"),
-        (["budget", TRACKING, "--template", "touch_probe"], 2, "--template is without SESSION"),
-        (["budget", "--template", "ruler"], 1, "no budget for the instrument 'ruler'"),
-        (["budget", TRACKING, "--quantity", "EXX"], 1, "'EXX' is not published of this measurement"),
-        (["budget", TRACKING, "--budget", "none.yaml"], 1, "none.yaml: no such file"),
-        (["budget", TRACKING, "--draws", "5"], 2, "5 is not in the range 100<=x<="),
-        (["conformity", TRACKING], 2, "Missing --tolerance"),
-        (["conformity", TRACKING, "--tolerance", "EXX=10"], 1, "tolerance of EXX: '10' has no unit"),
-        (["conformity", TRACKING, "--tolerance", "large=1um"], 1, "'large' is no figure with a tolerance"),
-        (["conformity", TRACKING, "--tolerance", "EXX=1um", "--rule", "strict"], 2, "'strict' is not one of"),
-    ],
-)
-def test_what_is_wrong_is_said(words: list[str], status: int, message: str, verb: Verb) -> None:
-    err = verb(*words, status=status).err
-    assert message in err
-    assert "Traceback" not in err

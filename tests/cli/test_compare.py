@@ -55,15 +55,3 @@ def test_an_effect_of_the_users_own_is_in_the_model(tmp_path: Path, verb: Verb) 
     file = tmp_path / "own.yaml"
     file.write_text(OWN)
     assert "In the model: creep." in verb("compare", SESSION, "--effects-file", file, "--effect", "creep").out
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--against", "nonsense"], "there is no covariate 'nonsense'"),
-        (["--effect", "nonsense"], "unknown effect 'nonsense'"),
-        (["--model", "nonsense"], "no model 'nonsense'"),
-    ],
-)
-def test_a_wrong_request_is_one_line(words: list[str], message: str, verb: Verb) -> None:
-    assert message in verb.refused("compare", SESSION, *words)

@@ -56,16 +56,3 @@ def test_an_effect_of_ones_own_is_looked_for(original: Path, tmp_path: Path, ver
     )
     document = verb("diagnose", original, "--effects-file", own, "--json").document
     assert "my_lag" in {c["effect"] for c in document["candidates"]}
-
-
-@pytest.mark.parametrize(
-    ("words", "part"),
-    [
-        (["no/such/session"], "no such file"),
-        (["SESSION", "--effect", "backlash_q"], "unknown effect 'backlash_q'"),
-        (["SESSION", "--model", "magic"], "no model 'magic'"),
-        (["SESSION", "--effects-file", "no/such.yaml"], "no/such.yaml"),
-    ],
-)
-def test_a_wrong_request_is_one_line(original: Path, words: list[str], part: str, verb: Verb) -> None:
-    assert part in verb.refused("diagnose", *(original if word == "SESSION" else word for word in words))

@@ -117,38 +117,7 @@ def test_a_line_through_centres_by_their_pattern(verb: Verb) -> None:
     assert across == {"name": "across", "kind": "line", "points": 16}
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "message"),
-    [
-        ("--distance", "sphere1", "'sphere1' is not 2 names with commas between them"),
-        ("--angle", "a,,b", "'a,,b' is not 2 or 3 names with commas between them"),
-        ("--through", "sphere*", "'sphere*' is not NAME=A,B,…"),
-    ],
-)
-def test_names_that_are_none(verb: Verb, option: str, value: str, message: str) -> None:
-    assert message in verb("features", CROSS, option, value, status=2).err
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["features", "probing_cross"],
-        ["compare-maps", "tracking_2d", "tracking_2d"],
-        ["budget", "tracking_2d"],
-    ],
-)
-def test_a_picture_of_no_known_format_is_refused_at_once(verb: Verb, words: list[str], tmp_path: Path) -> None:
-    name, *sessions = words
-    picture = tmp_path / "picture.foo"
-    said = verb(name, *(ROOT / "tests" / "data" / session for session in sessions), "--plot", picture, status=2)
-    assert not said.out
-    assert "picture.foo: no picture can be written as .foo; as " in said.err
-    assert not list(tmp_path.iterdir())
-
-
-def test_other_methods_and_several_sessions_have_no_features(tmp_path: Path, verb: Verb) -> None:
-    said = verb.refused("features", ROOT / "tests" / "data" / "tracking_2d")
-    assert "this session is of the method tracking_interferometer" in said
+def test_several_sessions_have_no_features(tmp_path: Path) -> None:
     with pytest.raises(mtcal.CalibrationError, match="of one probing session; this fit is of several"):
         mtcal.identify([CROSS, measured_again(CROSS, tmp_path / "again")]).features()
 

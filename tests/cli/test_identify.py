@@ -141,23 +141,6 @@ def test_pictures_in_the_present_folder(verb, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "iso230_6.png", "residuals.png"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere"], "nowhere: no such file or folder"),
-        ([DATA / "tracking_2d", "--effect", "gremlins"], "gremlins"),
-        ([DATA / "tracking_2d", "--model", "clay"], "known are free, rigid_body"),
-        ([DATA / "tracking_2d", DATA / "nothing"], "nothing: no such file or folder"),
-    ],
-)
-def test_one_clear_line(arguments, message, verb):
-    assert message in verb.refused("identify", *arguments)
-
-
-def test_without_a_session_the_command_line_is_wrong(verb):
-    verb("identify", status=2)
-
-
 def test_output_that_cannot_be_written(verb, tmp_path):
     (tmp_path / "file").write_text("")
     assert "cannot be written" in verb.refused("identify", DATA / "tracking_2d", "-o", tmp_path / "file" / "below")

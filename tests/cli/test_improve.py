@@ -93,15 +93,3 @@ def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, ver
         assert shown.err.count("\n") == 1
         assert "history.yaml" in shown.err
     assert (cube / "history.yaml").read_text() == "models: ["
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "part"),
-    [
-        (["no/such"], 1, "no such file"),
-        (["CUBE"], 1, "no model was tried yet"),
-        (["CUBE", "--undo", "--use", "1"], 2, "either"),
-    ],
-)
-def test_a_wrong_request(cube: Path, words: list[str], status: int, part: str, verb: Verb) -> None:
-    assert part in verb("history", *(cube if word == "CUBE" else word for word in words), status=status).err

@@ -37,16 +37,12 @@ def test_every_procedure_can_be_foretold(file: Path) -> None:
     assert not {entry.effect for entry in found.visible} & set(found.absorbed)
 
 
-def test_a_search_for_a_pointer_has_no_map_to_forecast(verb: Verb) -> None:
-    assert "no errors of the machine come out of it" in verb.refused("plan", "pointer_centre")
-
-
 def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
     rows = verb("plan", "direct_iso230_2", "--json").document["uncertainties"]["position_error_u"]
     assert all(row[0] > 0 and row[1:] == [None, None] for row in rows)
     (line,) = [line for line in verb("plan", "direct_iso230_2").out.splitlines() if line.startswith("position error")]
     typical = 2e6 * np.sqrt(np.mean([row[0] ** 2 for row in rows]))
-    assert line.split()[2] == f"{typical:.3g}"
+    assert line.split()[2] == f"{typical:.2g}"
     assert line.rstrip().endswith(f"{2 * len(rows)} of {3 * len(rows)}")
 
 

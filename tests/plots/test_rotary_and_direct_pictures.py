@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.quiver import Quiver, QuiverKey
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
 from machine_tool_calibration.plots.compare import draw_map as draw_residual_map
-from machine_tool_calibration.plots.error_map import draw_motions
+from machine_tool_calibration.plots.error_map import draw_motions, draw_plane
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.simulation.simulate import simulate
@@ -70,16 +69,14 @@ def test_a_title_stays_within_its_picture_in_every_language() -> None:
     assert figure._suptitle.get_window_extent().width < figure.bbox.width
 
 
-def test_arrows_of_a_map_have_their_scale() -> None:
+def test_a_map_is_seen_across_the_plane_that_it_lies_in() -> None:
     content = identify(_session(method="direct", kind="grid_plate", repeats=2)).document()["error_map"]
-    (panel,) = direct.draw_map(content).axes
-    (key,) = (part for part in panel.get_children() if isinstance(part, QuiverKey))
-    (arrows,) = (part for part in panel.get_children() if type(part) is Quiver)
-    error = np.linalg.norm(np.array(content["position_error"])[:, :2].astype(float), axis=1)
-    drawn = np.hypot(arrows.U, arrows.V)
-    size, unit = key.text.get_text().split()
-    assert unit == "µm"
-    assert key.U / (1e-6 * float(size)) == pytest.approx(drawn.max() / error.max(), rel=1e-6)
+    keys = ("points", "position_error", "position_error_u")
+    upright = {key: np.array(content[key], dtype=float)[:, [0, 2, 1]] for key in keys}
+    (flat,), (turned,) = (draw_plane(one).axes for one in (content, upright))
+    assert (flat.get_ylabel(), turned.get_ylabel()) == ("y, mm", "z, mm")
+    for one, other in zip(flat.lines, turned.lines, strict=True):
+        np.testing.assert_allclose(one.get_xydata(), other.get_xydata())
 
 
 def test_residuals_along_a_line_stand_up_from_it() -> None:

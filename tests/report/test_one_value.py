@@ -2,6 +2,7 @@
 """One quantity has one value and one U: in the report, on the terminal, in the workbench, in JSON, from the node."""
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -20,9 +21,8 @@ from machine_tool_calibration.recording.session_bag import session_from_bag, ses
 from machine_tool_calibration.report import sections as room
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.identification import Measured, summary_rows
 from machine_tool_calibration.reports.improvement import improvement_document
-from machine_tool_calibration.reports.measured import Measured
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.folder import write_session
@@ -134,11 +134,18 @@ def test_a_result_is_the_same_wherever_it_is_told(kind: str, verb: Verb, tmp_pat
     summary = next(block for block in room.sections(found, words("en"))[0].blocks if isinstance(block, TextTable))
     assert summary.rows == tuple(summary_rows({**of_report, "not_determined": []}))
     listed = pd.read_csv(table, comment="#")
-    motions = told.get("Error motions (ISO 230-1)")
-    for name, _, low, high, expanded, _ in () if motions is None else motions.rows:
-        own = listed[(listed["error"] == name) & listed["determined"]]
-        for text, value in ((low, own["value"].min()), (high, own["value"].max()), (expanded, own["U"].max())):
-            assert float(text) == pytest.approx(1e6 * value, abs=0.51 * 10.0 ** -len(text.partition(".")[2])), name
+    whole = [one for title, one in told.items() if title.startswith("Error motions of ")]
+    assert whole or not listed["error"].str.fullmatch("E[XYZABC]{2}").any()
+    for one in whole:
+        for k, name in enumerate(head.split(" ")[0] for head in one.columns[1:]):
+            own = listed[(listed["error"] == name) & listed["determined"]].sort_values("position")
+            cells = [row[k + 1].split(" ± ") for row in one.rows if row[k + 1] not in ("", "–")]
+            assert len(cells) == len(own), name
+            for cell, value, expanded in zip(cells, own["value"], own["U"], strict=True):
+                for text, number in zip(cell, (value, expanded), strict=False):
+                    # U has two figures, and the value as many decimals.
+                    place = 10.0 ** (math.floor(math.log10(1e6 * expanded)) - 1) if expanded > 1e-15 else 1e-3
+                    assert float(text) == pytest.approx(1e6 * number, abs=0.51 * place), name
 
 
 @cache

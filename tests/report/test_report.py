@@ -25,7 +25,7 @@ from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.report.figures import Picture
 from machine_tool_calibration.report.page import html, write_report
 from machine_tool_calibration.report.sections import Section, Turnable, sections
-from machine_tool_calibration.reports.measured import Measured
+from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.simulation.simulate import simulate

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.diagnosis.compare import Comparison, compare
-from machine_tool_calibration.reports.comparison_tables import comparison_tables, mark_not_determined
+from machine_tool_calibration.reports.comparison import comparison_tables, mark_not_determined
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sentences of an identification: how well the model fits, and what shares a reason."""
+"""Sentences of an identification: how well the model fits, what shares a reason, and the figures of ISO 230-2."""
 
+from typing import Any
+
+import pytest
+
+from machine_tool_calibration.reports.goodness import scatter_words
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
@@ -8,16 +13,59 @@ from machine_tool_calibration.reports.identification import (
     readings_set_aside,
     summary_rows,
 )
+from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.values import standard_tables
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.words import words
 
+from ..told import keys
 
-def test_goodness_of_fit():
-    assert "within their declared" in goodness_of_fit({"reduced_chi_square": 1.0, "p_value": 0.5})
-    assert "scatter 2.00 times" in goodness_of_fit({"reduced_chi_square": 4.0, "p_value": 1e-9})
-    assert "p < 1e-6" in goodness_of_fit({"reduced_chi_square": 4.0, "p_value": 0.0})
-    assert "nearly within" in goodness_of_fit({"reduced_chi_square": 1.15, "p_value": 0.007})
-    assert "stated too large" in goodness_of_fit({"reduced_chi_square": 0.25, "p_value": 0.99999})
+RUN: dict[str, Any] = {
+    "axis": "X", "setup": "x", "position": [0.0, 0.1, 0.2], "count_up": [2, 2, 2], "count_down": [2, 1, 2],
+    "mean_up": [0.0, 1e-6, 4e-6], "mean_down": [None, -1e-6, None], "reversal": [None, 2e-6, None],
+    "s_up": [3e-7] * 3, "s_down": [None] * 3, "B": 2.0e-6, "B_U": 0.5e-6, "M": 3.0e-6, "E_up": 4.0e-6,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("chi", "p", "key", "part"),
+    [
+        (1.0, 0.5, "fit.well", "p = 0.50"),
+        (4.0, 1e-9, "fit.bad", "2.00"),
+        (1.15, 0.007, "fit.nearly", "p = 0.007"),
+        (0.25, 0.99999, "fit.too_well", "0.500"),
+    ],
+)
+def test_goodness_of_fit(chi: float, p: float, key: str, part: str) -> None:
+    text = goodness_of_fit({"reduced_chi_square": chi, "p_value": p})
+    assert keys(text) == [key] and part in text
+
+
+def test_a_scatter_is_said_with_its_own_ratio() -> None:
+    # Passes that differ take the misfit up: uncertainties need no factor, and yet nothing is within what was declared.
+    scatter = {"declared": 3e-7, "found": 5.46e-6, "uncertainties_from": "declared", "factor": 1.0}
+    text = scatter_words({"scatter": scatter}, 0.0)
+    assert keys(text)[0] == "fit.runs_differ" and "18.2" in text
+    scatter = {"declared": 1e-6, "found": 1.51e-6, "uncertainties_from": "scatter", "factor": 1.48}
+    text = scatter_words({"scatter": scatter}, 1e-9)
+    assert keys(text)[0] == "fit.scatter_used" and "1.51 times" in text
+
+
+def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> None:
+    table, places = standard_tables({"iso230_2": [RUN]}, "iso230_2")
+    assert isinstance(table, TextTable) and isinstance(places, TextTable)
+    assert "2 up, 1 down" in table.title and "3 positions" in table.title
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert set(rows) == {"reversal error B", "systematic deviation E", "mean deviation, range M"}
+    assert rows["reversal error B"] == ("", "", "2.00 ± 0.50")
+    assert rows["systematic deviation E"] == ("4.00", "–", "–")
+    # U of a mean of two with s = 0.3 um is 0.4 um: two decimals.
+    assert places.rows[1] == ("100", "1.00", "-1.00", "0.00", "2.00", "0.30", "–")
+    assert keys(table.note) == ["iso230.few_runs"]
+    few = {**RUN, "count_up": [1, 1, 1], "count_down": [0, 0, 0], "note": "U is from the runs alone."}
+    table, _ = standard_tables({"iso230_2": [few]}, "iso230_2")
+    assert isinstance(table, TextTable)
+    assert keys(table.note) == ["iso230.repeatability_only", "iso230.one_run"]
 
 
 def test_names_that_share_a_reason():

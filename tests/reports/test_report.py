@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people read: the verdict in plain words, and tables that hold what they say."""
+"""What people read of a diagnosis: the verdict first, and tables that hold what the words say."""
 
 from __future__ import annotations
 
@@ -10,15 +10,24 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.planning.dominant import Dominant, Remedy
+from machine_tool_calibration.planning.what_to_measure import Advice, what_to_measure
 from machine_tool_calibration.reports.diagnosis import Report, diagnosis_report
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.reports.goodness import negative_words
+from machine_tool_calibration.reports.identification import result_parts
+from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.reports.verdict import mounted_more_than_once
+from machine_tool_calibration.reports.verdict import mounted_more_than_once, verdict_words
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.words import say
 
 from ..diagnosed import diagnosed
+from ..told import keys
 
 SPECS = {
     "adequate": SimulationSpec(plan=PRESETS["tracking_2d"], seed=101),
@@ -34,6 +43,10 @@ SPECS = {
         plan=PRESETS["tracking_2d"], seed=19, effects=(FlawSpec(id="station_drift", amplitude=1.5e-6),)
     ),
 }
+DOMINANT = Dominant(
+    "angular errors", 4e-7, {"readings": 0.1, "angular errors": 0.84, "time": 0.06}, 5e-6, 1e-9, 3.9e-7,
+    (Remedy(kind="diagonal", measure="add the diagonal nnp", uncertainty=2e-7, seconds=360.0, aside="mounting the mirror again"),),
+)  # fmt: skip
 
 
 @cache
@@ -43,12 +56,25 @@ def report(name: str) -> tuple[Diagnosis, Report]:
 
 
 def table(shown: Report, title: str) -> TextTable:
-    return next(t for t in (*shown.tables, *shown.details) if t.title.startswith(title))
+    return next(t for t in (*shown.tables, *shown.details) if t.title == say(f"found.{title}"))
 
 
-@pytest.mark.parametrize("name", list(SPECS))
-def test_every_row_has_a_text_for_every_head(name: str) -> None:
-    _, shown = report(name)
+@pytest.mark.parametrize(
+    ("name", "verdict", "says"),
+    [
+        ("adequate", "adequate", ["diagnosis.nothing_shown"]),
+        ("missing_effect", "missing_effect", ["diagnosis.lacks", "diagnosis.formula", "diagnosis.size"]),
+        ("unexplained", "unexplained", ["diagnosis.unexplained", "diagnosis.depend"]),
+        ("outliers", "outliers", ["diagnosis.outliers"]),
+        ("too noisy", "adequate", ["diagnosis.nothing_shown", "diagnosis.no_noise", "diagnosis.repeats_scatter"]),
+        ("too little to tell", "adequate", ["fit.differ"]),
+    ],
+)
+def test_words_and_tables_say_what_was_found(name: str, verdict: str, says: list[str]) -> None:
+    found, shown = report(name)
+    said = [key for words in shown.words for key in keys(words)]
+    assert found.verdict == verdict
+    assert [key for key in said if key in says] == says
     for each in (*shown.tables, *shown.details):
         assert each.rows
         assert all(len(row) == len(each.columns) for row in each.rows)
@@ -56,18 +82,9 @@ def test_every_row_has_a_text_for_every_head(name: str) -> None:
     assert all("nan" not in words.split() for words in shown.words)
 
 
-def test_adequate_says_so_first() -> None:
-    _, shown = report("adequate")
-    assert shown.words[0].startswith("Nothing is missing that this measurement could show")
-    assert len(shown.words) == 1
-    assert table(shown, "Smallest size").rows
-
-
 def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_leads() -> None:
     found, shown = report("too little to tell")
-    assert found.verdict == "adequate" and found.accepted == ()
-    assert found.ranked[0].name == "station_drift"
-    # That setups differ is said, with how much.
+    assert found.accepted == () and found.ranked[0].name == "station_drift"
     (spread,) = (size for size in found.fits[-1].marginal.sizes if size.probability > 0.9)
     assert any(quantity(spread.size, "m") in words for words in shown.words)
 
@@ -75,85 +92,56 @@ def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_leads(
 def test_an_effect_found_is_told_with_its_size_and_what_it_does() -> None:
     found, shown = report("missing_effect")
     assert shown.words[0] == "The model lacks backlash of Y (backlash_y)."
-    words = shown.words[1]
-    for part in ("e_y = -b dir_y", "± ", "(k = 2)", "changes the readings by", "residual falls", "at the tool point"):
-        assert part in words
-    first = table(shown, "Effects looked for").rows[0]
-    assert first[0] == "✓ backlash_y"
-    residual = table(shown, "Effects looked for").columns.index("residual / µm")
-    assert 0.0 < float(first[residual]) < 1e6 * found.noise.declared * 1.2
-    assert "without any the residual is" in table(shown, "Effects looked for").note
+    assert {"diagnosis.changes", "fit.residual_falls", "diagnosis.with_it_moved"} <= {*keys(shown.words[1])}
+    candidates = table(shown, "candidates")
+    assert candidates.rows[0][0] == "✓ backlash_y"
+    assert 0.0 < float(candidates.rows[0][candidates.columns.index("residual / µm")]) < 1.2e6 * found.noise.declared
+    assert "found.note_without" in keys(candidates.note)
+    assert table(shown, "coefficients").rows[0][:3] == ("backlash_y", "b", "half width")
 
 
-def test_every_coefficient_found_is_explained() -> None:
-    _, shown = report("missing_effect")
-    assert table(shown, "What was found").rows[0][:3] == ("backlash_y", "b", "half width")
-
-
-def test_a_similar_effect_that_the_readings_distinguish_is_said_to_be() -> None:
-    found, _ = report("missing_effect")
-    advice = what_to_measure(found)
-    near = replace(advice.separations[0], effects=("backlash_y", "station_drift"), apart_before=21.0)
-    words = diagnosis_report(found, replace(advice, separations=(near,)), consequences(found)).words[1]
-    assert "similar effect, station_drift" in words
-    assert "the readings distinguish them: the patterns differ by 21 standard uncertainties" in words
-
-
-def test_a_similar_effect_that_is_far_less_probable_may_not_as_well_be_it() -> None:
+def test_how_near_a_similar_effect_is_decides_what_is_said_of_it() -> None:
     """However near their patterns are, the probabilities are those that the table shows."""
     found, _ = report("missing_effect")
     advice = what_to_measure(found)
-    near = replace(advice.separations[0], effects=("backlash_y", "station_drift"), apart_before=2.0)
-    words = diagnosis_report(found, replace(advice, separations=(near,)), consequences(found)).words[1]
-    assert "station_drift, is far less probable in its place" in words
-    assert "may as well" not in words and "standard uncertainties" not in words
     rivals = replace(found, search=replace(found.search, sets=((("station_drift",), 0.5), (("backlash_y",), 0.5))))
-    assert "may as well be station_drift" in diagnosis_report(rivals, replace(advice, separations=(near,)), {}).words[1]
+    similar = {"diagnosis.similar", "diagnosis.apart", "diagnosis.as_well"}
+    for of, apart, says in ((found, 21.0, similar - {"diagnosis.as_well"}), (found, 2.0, {"diagnosis.similar"}),
+                            (rivals, 2.0, {"diagnosis.as_well"})):  # fmt: skip
+        near = replace(advice.separations[0], effects=("backlash_y", "station_drift"), apart_before=apart)
+        words = diagnosis_report(of, replace(advice, separations=(near,)), {}).words[1]
+        assert similar & {*keys(words)} == says and "station_drift" in words
 
 
 def test_what_is_part_of_the_map_is_kept_apart_from_what_hides_behind_the_instrument() -> None:
     _, shown = report("adequate")
-    held, hidden = table(shown, "Errors that the map holds already"), table(shown, "Effects that would not show here")
+    held, hidden = table(shown, "in_map"), table(shown, "hidden")
     assert "EXX" in held.rows[0][0] and "points" in held.rows[0][1]
     taken = {effects: what for effects, what in hidden.rows}
     assert taken["pointer_zero_offset"].startswith("place of ")
     assert not hidden.note
-
-
-def test_a_workpiece_is_not_the_map() -> None:
-    _, shown = report("outliers")
-    hidden = table(shown, "Effects that would not show here")
-    assert any("backlash_c" in row[0] and "form of the workpiece" in row[1] for row in hidden.rows)
-    assert "make the map wrong" in hidden.note
+    # The form of a workpiece is not the map.
+    hidden = table(report("outliers")[1], "hidden")
+    assert any("backlash_c" in row[0] and "found.form" in keys(row[1]) for row in hidden.rows)
+    assert keys(hidden.note) == ["found.wrong_map"]
 
 
 def test_unexplained_says_on_what_the_residuals_depend() -> None:
     found, shown = report("unexplained")
-    assert "No effect is named as the cause" in shown.words[0]
     assert found.search.structure[0].covariate in shown.words[1]
-    assert "none of them is named" in table(shown, "Effects looked for").title
-    assert table(shown, "What the residuals still depend on").rows
+    assert table(shown, "none_named").rows and table(shown, "structure").rows
 
 
 def test_outliers_are_listed_by_row() -> None:
     found, shown = report("outliers")
-    assert "do not belong to the rest" in shown.words[0]
-    rows = [int(row[0]) for row in table(shown, "Readings that do not belong").rows]
+    rows = [int(row[0]) for row in table(shown, "outliers").rows]
     assert rows == sorted(o.row for o in found.gross_errors)
-
-
-def test_too_small_a_declared_uncertainty_is_not_blamed_on_an_effect() -> None:
-    found, shown = report("too noisy")
-    assert found.verdict == "adequate"
-    assert "the declared uncertainty is too small" in shown.words[1]
 
 
 def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
     found, _ = report("too noisy")
-    noise = replace(found.noise, from_repeats=None)
-    bare = replace(found, noise=noise)
-    words = diagnosis_report(bare, what_to_measure(bare), {}).words
-    assert "model or the reproducibility of the setups is not determined" in words[1]
+    bare = replace(found, noise=replace(found.noise, from_repeats=None))
+    assert "diagnosis.mounted_once" in keys(diagnosis_report(bare, what_to_measure(bare), {}).words[1])
 
 
 def test_a_setup_that_is_measured_left_and_measured_again_counts_as_mounted_again() -> None:
@@ -165,8 +153,70 @@ def test_a_setup_that_is_measured_left_and_measured_again_counts_as_mounted_agai
 
 def test_all_candidates_on_request() -> None:
     found, _ = report("adequate")
-    few = diagnosis_report(found, what_to_measure(found), {}, 3)
-    every = diagnosis_report(found, what_to_measure(found), {}, 0)
-    assert len(table(few, "Effects looked for").rows) == 3
-    assert "left out" in table(few, "Effects looked for").note
-    assert len(table(every, "Effects looked for").rows) == sum(1 for r in found.ranked if r.rank)
+    few, every = (table(diagnosis_report(found, what_to_measure(found), {}, k), "candidates") for k in (3, 0))
+    assert len(few.rows) == 3 and "found.note_left" in keys(few.note)
+    assert len(every.rows) == sum(1 for r in found.ranked if r.rank)
+
+
+@pytest.mark.parametrize(
+    ("cause", "says"),
+    [
+        ("angular errors", ["found.dominant", "found.remedy_again", "found.remedy_besides"]),
+        ("time", ["found.dominant_time", "found.no_remedy"]),
+        ("readings", ["found.dominant_readings"]),
+    ],
+)
+def test_what_dominates_is_told_with_its_remedy(cause: str, says: list[str]) -> None:
+    own = DOMINANT if cause == DOMINANT.cause else replace(DOMINANT, cause=cause, remedies=())  # type: ignore[arg-type]
+    told = list(dominant_words(own))
+    assert [key for words in told for key in keys(words)] == says
+    if cause == DOMINANT.cause:
+        assert "84 %" in told[0] and "5.00 µrad" in told[0]
+        assert told[1].strip() == (
+            "add the diagonal nnp (6 min, and mounting the mirror again) leaves 50 % of U, the same once more 98 %"
+        )
+
+
+def test_a_diagnosis_says_what_dominates_where_it_is_not_the_scatter() -> None:
+    found, _ = report("adequate")
+    assert any(
+        "add the diagonal nnp" in words for words in diagnosis_report(found, Advice(dominant=DOMINANT), {}).forecast
+    )
+    document = diagnosis_document(found, Advice(dominant=DOMINANT), {})
+    assert document["dominant"]["cause"] == "angular errors"
+    assert document["dominant"]["measure"][0]["uncertainty"] == 2e-7
+    assert diagnosis_document(found, Advice(), {})["dominant"] is None
+
+
+def exchanged(plan: str, axis: str) -> Session:
+    """A session of a machine with backlash, its directions of approach recorded the wrong way round."""
+    effects = (FlawSpec(id=f"backlash_{axis}", size=2e-6),)
+    session = simulate(SimulationSpec(plan=PRESETS[plan], seed=77, effects=effects)).session
+    columns = {**session.readings.columns, f"dir_{axis}": -session.readings.columns[f"dir_{axis}"]}
+    return session.with_readings(replace(session.readings, columns=columns))
+
+
+def test_a_coefficient_that_is_negative_and_should_not_be_is_said_to_be() -> None:
+    session = exchanged("tracking_2d", "y")
+    negative = say("fit.negative_backlash", name="backlash_y")
+    # That of X is nothing, whatever its sign.
+    result = identify(session, effects=("backlash_x", "backlash_y"))
+    assert list(negative_words(result.joint, result.effects)) == [negative]
+    assert negative in list(result_parts(result.document(), [session], result))
+    run = identify(exchanged("iso230_2", "x"), effects=("lost_motion_x",), keep_all=True)
+    assert say("fit.negative_backlash", name="lost_motion_x.b0") in list(negative_words(run.joint, run.effects))
+    found, _ = report("missing_effect")
+    positive = identify(found.chosen.sessions[0], effects=("backlash_y",))
+    assert not list(negative_words(positive.joint, positive.effects))
+    turned = diagnose(session)
+    assert turned.accepted == ("backlash_y",) and list(verdict_words(turned, {}, Advice())).count(negative) == 1
+
+
+@pytest.mark.parametrize("verdict", ["adequate", "outliers"])
+def test_structure_that_is_too_small_to_matter_is_said_to_be(verdict: str) -> None:
+    sound, _ = report("adequate")
+    small = replace(sound, verdict=verdict, search=replace(sound.search, unknown=0.97, nothing=0.01))
+    told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
+    assert {"diagnosis.nothing_matters", "diagnosis.without_them_matters"} & {*told}
+    assert "diagnosis.good_enough" in told
+    assert not any("diagnosis.structure_unsure" in keys(words) for words in verdict_words(sound, {}, Advice()))

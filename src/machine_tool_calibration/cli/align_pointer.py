@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["command"]
@@ -33,7 +33,7 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
     from machine_tool_calibration.importing.own import read_alignment
     from machine_tool_calibration.importing.units import quantity
     from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle
-    from machine_tool_calibration.reports.pointer_alignment import alignment_document, show_alignment
+    from machine_tool_calibration.reports.pointer_alignment import alignment_document, alignment_parts
 
     u = 0.0 if machine is None else quantity(machine, "length", "--machine")
     if u < 0:
@@ -47,7 +47,4 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
         zero = zero_angle(one.place[:, 1], one.displacement, one.azimuth, one.run)
     for one in turning:
         centre = rotation_centre(one.azimuth, one.displacement, one.place[0], one.run, machine=u, zero=zero)
-    if as_json:
-        write_json(alignment_document(centre, zero))
-    else:
-        show_alignment(console(), centre, zero, setup)
+    tell_either(alignment_document(centre, zero), alignment_parts(centre, zero, setup), as_json)

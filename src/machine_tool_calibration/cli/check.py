@@ -55,9 +55,11 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
         state = partial(_stated, seed=seed, progress=progress)
         if is_logbook(earlier):
             entries = _before(Logbook(earlier).of_one(machine), asked)
-            base = _request(entries[-1], asked)
-            first = replace(state(base, entries[-1].label), date=entries[-1].date)
-            alike = [e for e in entries if _made_by(e) == _made_by(entries[-1])]
+            last = entries[-1]
+            model, effects = last.result["model"], tuple(last.result["effects"])
+            base = replace(asked, sessions=(last.session,), model=model, effects=effects)
+            first = replace(state(base, last.label), date=last.date)
+            alike = [e for e in entries if _made_by(e) == _made_by(last)]
             history = [of_result(one.result, one.label) for one in alike]
         elif (document := _document(earlier)) is not None:
             first = of_result(document, str(earlier))
@@ -97,13 +99,6 @@ def _before(entries: tuple[Entry, ...], asked: FitRequest) -> list[Entry]:
 
 def _made_by(entry: Entry) -> tuple[object, ...]:
     return tuple(str(entry.result.get(key)) for key in ("method", "model", "effects"))
-
-
-def _request(entry: Entry, asked: FitRequest) -> FitRequest:
-    """An entry's measurement, by the model of its result."""
-    return replace(
-        asked, sessions=(entry.session,), model=entry.result["model"], effects=tuple(entry.result["effects"])
-    )
 
 
 def _document(path: Path) -> dict[str, object] | None:

@@ -26,7 +26,7 @@ from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.reports.measured import Measured
+    from machine_tool_calibration.reports.identification import Measured
 
 __all__ = ["command"]
 

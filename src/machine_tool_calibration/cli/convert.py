@@ -30,7 +30,7 @@ from machine_tool_calibration.cli.output import (
     write_json,
 )
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import TextTable, show_head, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, show
 
 if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
@@ -62,15 +62,16 @@ def _show_preview(imported: Imported, *, whole: bool) -> None:
 
     session = imported.session
     if whole:
-        out = console()
-        show_head(out, session.source, f": {imported.rows} rows, {len(session.readings)} readings")
         read = tuple((role, *column_and_unit) for role, column_and_unit in imported.columns.items())
-        show_table(out, TextTable("", ("quantity", "column", "unit"), read))
         frame = readings_frame(session).head(_FIRST)
         rows = tuple(tuple(_shown(value) for value in row) for row in frame.itertuples(index=False))
-        show_table(out, TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows))
-        out.print("session.yaml:", style="bold")
-        out.print(description_yaml(session.description).rstrip())
+        parts: list[Part] = [
+            f"{session.source}: {imported.rows} rows, {len(session.readings)} readings",
+            TextTable("", ("quantity", "column", "unit"), read),
+            TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows),
+            f"session.yaml:\n{description_yaml(session.description).rstrip()}",
+        ]
+        show(console(), parts)
     for text in imported.notes:
         note(text)
 
@@ -188,9 +189,8 @@ def command(
     if as_json:
         write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
-        show_head(console(), str(target), f": {document['readings']} readings" if "readings" in document else "")
-        for topic, file in document.get("topics", {}).items():
-            console().print(f"  {topic}: {file}")
+        read = f": {document['readings']} readings" if "readings" in document else ""
+        show(console(), [f"{target}{read}", *(f"  {topic}: {at}" for topic, at in document.get("topics", {}).items())])
     for topic in document.get("skipped", ()):
         note(f"{topic} was left out: its messages have a type that cannot be read")
 
@@ -222,7 +222,6 @@ def _form(target: Path | None, otherwise: str) -> str:
 def _imported(
     sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
 ) -> Imported:
-    """The session of foreign tables."""
     from machine_tool_calibration.importing import import_table, parse_mapping
 
     content, name = mapping_from(foreign, description)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +12,8 @@ import click
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, rigid_motions, rms
-from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
+from machine_tool_calibration.cli.output import json_option, progress_bar, tell_either
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -21,7 +22,7 @@ from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.reports.tables import show_head
+from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
@@ -240,10 +241,7 @@ def command(
         measured = measure(procedure_file(procedure), setting, progress)
     with progress_bar() as share:
         story = _story(number, hidden, measured, share)
-    if as_json:
-        write_json(_document(story))
-        return
-    _show(story)
+    tell_either(_document(story), _parts(story), as_json)
 
 
 def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
@@ -275,36 +273,33 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     return _Demonstration(seed, hidden, measured, improvement, before, after, pictures)
 
 
-def _show(story: _Demonstration) -> None:
-    from machine_tool_calibration.reports.improvement import show_improvement
+def _parts(story: _Demonstration) -> Iterator[Part]:
+    from machine_tool_calibration.reports.improvement import improvement_parts
 
-    screen = console()
     measured = story.measured
-    show_head(
-        screen,
-        "1. Measured",
-        f": a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
-        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:",
+    yield (
+        f"1. Measured: a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
+        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:"
     )
-    show_result(screen, measured)
-    show_head(screen, "\n2. Diagnosed and improved")
-    show_improvement(screen, story.improvement)
-    show_head(screen, "\n3. The truth", ", which nothing before has seen")
-    screen.print(_truth_in_words(story))
-    _show_error_of_map(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
-    show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
+    yield result_table(measured)
+    yield "2. Diagnosed and improved"
+    yield from improvement_parts(story.improvement)
+    yield "3. The truth, which nothing before has seen"
+    yield _truth_in_words(story)
+    yield _error_in_words(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
+    yield files_table(measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
-def _show_error_of_map(session: Session, before: MapError, after: MapError, stated: float | None) -> None:
+def _error_in_words(session: Session, before: MapError, after: MapError, stated: float | None) -> str:
     direct = spec_of(session).reads_machine
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
     known = stated is not None and not direct
     expected = f" The last model's own uncertainty says {quantity(stated or 0.0, 'm')} RMS (k = 1)." if known else ""
-    console().print(
+    return (
         f"The {COMPARED[session.method]} is off the truth by {quantity(before.rms, 'm')} RMS with the first model and "
         f"by {quantity(after.rms, 'm')} with the last ({out} taken out); {own} are {quantity(before.before, 'm')} RMS."
-        f"{expected}\n"
+        f"{expected}"
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
-from machine_tool_calibration.cli.output import FOLDER, console, json_option, note_written, progress_bar, write_json
+from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
 
 __all__ = ["command"]
 
@@ -53,7 +53,4 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, details: bool, outpu
             progress("drawing")
             drawn = save_diagnosis(answer, answer.conclusions.changes, output)
         note_written(drawn)
-    if as_json:
-        write_json(answer.document())
-    else:
-        answer.show(console(), details=details)
+    tell(answer, as_json, answer.parts(details=details))

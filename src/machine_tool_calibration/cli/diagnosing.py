@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
-    from machine_tool_calibration.reports.measured import Measured
+    from machine_tool_calibration.reports.identification import Measured
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -65,7 +65,7 @@ class Wanted:
         from machine_tool_calibration.effects.catalogue import own_effects
         from machine_tool_calibration.methods.fitted import FitRequest
         from machine_tool_calibration.recording.open import open_measurement
-        from machine_tool_calibration.reports.measured import Measured
+        from machine_tool_calibration.reports.identification import Measured
         from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)
@@ -113,12 +113,7 @@ class Wanted:
         return fitted(measurement, choose(measured), measured.history)
 
     def note_unused(self, fit: Fit, paths: Sequence[Path]) -> None:
-        """Say that the history of the sessions holds a better model, where it was not asked for, and how to use it.
-
-        Args:
-            fit: what was identified, and the sessions with all their readings.
-            paths: where they were read; the history is in it or beside it.
-        """
+        """Say that the history of the sessions holds a better model, where it was not asked for, and how to use it."""
         from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
         from machine_tool_calibration.reports.quantities import rounded
 
@@ -153,11 +148,6 @@ def no_model(paths: Sequence[Path]) -> CalibrationError:
 
 def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[str]) -> list[Session]:
     """The sessions, with the readings that `--keep` names known to be sound.
-
-    Args:
-        sessions: as they were read.
-        labels: their names.
-        keep: `ROW`, or of several sessions `SESSION:ROW`.
 
     Raises:
         CalibrationError: not a row, no such session or no such reading.

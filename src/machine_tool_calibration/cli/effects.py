@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option
-from machine_tool_calibration.cli.output import FOLDER, console, json_option, note_written, progress_bar, write_json
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell_either
+from machine_tool_calibration.reports.tables import Part, TextTable
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -50,38 +51,31 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
         with progress_bar() as progress:
             written = draw_gallery(chosen, gallery, progress)
         note_written([written[-1]] if len(written) > 5 else written)
-    if as_json:
-        write_json({"format": "mtcal-effects/1", "effects": [effect_document(effect) for effect in chosen]})
-    elif ids:
-        for effect in chosen:
-            _describe(effect)
+    parts: Iterable[Part] = ()
+    if ids:
+        parts = chain.from_iterable(map(_described, chosen))
     elif gallery is None:
-        _list(chosen)
+        parts = _listed(chosen)
+    document = {"format": "mtcal-effects/1", "effects": [effect_document(effect) for effect in chosen]}
+    tell_either(document, parts, as_json)
 
 
-def _list(effects: Sequence[Effect]) -> None:
-    from rich.text import Text
-
+def _listed(effects: Sequence[Effect]) -> Iterator[Part]:
     from machine_tool_calibration.reports.effect_page import effects_table
 
-    screen = console()
-    show_table(screen, effects_table(effects))
+    yield effects_table(effects)
     more = "`mtcal effects ID` says what the coefficients are, where it is described, what each method leaves of it."
-    screen.print(Text(f"\n{len(effects)} effects; {more}"))
+    yield f"{len(effects)} effects; {more}"
 
 
-def _describe(effect: Effect) -> None:
-    from rich.text import Text
-
+def _described(effect: Effect) -> Iterator[Part]:
     from machine_tool_calibration.planning.injected import where_it_shows
     from machine_tool_calibration.reports.effect_page import coefficients_in_words, shown_table
 
     with progress_bar() as progress:
         progress(f"simulating {effect.id}")
         found = where_it_shows(effect)
-    screen = console()
     enters = "displaces the functional point" if effect.kind == "position" else "changes the reading itself"
-    screen.print(Text(f"{effect.id}: {effect.title}", style="bold"))
     lines = {
         "formula": f"{effect.formula} ({enters})",
         "coefficients": "\n".join(coefficients_in_words(effect)),
@@ -91,6 +85,5 @@ def _describe(effect: Effect) -> None:
         "source": effect.source,
     }
     rows = tuple((f"  {name}:", text) for name, text in lines.items())
-    show_table(screen, TextTable("", ("", ""), rows))
-    show_table(screen, shown_table(found))
-    screen.print()
+    yield TextTable(f"{effect.id}: {effect.title}", ("", ""), rows)
+    yield shown_table(found)

@@ -9,7 +9,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import PATH, console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
 
 __all__ = ["command"]
 
@@ -36,7 +36,7 @@ def command(
     from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.recording.open import open_measurement
-    from machine_tool_calibration.reports.enough import show_reached
+    from machine_tool_calibration.reports.planning import reached_parts
 
     own = tuple(own_effects(files))
     wanted = Until.parse(until, own)
@@ -46,7 +46,5 @@ def command(
         for found in after_each_setup(chosen, wanted):
             stages.append(found)
             progress(f"after setup {found.setup}", found.readings / len(chosen.sessions[0].readings))
-    if as_json:
-        write_json({"format": "mtcal-enough/1", "until": until, "reached": [one.document() for one in stages]})
-        return
-    show_reached(console(), stages)
+    document = {"format": "mtcal-enough/1", "until": until, "reached": [one.document() for one in stages]}
+    tell_either(document, reached_parts(stages), as_json)

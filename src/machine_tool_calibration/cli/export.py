@@ -12,19 +12,25 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import FOLDER, PATH, console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import (
+    FOLDER,
+    PATH,
+    json_option,
+    note,
+    progress_bar,
+    save_picture,
+    tell_either,
+)
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rich.console import Console
-
-    from machine_tool_calibration.export.compensation import Exported
+    from machine_tool_calibration.export.compensation import Compensation, Exported
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.model.fit import JointFit
-    from machine_tool_calibration.reports.measured import Measured
+    from machine_tool_calibration.reports.identification import Measured
 
 __all__ = ["bad_fit", "command"]
 
@@ -90,9 +96,9 @@ def command(
     """
     from machine_tool_calibration.export.compensation import compensation
     from machine_tool_calibration.model.result import Result
-    from machine_tool_calibration.reports.compensation import harm_words
+    from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
     from machine_tool_calibration.reports.identification import group_by_reason
-    from machine_tool_calibration.reports.tables import show_suspicions
+    from machine_tool_calibration.reports.tables import suspicion_words
     from machine_tool_calibration.session.checks.suspicion import suspicions
 
     if wanted.from_history and (len(measurements) > 1 or wanted.effects):
@@ -105,43 +111,30 @@ def command(
         source = " + ".join(session.source for session in fit.measurement.sessions)
         found = compensation(fit.result, source, fit.chosen.own)
         made = found.exported(form)
-    result, origin, tables = fit.result, found.origin, found.tables
+    result = fit.result
     suspicious = suspicions(fit.chosen.sessions, fit.chosen.labels)
     folder = output or Path(f"compensation_{form}")
-    picture = folder / _PICTURE
+    picture = folder / _PICTURE if plot else None
     _save(folder, made.files, pictures=(_PICTURE,) if plot else ())
     if plot:
         from machine_tool_calibration.plots.compensation import draw_compensation
-        from machine_tool_calibration.plots.style import save_as
 
-        save_as(draw_compensation(made.errors, f"{form}: {source}"), picture, origin)
-    if as_json:
-        write_json(
-            {
-                "format": "mtcal-exported/1",
-                "to": form,
-                "folder": folder,
-                "files": list(made.files),
-                "pictures": [picture] if plot else [],
-                "model": result.model_name if isinstance(result, Result) else list(result.model_names),
-                "reduced_chi_square": result.joint.reduced_chi_square,
-                "p_value": result.joint.p_value,
-                "suspicious": suspicious,
-                "provenance": origin.document(),
-                "tables": [table.name for table in tables.tables],
-                "squareness": list(tables.squareness),
-                "not_determined": tables.left_out,
-                "not_in_tables": made.absent,
-                "preview": made.left,
-                "worse": made.worse,
-                "worse_along": [one.name for one in made.worse_along],
-            }
-        )
-    else:
-        _show(console(), [*(folder / name for name in made.files), *([picture] if plot else [])], made)
-        show_suspicions(console(), suspicious)
-        for why, names in group_by_reason((entry.name, entry.why) for entry in tables.left_out):
-            note(f"not determined: {names}: {why}")
+        save_picture(partial(draw_compensation, made.errors, f"{form}: {source}"), picture, found.origin)
+    document = {
+        "to": form,
+        "folder": folder,
+        "pictures": [picture] if plot else [],
+        "model": result.model_name if isinstance(result, Result) else list(result.model_names),
+        "reduced_chi_square": result.joint.reduced_chi_square,
+        "p_value": result.joint.p_value,
+        "suspicious": suspicious,
+        **_document(found, made),
+    }
+    written = [folder / name for name in made.files]
+    absent = [absent_words(made)] if made.absent else []
+    tell_either(document, [*map(str, written), left_table(made), *absent, *suspicion_words(suspicious)], as_json)
+    for why, names in () if as_json else group_by_reason((one.name, one.why) for one in found.tables.left_out):
+        note(f"not determined: {names}: {why}")
     if bad := bad_fit(result.joint, result.error_map.content):
         note(bad)
     asked.note_unused(fit, measurements)
@@ -149,6 +142,22 @@ def command(
         note(result.agreement.statement)
     if harm := harm_words(made):
         note(f"warning: {harm}")
+
+
+def _document(found: Compensation, made: Exported) -> dict[str, Any]:
+    """What the files hold and what they would leave."""
+    return {
+        "format": "mtcal-exported/1",
+        "files": list(made.files),
+        "provenance": found.origin.document(),
+        "tables": [table.name for table in found.tables.tables],
+        "squareness": list(found.tables.squareness),
+        "not_determined": found.tables.left_out,
+        "not_in_tables": made.absent,
+        "preview": made.left,
+        "worse": made.worse,
+        "worse_along": [one.name for one in made.worse_along],
+    }
 
 
 def _with_tables(wanted: Wanted, measured: Measured) -> FitRequest:
@@ -170,14 +179,3 @@ def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-
-
-def _show(out: Console, written: Sequence[Path], made: Exported) -> None:
-    from machine_tool_calibration.reports.compensation import absent_words, left_table
-    from machine_tool_calibration.reports.tables import show_head, show_table
-
-    for path in written:
-        show_head(out, str(path))
-    show_table(out, left_table(made))
-    if made.absent:
-        out.print(absent_words(made))

@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import no_model, sessions_argument
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import json_option, note, tell_either
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import show_table
+from machine_tool_calibration.reports.tables import Part
 
 __all__ = ["command"]
 
@@ -36,7 +36,7 @@ def command(
     mtcal history measurements/cube --undo
     """
     from machine_tool_calibration.reports.history_file import history_path, read_history, update_history
-    from machine_tool_calibration.reports.history_tables import compared_models, tried_models
+    from machine_tool_calibration.reports.improvement import compared_models, tried_models
 
     if undo and use is not None:
         raise click.UsageError("Give either --undo or --use.")
@@ -52,14 +52,11 @@ def command(
     else:
         history = read_history(path)
     chosen = [history.entry(number) for number in compare] if compare else []
-    if as_json:
-        document = history.model_dump(mode="json")
-        write_json(document | ({"compared": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}))
-        return
-    screen = console()
-    if any(entry.sessions for entry in history.models):
-        last = next(entry for entry in reversed(history.models) if entry.sessions)
-        screen.print(f"Sessions fitted together: {', '.join(part.label for part in last.sessions)}")
-    show_table(screen, compared_models(*chosen) if chosen else tried_models(history.models, history.current))
+    parts: list[Part] = []
+    if last := next((entry for entry in reversed(history.models) if entry.sessions), None):
+        parts.append(f"Sessions fitted together: {', '.join(part.label for part in last.sessions)}")
+    parts.append(compared_models(*chosen) if chosen else tried_models(history.models, history.current))
     if chosen and chosen[0].data != chosen[1].data:
-        screen.print("The two models are of different readings: the session was changed in between.")
+        parts.append("The two models are of different readings: the session was changed in between.")
+    compared = {"compared": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}
+    tell_either(history.model_dump(mode="json") | compared, parts, as_json)

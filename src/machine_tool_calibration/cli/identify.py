@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
-from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, progress_bar, tell
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, progress_bar, tell, writing
 from machine_tool_calibration.reports.documents import to_json, write_table
 
 if TYPE_CHECKING:
@@ -67,15 +66,14 @@ def command(
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
         if folder:
             progress("drawing")
-            written = _write(fit, folder, result_file=output is not None)
+            with writing(folder):
+                written = _write(fit, folder, result_file=output is not None)
         if table:
             from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
 
             values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
-            try:
+            with writing(table):
                 written.append(write_table(values, table, fit.result.provenance))
-            except OSError as error:
-                raise CalibrationError(f"{table}: cannot be written: {error.strerror}") from None
     tell(fit, as_json)
     for path in () if as_json else written:
         console().print(f"written: {path}")
@@ -84,12 +82,8 @@ def command(
 
 def _write(fit: Fit, folder: Path, *, result_file: bool) -> list[Path]:
     written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if result_file:
-            written.append(folder / "result.json")
-            written[0].write_text(to_json(fit.document()) + "\n", encoding="utf-8")
-        written += fit.save_pictures(folder)
-    except OSError as error:
-        raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
-    return written
+    folder.mkdir(parents=True, exist_ok=True)
+    if result_file:
+        written.append(folder / "result.json")
+        written[0].write_text(to_json(fit.document()) + "\n", encoding="utf-8")
+    return written + fit.save_pictures(folder)

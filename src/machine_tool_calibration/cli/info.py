@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:
     mtcal info bag --topic reading=/cell_2/reading
     """
     from machine_tool_calibration.recording.open import is_session_folder, open_measurement
-    from machine_tool_calibration.reports.information import measurement_document, show_recording, show_session
+    from machine_tool_calibration.reports.information import measurement_document, recording_parts, session_parts
     from machine_tool_calibration.session.summary import summarize
 
     bag, session, absent = None, None, ""
@@ -62,14 +63,11 @@ def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:
     if not absent:
         session = open_measurement(measurement, topics, check=False)
     summary = summarize(session) if session is not None else None
-    if as_json:
-        write_json(measurement_document(measurement, bag, session, summary, absent))
-    else:
-        out = console()
-        if bag is not None:
-            show_recording(out, bag, absent)
-        if session is not None and summary is not None:
-            show_session(out, session, summary)
+    parts = chain(
+        recording_parts(bag, absent) if bag is not None else (),
+        session_parts(session, summary) if session is not None and summary is not None else (),
+    )
+    tell_either(measurement_document(measurement, bag, session, summary, absent), parts, as_json)
     if summary is not None and summary.problem:
         raise CalibrationError(summary.problem)
 

@@ -15,6 +15,7 @@ from machine_tool_calibration.cli.output import (
     json_option,
     progress_bar,
     session_labels,
+    tell_either,
     write_json,
 )
 
@@ -94,13 +95,9 @@ def add(
 @json_option
 def listed(book: Path, machine: str | None, as_json: bool) -> None:
     """List the entries of a logbook by date."""
-    from machine_tool_calibration.reports.tables import show_table
     from machine_tool_calibration.reports.trends import entries_table
     from machine_tool_calibration.trends.logbook import Logbook
 
     entries = Logbook(book).entries(machine)
-    if as_json:
-        document = {"format": "mtcal-logbook/1", "book": str(book), "entries": [one.document() for one in entries]}
-        write_json(document)
-    else:
-        show_table(console(), entries_table(entries))
+    document = {"format": "mtcal-logbook/1", "book": str(book), "entries": [one.document() for one in entries]}
+    tell_either(document, [entries_table(entries)], as_json)

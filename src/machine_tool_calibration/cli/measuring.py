@@ -3,23 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, console, options
+from machine_tool_calibration.cli.output import PATH, RosName, bar, console, options
 from machine_tool_calibration.reports.identification import summary_rows
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
-__all__ = ["graph_options", "graph_place", "readings_bar", "show_files", "show_result"]
+__all__ = ["files_table", "graph_options", "graph_place", "readings_bar", "result_table"]
 
 _DOMAIN = click.IntRange(0, 232)
 _namespace = click.option(
@@ -53,22 +53,11 @@ graph_options = options(
 @contextmanager
 def readings_bar() -> Iterator[Progress]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    screen = console(stderr=True)
-    if not screen.is_terminal:
-        yield _lines(screen)
-        return
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=screen, transient=True) as shown:
-        task = shown.add_task("starting", total=None)
-        yield lambda text, done, total: shown.update(task, description=text, completed=done, total=total)
+    with bar("starting", counted=True) as update:
+        if update is None:
+            yield _lines(console(stderr=True))
+        else:
+            yield lambda text, done, total: update(description=text, completed=done, total=total)
 
 
 def _lines(screen: Console) -> Progress:
@@ -85,25 +74,24 @@ def _lines(screen: Console) -> Progress:
     return show
 
 
-def show_result(screen: Console, measured: Measured) -> None:
-    """The measurement's figures as a table."""
+def result_table(measured: Measured) -> TextTable:
+    """The measurement's figures."""
     rows = [("measured", f"{len(measured.session.readings)} readings in {measured.seconds[1]:.1f} s")]
     for name in ("unstable", "recoveries", "restarts"):
         if number := measured.counters.get(name):
             rows.append((name, str(number)))
     if measured.result is not None:
         rows += summary_rows(measured.result)
-    show_table(screen, TextTable("", ("", ""), tuple(rows)))
+    return TextTable("", ("", ""), tuple(rows))
 
 
-def show_files(screen: Console, measured: Measured, more: list[tuple[str, Path]] | None = None) -> None:
+def files_table(measured: Measured, more: Sequence[tuple[str, Path]] = ()) -> TextTable:
     """Where everything is."""
     rows: list[tuple[str, Path | None]] = [
         ("recording", measured.bag),
         ("session", measured.session_folder),
         ("result", measured.result_file),
-        *(more or []),
+        *more,
         ("logs of the nodes", measured.output / "log"),
     ]
-    found = tuple((name, str(path)) for name, path in rows if path is not None)
-    show_table(screen, TextTable("", ("", ""), found))
+    return TextTable("", ("", ""), tuple((name, str(path)) for name, path in rows if path is not None))

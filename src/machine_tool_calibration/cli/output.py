@@ -11,14 +11,17 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.tables import Part, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +36,7 @@ __all__ = [
     "PATH",
     "PictureFile",
     "RosName",
+    "bar",
     "console",
     "json_option",
     "note",
@@ -44,7 +48,10 @@ __all__ = [
     "seed_option",
     "session_labels",
     "tell",
+    "tell_either",
     "write_json",
+    "write_new",
+    "writing",
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -118,6 +125,31 @@ def write_json(document: Any) -> None:
     click.echo(to_json(document))
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say in one line where something cannot be written.
+
+    Raises:
+        CalibrationError: a file or folder that the system refuses.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise CalibrationError(f"{error.filename or path}: cannot be written: {error.strerror}") from None
+
+
+def write_new(file: Path, text: str) -> None:
+    """Write a text file.
+
+    Raises:
+        CalibrationError: it is there already, or cannot be written.
+    """
+    if file.exists():
+        raise CalibrationError(f"{file}: is there already; choose another file")
+    with writing(file):
+        file.write_text(text, encoding="utf-8")
+
+
 def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenance | None = None) -> None:
     """Draw a picture into a file, where one is named, with what it was made from at its foot."""
     if file is not None:
@@ -127,12 +159,20 @@ def save_picture(draw: Callable[[], Figure], file: Path | None, origin: Provenan
         note_written([file])
 
 
-def tell(answer: Answer, as_json: bool) -> None:
-    """Say what was found: the document for programs, or the text for people."""
+def tell(answer: Answer, as_json: bool, parts: Iterable[Part] | None = None) -> None:
+    """Say what was found: the document for programs, or the text for people, in other parts where these are given."""
     if as_json:
         write_json(answer.document())
     else:
-        answer.show(console())
+        show(console(), answer.parts() if parts is None else parts)
+
+
+def tell_either(document: Mapping[str, Any], parts: Iterable[Part], as_json: bool) -> None:
+    """The same of what is no answer of the interface; parts that nobody reads are not made, if they are an iterator."""
+    if as_json:
+        write_json(document)
+    else:
+        show(console(), parts)
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -158,20 +198,33 @@ class Report(Protocol):
 
 
 @contextmanager
-def progress_bar() -> Iterator[Report]:
-    """A progress bar on standard error; nothing where that is not a terminal."""
+def bar(begin: str, *, counted: bool = False) -> Iterator[Callable[..., None] | None]:
+    """A progress bar on standard error, of how many of all where they are counted; None where that is no terminal.
+
+    Yields:
+        What is told `description`, `completed` and `total`.
+    """
     screen = console(stderr=True)
     if not screen.is_terminal:
-        yield lambda what, share=None: None
+        yield None
         return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    words = TextColumn("{task.description}", markup=False)
+    count = [MofNCompleteColumn()] if counted else []
+    columns = (SpinnerColumn(), words, BarColumn(), *count, TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
-        task = shown.add_task("reading", total=None)
+        yield partial(shown.update, shown.add_task(begin, total=None))
+
+
+@contextmanager
+def progress_bar() -> Iterator[Report]:
+    """A progress bar on standard error; nothing where that is not a terminal."""
+    with bar("reading") as update:
 
         def report(what: str, share: float | None = None, /) -> None:
-            shown.update(task, description=what, total=None if share is None else 1.0, completed=share or 0.0)
+            if update is not None:
+                update(description=what, total=None if share is None else 1.0, completed=share or 0.0)
 
         yield report
 

@@ -14,13 +14,13 @@ from machine_tool_calibration.cli.diagnosing import effects_file_option, model_o
 from machine_tool_calibration.cli.output import (
     FILE,
     PictureFile,
-    console,
     json_option,
     note_written,
     progress_bar,
     save_picture,
     seed_option,
-    write_json,
+    tell_either,
+    write_new,
 )
 from machine_tool_calibration.errors import CalibrationError
 
@@ -95,17 +95,14 @@ def command(
 def _forecast(file: Path, assumed: Assumed, as_json: bool) -> None:
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
-    from machine_tool_calibration.reports.forecast import show_forecast
+    from machine_tool_calibration.reports.planning import forecast_parts
 
     with progress_bar() as progress:
         found = forecast(
             read_procedure(file), model=assumed.model, own=assumed.own, warming=assumed.warming,
             angular=assumed.angular, progress=progress,
         )  # fmt: skip
-    if as_json:
-        write_json(found.document())
-        return
-    show_forecast(console(), found)
+    tell_either(found.document(), forecast_parts(found), as_json)
 
 
 def _optimised(
@@ -120,7 +117,7 @@ def _optimised(
     from machine_tool_calibration.budget.patterns import shared_errors
     from machine_tool_calibration.planning.best_plan import best_plan
     from machine_tool_calibration.plots.best_plan import draw_best_plan
-    from machine_tool_calibration.reports.best_plan import show_best_plan
+    from machine_tool_calibration.reports.planning import best_plan_parts
     from machine_tool_calibration.session.text import read_text
 
     if output is not None and output.exists():
@@ -128,14 +125,8 @@ def _optimised(
     with progress_bar() as progress:
         complete = replace(assumed, errors=shared_errors)
         found = best_plan(read_text(file), str(file), complete, told=told, seed=seed, progress=progress)
-    if as_json:
-        write_json(found.document())
-    else:
-        show_best_plan(console(), found)
+    tell_either(found.document(), best_plan_parts(found), as_json)
     save_picture(partial(draw_best_plan, found), plot)
     if output is not None:
-        try:
-            output.write_text(found.text, encoding="utf-8")
-        except OSError as error:
-            raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
+        write_new(output, found.text)
         note_written([output])

@@ -8,9 +8,8 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import show_head
 
 __all__ = ["command"]
 
@@ -72,9 +71,7 @@ def command(
     if topics:
         parameters["topics"] = list(topics)
     player = run_here(Player, parameters, remap)
-    if as_json:
-        write_json({"format": "mtcal-played/1", "bag": bag, "messages": player.sent, "state": player.state})
-    else:
-        show_head(console(), str(bag), f": {player.sent} messages sent, {player.state}")
+    document = {"format": "mtcal-played/1", "bag": bag, "messages": player.sent, "state": player.state}
+    tell_either(document, [f"{bag}: {player.sent} messages sent, {player.state}"], as_json)
     if player.trouble:
         raise CalibrationError(player.trouble)

@@ -11,9 +11,9 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import show_head
+from machine_tool_calibration.reports.documents import picked
 
 __all__ = ["command"]
 
@@ -66,22 +66,15 @@ def command(
     recorder = run_here(create, parameters, [f"__ns:=/{namespace.strip('/')}"] if namespace else ())
     if timer is not None:
         timer.cancel()
-    if as_json:
-        write_json(
-            {
-                "format": "mtcal-recording/1",
-                "bag": recorder.bag.folder,
-                "messages": recorder.bag.messages,
-                "lost": recorder.lost,
-                "topics": [
-                    {"name": topic.name, "type": topic.type, "messages": topic.messages}
-                    for topic in recorder.bag.topics
-                ],
-            }
-        )
-    else:
-        lost = f", {recorder.lost} lost" if recorder.lost else ", none lost"
-        held = f"{recorder.bag.messages} messages of {len(recorder.bag.topics)} topics"
-        show_head(console(), str(recorder.bag.folder), f": {held}{lost}")
+    recorded = recorder.bag
+    document = {
+        "format": "mtcal-recording/1",
+        "bag": recorded.folder,
+        "messages": recorded.messages,
+        "lost": recorder.lost,
+        "topics": [picked(one, "name", "type", "messages") for one in recorded.topics],
+    }
+    held = f"{recorded.messages} messages of {len(recorded.topics)} topics, {recorder.lost or 'none'} lost"
+    tell_either(document, [f"{recorded.folder}: {held}"], as_json)
     if recorder.trouble:
         raise CalibrationError(recorder.trouble)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, note, progress_bar, tell_either
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import show_head
 
 __all__ = ["command"]
 
@@ -34,28 +33,23 @@ def command(bag: Path, output: Path | None, as_json: bool) -> None:
     target = output or _beside(bag)
     with progress_bar() as progress:
         saved = recover(bag, target, lambda share: progress("copying what is whole", share))
-    if as_json:
-        write_json(
-            {
-                "format": "mtcal-recovered/1",
-                "bag": saved.folder,
-                "files": saved.files,
-                "messages": saved.messages,
-                "topics": saved.topics,
-                "start": saved.first,
-                "duration": (saved.last - saved.first) / 1e9,
-                "lost_bytes": saved.lost_bytes,
-                "problems": saved.problems,
-            }
-        )
-        return
     seconds = (saved.last - saved.first) / 1e9
-    words = f": {saved.messages} messages of {saved.topics} topics, {seconds:.1f} s"
-    show_head(console(), str(saved.folder), words)
-    for problem in saved.problems:
+    document = {
+        "format": "mtcal-recovered/1",
+        "bag": saved.folder,
+        "files": saved.files,
+        "messages": saved.messages,
+        "topics": saved.topics,
+        "start": saved.first,
+        "duration": seconds,
+        "lost_bytes": saved.lost_bytes,
+        "problems": saved.problems,
+    }
+    words = f"{saved.folder}: {saved.messages} messages of {saved.topics} topics, {seconds:.1f} s"
+    tell_either(document, [words], as_json)
+    lost = [f"{saved.lost_bytes} bytes could not be used"] if saved.lost_bytes else []
+    for problem in () if as_json else (*saved.problems, *lost):
         note(problem)
-    if saved.lost_bytes:
-        note(f"{saved.lost_bytes} bytes could not be used")
 
 
 def _beside(bag: Path) -> Path:

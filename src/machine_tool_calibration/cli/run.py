@@ -10,13 +10,14 @@ from typing import Any
 import click
 
 from machine_tool_calibration.budget.enough import Until
-from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
-from machine_tool_calibration.cli.output import PATH, console, json_option, progress_bar, write_json
+from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
+from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
 from machine_tool_calibration.nodes.measurement import NODES, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import SiteSpec, read_site
 from machine_tool_calibration.procedure import read_procedure
-from machine_tool_calibration.reports.enough import show_reached
+from machine_tool_calibration.reports.planning import reached_parts
+from machine_tool_calibration.reports.tables import Part
 
 __all__ = ["command"]
 
@@ -115,28 +116,20 @@ def command(
             file = _soonest(file, wanted, setting.model or None, folder)
         with readings_bar() as progress:
             measured = measure(file, setting, progress)
-    if as_json:
-        write_json(
-            {
-                "format": "mtcal-run/1",
-                "output": measured.output,
-                "session": measured.session_folder,
-                "bag": measured.bag,
-                "readings": len(measured.session.readings),
-                "seconds": measured.seconds[1],
-                "counters": measured.counters,
-                "remarks": measured.remarks,
-                **({"reached": [one.document() for one in measured.reached]} if wanted is not None else {}),
-                "result": measured.result,
-            }
-        )
-        return
-    screen = console()
-    for remark in measured.remarks:
-        screen.print(f"[yellow]{remark}[/]")
-    if wanted is not None:
-        show_reached(screen, measured.reached)
-    show_result(screen, measured)
-    show_files(screen, measured)
+    document = {
+        "format": "mtcal-run/1",
+        "output": measured.output,
+        "session": measured.session_folder,
+        "bag": measured.bag,
+        "readings": len(measured.session.readings),
+        "seconds": measured.seconds[1],
+        "counters": measured.counters,
+        "remarks": measured.remarks,
+        **({"reached": [one.document() for one in measured.reached]} if wanted is not None else {}),
+        "result": measured.result,
+    }
+    parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]
+    parts += [result_table(measured), files_table(measured)]
     if measured.result is not None and measured.session_folder is not None:
-        screen.print(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
+        parts.append(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
+    tell_either(document, parts, as_json)

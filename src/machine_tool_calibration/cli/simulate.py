@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.documents import picked, to_json
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.catalogue import METHODS
 
 if TYPE_CHECKING:
@@ -78,7 +79,6 @@ def command(
     size: float | None,
     amplitude: float | None,
     machine: Path | None,
-    seed: int | None,
     spread: float | None,
     chips: float | None,
     overwrite: bool,
@@ -104,8 +104,6 @@ def command(
             raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
         chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
     fields: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
-    if seed is not None:
-        fields["seed"] = seed
     if spread is not None:
         fields["spread"] = {"slope": spread, "bow": spread}
     if chips is not None:
@@ -122,10 +120,7 @@ def command(
     simulated = simulate(spec)
     _write(simulated, spec, paths[-1], overwrite)
     summary = _summary(simulated, paths[-1])
-    if as_json:
-        write_json(summary)
-    else:
-        _show(summary, simulated)
+    tell_either(summary, _parts(summary, simulated), as_json)
 
 
 def _write(simulated: Simulated, spec: SimulationSpec, folder: Path, overwrite: bool) -> None:
@@ -159,26 +154,25 @@ def _summary(simulated: Simulated, folder: Path) -> dict[str, Any]:
     }
 
 
-def _show(summary: dict[str, Any], simulated: Simulated) -> None:
-    out = console()
+def _parts(summary: dict[str, Any], simulated: Simulated) -> Iterator[Part]:
     lost = f", {summary['missing']} of them missing" if summary["missing"] else ""
     gross = f", {summary['outliers']} with a gross error" if summary["outliers"] else ""
     setups = f"{len(summary['setups'])} setup{'' if len(summary['setups']) == 1 else 's'}"
-    out.print(
+    yield (
         f"{summary['method'].replace('_', ' ')}: {summary['observations']} readings{lost}{gross}, "
         f"{setups} ({', '.join(summary['setups'])}), seed {summary['seed']}"
     )
-    out.print(f"declared standard uncertainty {quantity(summary['standard_uncertainty'], 'm')}")
+    yield f"declared standard uncertainty {quantity(summary['standard_uncertainty'], 'm')}"
     for chosen in simulated.truth.effects:
         extra = ", ".join(f"{key} {_short(value)}" for key, value in chosen.parameters.items())
         size = quantity(chosen.size, chosen.flaw.unit)
-        out.print(f"effect {chosen.flaw.id}: size {size}{f' ({extra})' if extra else ''}")
+        yield f"effect {chosen.flaw.id}: size {size}{f' ({extra})' if extra else ''}"
     if simulated.truth.effects:
-        out.print(f"the effects change the readings by up to {quantity(summary['amplitude'], 'm')}")
+        yield f"the effects change the readings by up to {quantity(summary['amplitude'], 'm')}"
     else:
-        out.print("no effect beyond the machine's own errors")
-    out.print(f"written to {summary['folder']}: session.yaml, observations.csv, truth.json")
-    out.print(f"next: mtcal identify {summary['folder']}")
+        yield "no effect beyond the machine's own errors"
+    yield f"written to {summary['folder']}: session.yaml, observations.csv, truth.json"
+    yield f"next: mtcal identify {summary['folder']}"
 
 
 def _short(value: Any) -> str:
@@ -190,26 +184,12 @@ def _short(value: Any) -> str:
 def _list(as_json: bool) -> None:
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
-    if as_json:
-        write_json(
-            {
-                "presets": {name: plan.method for name, plan in PRESETS.items()},
-                "effects": [
-                    {
-                        "id": f.id,
-                        "formula": f.formula,
-                        "unit": f.unit,
-                        "typical": f.typical,
-                        "methods": f.methods,
-                        "listed": f.listed,
-                    }
-                    for f in FLAWS.values()
-                ],
-            }
-        )
-        return
-    out = console()
+    keys = ("id", "formula", "unit", "typical", "methods", "listed")
+    document = {
+        "presets": {name: plan.method for name, plan in PRESETS.items()},
+        "effects": [picked(flaw, *keys) for flaw in FLAWS.values()],
+    }
     presets = tuple((name, plan.method.replace("_", " ")) for name, plan in PRESETS.items())
-    show_table(out, TextTable("Presets", ("preset", "method"), presets))
     rows = tuple((flaw.id, flaw.formula, quantity(flaw.typical, flaw.unit)) for flaw in FLAWS.values())
-    show_table(out, TextTable("Effects", ("effect", "what it does", "typical size"), rows))
+    effects = TextTable("Effects", ("effect", "what it does", "typical size"), rows)
+    tell_either(document, [TextTable("Presets", ("preset", "method"), presets), effects], as_json)

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, console, json_option, write_json
+from machine_tool_calibration.cli.output import PATH, json_option, tell_either, write_new
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import WorkpiecePoint
@@ -57,14 +58,8 @@ def command(file: Path, into: str | None, output: Path | None, as_json: bool, **
         points = _outline(file, **outline)
     if output is not None:
         _write(points, into, output)
-    if as_json:
-        write_json({"format": "mtcal-points/1", "workpiece": workpiece_entries(points), "output": output})
-        return
-    _show(points)
-    if output is not None:
-        console().print(f"written: {output}")
-        if into is not None:
-            console().print(f"next: mtcal plan {output}")
+    document = {"format": "mtcal-points/1", "workpiece": workpiece_entries(points), "output": output}
+    tell_either(document, _parts(points, into, output), as_json)
 
 
 def _outline(
@@ -97,8 +92,6 @@ def _write(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path) -
     from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.procedure.workpiece.description import points_csv, points_yaml, procedure_with
 
-    if output.exists():
-        raise CalibrationError(f"{output}: is there already; choose another file")
     if into is not None:
         text = procedure_with(procedure_file(into), points)
     elif output.suffix.lower() == ".csv":
@@ -107,19 +100,18 @@ def _write(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path) -
         text = points_yaml(points)
     else:
         raise CalibrationError(f"{output}: points are written to .csv and .yaml")
-    try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
+    write_new(output, text)
 
 
-def _show(points: tuple[WorkpiecePoint, ...]) -> None:
-    screen = console()
-    low = [1e3 * min(p.position[j] for p in points) for j in range(2)]
-    high = [1e3 * max(p.position[j] for p in points) for j in range(2)]
-    screen.print(
-        f"{len(points)} points, x {low[0]:.3f} to {high[0]:.3f} mm, y {low[1]:.3f} to {high[1]:.3f} mm "
+def _parts(points: tuple[WorkpiecePoint, ...], into: str | None, output: Path | None) -> Iterator[Part]:
+    x, y = ([1e3 * end(p.position[j] for p in points) for end in (min, max)] for j in range(2))
+    yield (
+        f"{len(points)} points, x {x[0]:.3f} to {x[1]:.3f} mm, y {y[0]:.3f} to {y[1]:.3f} mm "
         "(the axis of C is the origin)"
     )
     rows = tuple((name, str(count)) for name, count in Counter(p.feature for p in points).items())
-    show_table(screen, TextTable("", ("feature", "points"), rows))
+    yield TextTable("", ("feature", "points"), rows)
+    if output is not None:
+        yield f"written: {output}"
+        if into is not None:
+            yield f"next: mtcal plan {output}"

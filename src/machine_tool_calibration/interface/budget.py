@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,13 +14,17 @@ from machine_tool_calibration.budget.conformity import Conformity as Judged
 from machine_tool_calibration.budget.propagate import Budget as Propagated
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.budget import draw_budget
-from machine_tool_calibration.reports.budget import budget_document, show_budget
-from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.budget import (
+    budget_document,
+    budget_parts,
+    conformity_document,
+    conformity_parts,
+)
+from machine_tool_calibration.reports.quantities import expanded_text
+from machine_tool_calibration.reports.tables import Part
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Budget", "Conformity"]
 
@@ -82,13 +87,13 @@ class Budget(Answer, Propagated):
         most = max(first["contributions"], key=lambda part: part["share"])
         return (
             f"uncertainty budget of {count}: {first['name']}, U = "
-            f"{quantity(first['expanded_uncertainty'], first['unit'])} at most, {100 * most['share']:.0f} % of it "
+            f"{expanded_text(first['expanded_uncertainty'], first['unit'])} at most, {100 * most['share']:.0f} % of it "
             f"from {most['name']}"
         )
 
-    def show(self, screen: Console, /) -> None:
-        """Print what `mtcal budget` prints."""
-        show_budget(screen, self, self.names)
+    def parts(self) -> Iterator[Part]:
+        """What `mtcal budget` prints."""
+        return budget_parts(self, self.names)
 
     def plot(self) -> Figure:
         """The bar chart of `mtcal budget --plot`, a figure that no window shows; a notebook does."""
@@ -129,9 +134,9 @@ class Conformity(Answer, Judged):
         told = ", ".join(f"{v.name} {v.decision}" for v in self.each)
         return f"conformity: {self.decision} ({told})"
 
-    def show(self, screen: Console, /) -> None:
-        """Print what `mtcal conformity` prints."""
-        show_conformity(screen, self)
+    def parts(self) -> Iterator[Part]:
+        """What `mtcal conformity` prints."""
+        return conformity_parts(self)
 
     @cached_property
     def _document(self) -> dict[str, Any]:

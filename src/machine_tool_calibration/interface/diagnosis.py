@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,15 +20,14 @@ from machine_tool_calibration.interface.show import Answer, chosen, notebook, pr
 from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.compare import draw_setups, figures
 from machine_tool_calibration.plots.diagnosis import candidate_table, draw_diagnosis
-from machine_tool_calibration.reports.comparison import comparison_document
-from machine_tool_calibration.reports.comparison_tables import show_comparison
-from machine_tool_calibration.reports.diagnosis import show_diagnosis
+from machine_tool_calibration.reports.comparison import comparison_document, comparison_parts
+from machine_tool_calibration.reports.diagnosis import diagnosis_parts
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.reports.verdict import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Comparison", "Diagnosis"]
 
@@ -100,9 +99,9 @@ class Comparison(Answer):
         """How well the model fits, in one line."""
         return str(self._document["summary"])
 
-    def show(self, screen: Console, /) -> None:
-        """Print what `mtcal compare` prints: by setup and repeat, region, direction of approach, over covariates."""
-        show_comparison(screen, self.found)
+    def parts(self) -> Iterator[Part]:
+        """What `mtcal compare` prints: by setup and repeat, region, direction of approach, over covariates."""
+        return comparison_parts(self.found)
 
     def plot(self, picture: str = "residuals", *, against: Sequence[str] = (), session: str | None = None) -> Figure:
         """One of the pictures of `mtcal compare`.
@@ -132,7 +131,6 @@ class Comparison(Answer):
         return comparison_document(self.found)
 
     def _of_each(self, table: str) -> pd.DataFrame:
-        """A table of each session, one below the other."""
         return one_below_the_other(self.found.labels or (), [getattr(one, table) for one in self.found.sessions])
 
 
@@ -197,19 +195,18 @@ class Diagnosis(Answer, Found):
         """The verdict in one line."""
         return verdict_line(self)
 
-    def show(self, screen: Console, /, *, details: bool = False) -> None:
-        """Print what `mtcal diagnose` prints: the verdict, the effects and the next step.
+    def parts(self, *, details: bool = False) -> Iterator[Part]:
+        """What `mtcal diagnose` prints: the verdict, the effects and the next step.
 
         Args:
-            screen: where to.
             details: with every effect that was looked for, confounded effects, what to measure next and what is
                 hidden, as with `--details`.
         """
-        show_diagnosis(screen, self, self.conclusions, details=details)
+        return diagnosis_parts(self, self.conclusions, details=details)
 
     def report(self, *, details: bool = False) -> str:
-        """What `show` prints, as text."""
-        return printed(lambda screen: self.show(screen, details=details))
+        """The same as text."""
+        return printed(self.parts(details=details))
 
     def plot(self) -> Figure:
         """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,17 +14,15 @@ import pandas as pd
 from machine_tool_calibration.arrays import COVERAGE
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
-from machine_tool_calibration.methods.probing.features import Quantity
 from machine_tool_calibration.methods.probing.geometry import Circle, Element
 from machine_tool_calibration.methods.probing.map import MonteCarlo
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Features"]
 
@@ -73,24 +72,26 @@ class Features(Answer, Found):
         """What it is, in one line."""
         return f"{', '.join(one.name for one in self.elements)}; frame: {self.datum}"
 
-    def show(self, screen: Console, /) -> None:
-        """Print the features with expanded uncertainty (k = 2), their frame, and what gives none."""
+    def parts(self) -> Iterator[Part]:
+        """The features with expanded uncertainty (k = 2), their frame, and what gives none."""
         drawn, rows = self.drawn, []
         for asked, row in zip(self.quantities, self.table.to_dict("records"), strict=True):
             told, interval = NOT_DETERMINED, ""
+            length = asked.unit == "m"
+            nominal = f"{fixed(1e3 * asked.nominal, 4)} mm" if length else f"{fixed(math.degrees(asked.nominal), 4)}°"
             if row["determined"]:
                 told = "0 (datum)" if row["u"] < _NOTHING else quantity(row["deviation"], asked.unit, row["u"])
                 if drawn is not None and row["u"] >= _NOTHING:
                     ends = (fixed(1e6 * end, decimals(2e6 * row["u"])) for end in (row["low"], row["high"]))
                     interval = f"{' to '.join(ends)} µ{asked.unit}"
-            rows.append((", ".join(asked.of), asked.what, _nominal(asked), told, interval))
+            rows.append((", ".join(asked.of), asked.what, nominal, told, interval))
         draws = f"{100 * COVERAGE:.4g} % of {drawn.draws} draws, touches {drawn.distribution}" if drawn else ""
         heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
         title = "Features of the workpiece, ± U (k = 2)"
         note = f"frame: {self.datum}; U is without instrument and temperature"
-        show_table(screen, TextTable(title, heads, tuple(rows), note))
+        yield TextTable(title, heads, tuple(rows), note)
         for name, why in self.left_out.items():
-            screen.print(f"Not a feature: {name}: {why}.")
+            yield f"Not a feature: {name}: {why}."
 
     def plot(self) -> Figure:
         """Where the features are, deviations magnified, with ellipses of their uncertainty."""
@@ -122,10 +123,6 @@ class Features(Answer, Found):
     @property
     def _names(self) -> list[str]:
         return [asked.name for asked in self.quantities]
-
-
-def _nominal(asked: Quantity) -> str:
-    return f"{fixed(1e3 * asked.nominal, 4)} mm" if asked.unit == "m" else f"{fixed(math.degrees(asked.nominal), 4)}°"
 
 
 def _kind(one: Element) -> str:

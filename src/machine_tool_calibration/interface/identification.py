@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -41,14 +41,13 @@ from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.reports import result_tables as tables
-from machine_tool_calibration.reports.identification import show_result
-from machine_tool_calibration.reports.measured import Measured
+from machine_tool_calibration.reports.identification import Measured, result_parts
 from machine_tool_calibration.reports.quantities import quantity, rounded
+from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.contributor import Contributor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Fit", "fitted", "identify", "split_effects"]
 
@@ -195,9 +194,9 @@ class Fit(Answer):
             f"residual {quantity(self.rms_residual, 'm')} RMS, reduced chi-square {rounded(self.reduced_chi_square)}"
         )
 
-    def show(self, screen: Console, /) -> None:
-        """Print what `mtcal identify` prints: how well it fits, errors with uncertainty, what is not determined."""
-        show_result(screen, self._document, self.measurement.sessions, self.result)
+    def parts(self) -> Iterator[Part]:
+        """What `mtcal identify` prints: how well it fits, errors with uncertainty, what is not determined."""
+        return result_parts(self._document, self.measurement.sessions, self.result)
 
     @property
     def pictures(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
@@ -20,13 +20,13 @@ from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.improve import draw_improvement, draw_steps, residuals_before_and_after, step_table
-from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
+from machine_tool_calibration.reports.improvement import improvement_document, improvement_parts
 from machine_tool_calibration.reports.quantities import micrometres
+from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.residuals.noise import noise_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Improvement", "improve", "plot_improvement"]
 
@@ -88,9 +88,9 @@ class Improvement(Answer, Done):
             f"{micrometres(first.rms_residual)} → {micrometres(last.rms_residual)} µm RMS"
         )
 
-    def show(self, screen: Console, /) -> None:
-        """Print what `mtcal improve` prints: a row for every step, before and after side by side."""
-        show_improvement(screen, self)
+    def parts(self) -> Iterator[Part]:
+        """What `mtcal improve` prints: a row for every step, before and after side by side."""
+        return improvement_parts(self)
 
     def plot(self) -> Figure:
         """The picture of `mtcal improve`: the error falling, and the residuals before and after."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,13 +15,13 @@ from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
-from machine_tool_calibration.reports.quantities import micrometres, p_value, plus_minus, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.documents import picked
+from machine_tool_calibration.reports.quantities import p_value, plus_minus, quantity
+from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["MapComparison"]
 
@@ -59,21 +60,19 @@ class MapComparison(Answer, Compared):
         verdict = "agree" if self.agree else "contradict each other"
         return f"{' and '.join(self.labels)} {verdict} at {len(self.points)} points"
 
-    def show(self, screen: Console, /) -> None:
-        """Print the differences, the motion between the datums and the verdict."""
-        show_table(screen, _differences(self))
+    def parts(self) -> Iterator[Part]:
+        """The differences, the motion between the datums and the verdict."""
+        yield _differences(self)
         moved = [
             f"{m.name} {quantity(m.value, m.unit, m.u)}"
             for m in self.motion
             if np.isfinite(m.value) and max(abs(m.value), m.u) > _NOTHING
         ]
-        screen.print()
-        screen.print(
-            f"Taken out before, as the datums differ by it: {', '.join(moved)}."
-            if moved
-            else "Both maps have the same datum at these points: there is no common motion to take out."
-        )
-        screen.print(_verdict(self))
+        if moved:
+            yield f"Taken out before, as the datums differ by it: {', '.join(moved)}."
+        else:
+            yield "Both maps have the same datum at these points: there is no common motion to take out."
+        yield _verdict(self)
 
     def plot(self) -> Figure:
         """Both maps, and the normalised differences."""
@@ -89,14 +88,10 @@ class MapComparison(Answer, Compared):
             "compared": self.count,
             "beyond_1": self.beyond,
             "motion": [asdict(m) for m in self.motion],
-            "points": self.points,
-            "first": self.first,
+            **picked(self, "points", "first", "second", "difference", "normalised"),
             "first_u": self.u_first,
-            "second": self.second,
             "second_u": self.u_second,
-            "difference": self.difference,
             "difference_u": self.u,
-            "normalised": self.normalised,
             "provenance": [one.document() for one in self.origins],
         }
 
@@ -141,8 +136,8 @@ def _differences(comparison: Compared) -> TextTable:
         for j in axes:
             if told[k, j]:
                 row += [
-                    micrometres(float(comparison.first[k, j]), signed=True),
-                    micrometres(float(comparison.second[k, j]), signed=True),
+                    _own(comparison.first[k, j], comparison.u_first[k, j]),
+                    _own(comparison.second[k, j], comparison.u_second[k, j]),
                     plus_minus(float(comparison.difference[k, j]), float(comparison.u[k, j]), 1e6),
                     f"{comparison.normalised[k, j]:+.2f}",
                 ]
@@ -150,3 +145,8 @@ def _differences(comparison: Compared) -> TextTable:
                 row += [""] * 4
         rows.append(tuple(row))
     return TextTable("Position errors by both maps", tuple(heads), tuple(rows), note)
+
+
+def _own(value: float, u: float) -> str:
+    """An error by one of the maps, in micrometres, with as many digits as its own U allows."""
+    return plus_minus(float(value), float(u), 1e6).partition(" ± ")[0]

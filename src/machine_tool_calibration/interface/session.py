@@ -17,14 +17,13 @@ from machine_tool_calibration.interface.show import Shown
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.identification import session_headline
-from machine_tool_calibration.reports.information import show_session
+from machine_tool_calibration.reports.information import session_parts
+from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.folder import readings_frame, write_session
 from machine_tool_calibration.session.session import Session, distinct_labels, measurement_name, refuse_repeated
 from machine_tool_calibration.session.summary import summarize
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.effects.effect import Effect
 
 __all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
@@ -72,10 +71,10 @@ class Measurement(Shown):
         named = zip(self.labels, self.sessions, strict=True)
         return "; ".join(f"{label}: " * several + session_headline(own) for label, own in named)
 
-    def show(self, screen: Console, /) -> None:
-        """Print setups and columns, as `mtcal info` does; of several sessions one after the other."""
+    def parts(self) -> Iterator[Part]:
+        """Setups and columns, as `mtcal info` prints them; of several sessions one after the other."""
         for session in self.sessions:
-            show_session(screen, session, summarize(session))
+            yield from session_parts(session, summarize(session))
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write `session.yaml` and `observations.csv`; of several sessions each into a folder of its label in there.
@@ -209,7 +208,6 @@ def simulate(
 
 
 def _flaws(effects: str | Sequence[str] | Mapping[str, float | Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Effects as the simulation's mappings."""
     if isinstance(effects, str):
         effects = (effects,)
     if not isinstance(effects, Mapping):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from functools import cached_property, partial
 from html import escape
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.tables import Part, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,12 +34,16 @@ class Shown(ABC):
         """What it is, in one line."""
 
     @abstractmethod
+    def parts(self) -> Iterator[Part]:
+        """What the command line prints of it: sentences and tables of text."""
+
     def show(self, screen: Console, /) -> None:
-        """Print what the command line prints of it."""
+        """Print it."""
+        show(screen, self.parts())
 
     def report(self) -> str:
-        """What the command line prints of it, as text."""
-        return printed(self.show)
+        """The same as text."""
+        return printed(self.parts())
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.headline}>"
@@ -65,20 +70,16 @@ class Answer(Shown):
         return dict(plain(self._document))
 
 
-def printed(show: Callable[[Console], None]) -> str:
-    """What a command prints, as text.
-
-    Args:
-        show: prints to the screen that it is given.
-    """
+def printed(parts: Iterable[Part]) -> str:
+    """What a command prints, as text."""
     from rich.console import Console
 
     text = io.StringIO()
     # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
-    kind = Console(
+    screen = Console(
         file=text, width=_WIDTH, highlight=False, markup=False, force_terminal=False, force_jupyter=False, no_color=True
     )
-    show(kind)
+    show(screen, parts)
     return text.getvalue()
 
 

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.trend import draw_trend
-from machine_tool_calibration.reports.tables import show_table
+from machine_tool_calibration.reports.documents import picked
+from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict, trend_table, trend_words
 from machine_tool_calibration.trends.check import LEVEL
 from machine_tool_calibration.trends.check import Check as Checked
@@ -19,7 +21,6 @@ from machine_tool_calibration.trends.trend import Trend as Followed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
 __all__ = ["Check", "Trend"]
 
@@ -33,12 +34,11 @@ class Check(Answer, Checked):
         """The verdict, in one line."""
         return check_verdict(self)
 
-    def show(self, screen: Console, /) -> None:
-        """Print what changed, the verdict, and what could not be told."""
-        show_table(screen, check_table(self))
-        screen.print()
-        for words in (check_verdict(self), *check_remarks(self)):
-            screen.print(words)
+    def parts(self) -> Iterator[Part]:
+        """What changed, the verdict, and what could not be told."""
+        yield check_table(self)
+        yield check_verdict(self)
+        yield from check_remarks(self)
 
     @cached_property
     def _document(self) -> dict[str, Any]:
@@ -70,12 +70,10 @@ class Trend(Answer, Followed):
         """What has changed."""
         return " ".join(trend_words(self))
 
-    def show(self, screen: Console, /) -> None:
-        """Print the sizes, how each is explained, and what has changed."""
-        show_table(screen, trend_table(self))
-        screen.print()
-        for words in trend_words(self):
-            screen.print(words)
+    def parts(self) -> Iterator[Part]:
+        """The sizes, how each is explained, and what has changed."""
+        yield trend_table(self)
+        yield from trend_words(self)
 
     def plot(self) -> Figure:
         """The sizes over time with U, those that changed first."""
@@ -95,11 +93,10 @@ class Trend(Answer, Followed):
 
 
 def _course(one: Course) -> dict[str, Any]:
-    told: dict[str, Any] = {"name": one.name, "unit": one.unit, "kind": one.kind, "alarm": one.alarm}
-    told |= {"suspected": one.suspected, "limit": one.limit, "against_limit": one.against_limit}
+    told = picked(one, "name", "unit", "kind", "alarm", "suspected", "limit", "against_limit", "dates", "value")
     if one.explanation is not None:
-        told |= {key: getattr(one.explanation, key) for key in ("jump", "drift", "change", "u", "spread")}
+        told |= picked(one.explanation, "jump", "drift", "change", "u", "spread")
         told |= {"began": list(one.began), "instrument": one.explanation.shift}
         told |= {"instrument_step": one.explanation.step, "instrument_step_u": one.explanation.u_step}
     instruments = [one.ways[way] for way in one.way]
-    return told | {"dates": one.dates, "value": one.value, "value_u": one.u, "instruments": instruments}
+    return told | {"value_u": one.u, "instruments": instruments}

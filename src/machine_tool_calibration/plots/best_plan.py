@@ -12,7 +12,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.planning.best_plan import BestPlan, PlanQuality
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import mark_lost, name_axes, new_figure
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.session.session import distinct_places
 from machine_tool_calibration.words import say
 
@@ -39,8 +39,7 @@ def draw_best_plan(found: BestPlan) -> Figure:
     for (a, b), row in zip(shown, rows, strict=True):
         for panel, one, when in zip(row, (found.present, found.best), ("before", "after"), strict=True):
             _plane(panel, found.points, one, (a, b), top)
-            largest = quantity(2.0 * one.largest, "m") if np.isfinite(one.largest) else say("picture.not_determined")
-            panel.set_title(say(f"picture.plan_{when}", size=largest), fontsize=10)
+            panel.set_title(say(f"picture.plan_{when}", size=expanded_text(2.0 * one.largest)), fontsize=10)
     return figure
 
 

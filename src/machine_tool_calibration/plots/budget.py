@@ -30,10 +30,6 @@ _HEIGHT = 0.7
 def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
     """Bars of the contributions to the first quantity, and of the shares in every quantity.
 
-    Args:
-        budget: what to draw.
-        names: quantities that were asked for; empty for those that are told of every measurement.
-
     Raises:
         ModelError: a name that is not published.
     """
@@ -72,7 +68,6 @@ def _contributions(panel: Axes, budget: Budget, one: Sum) -> None:
 
 
 def _shares(panel: Axes, budget: Budget, sums: Sequence[Sum]) -> None:
-    """Shares in the sum of squares, stacked."""
     shares = np.array([[part.share for part in one.shares] for one in sums])
     order = np.argsort(-shares.max(axis=0), kind="stable")
     place, begin = np.arange(len(sums)), np.zeros(len(sums))

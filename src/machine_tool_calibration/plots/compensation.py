@@ -25,12 +25,7 @@ _ASIDE = 0.006
 
 
 def draw_compensation(errors: ResidualErrors, title: str) -> Figure:
-    """Errors in each known direction and their length, along each axis that the points extend in.
-
-    Args:
-        errors: before and after.
-        title: begins the title.
-    """
+    """Errors in each known direction and their length, along each axis that the points extend in."""
     axes = [k for k in range(3) if np.ptp(errors.points[:, k]) > _EXTENT] or [0]
     rows = [(say("compensation.along", axis="XYZ"[j]), j) for j in range(3) if errors.known[:, j].any()]
     words = together((title, say("compensation.title")), "\n")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.plots.error_map import draw_motions
-from machine_tool_calibration.plots.style import COLORS, name_axes, new_figure, numbers, round_down
-from machine_tool_calibration.reports.quantities import as_exact, quantity
+from machine_tool_calibration.plots.error_map import draw_plane, draw_tables
+from machine_tool_calibration.plots.style import COLORS, new_figure, numbers
+from machine_tool_calibration.reports.quantities import as_exact
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
@@ -19,10 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_diagonals", "draw_map", "draw_positioning", "figures", "standard_figures"]
+__all__ = ["draw_diagonals", "draw_positioning", "figures", "standard_figures"]
 
-# Share of the drawing's width that the largest error takes.
-_LENGTH = 0.08
 # Of figures of ISO 230-2 whose name in the document is not what people call them.
 _SYMBOLS = {"B_mean": say("picture.mean_B"), "R_up": "R↑", "R_down": "R↓"}
 
@@ -31,11 +28,11 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """One for each run by ISO 230-2, the error motions, and the map where it fills a plane."""
     content = result["error_map"]
     out = standard_figures(content)
-    if any("nodes" in table for table in content["tables"].values()):
-        out["error_motions"] = _draw_tables(content["tables"])
+    if (motions := draw_tables(result["parameters"])) is not None:
+        out["error_motions"] = motions
     points = numbers(content["points"]).reshape(-1, 3)
     if len(points) and (np.ptp(points, axis=0) > 1e-6).sum() >= 2:
-        out["map"] = draw_map(content)
+        out["map"] = draw_plane(content)
     return out
 
 
@@ -47,11 +44,7 @@ def standard_figures(content: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def draw_positioning(run: Mapping[str, Any]) -> Figure:
-    """The plot of ISO 230-2: single runs, their means in both directions and the limits two standard deviations off.
-
-    Args:
-        run: one entry of `iso230_2` in the error map.
-    """
+    """The plot of ISO 230-2: single runs, their means in both directions and the limits two standard deviations off."""
     figure = new_figure(10, 4.6)
     panel = figure.subplots()
     _draw_run(panel, run)
@@ -70,11 +63,7 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
 
 
 def draw_diagonals(runs: Sequence[Mapping[str, Any]]) -> Figure:
-    """The same of the diagonals of ISO 230-6, a panel each on one scale, along the diagonal.
-
-    Args:
-        runs: those of `iso230_6` in the error map.
-    """
+    """The same of the diagonals of ISO 230-6, a panel each on one scale, along the diagonal."""
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
     figure = new_figure(max(4 * columns, 7), 2.8 * rows + 0.6, say("picture.diagonals"))
@@ -109,58 +98,3 @@ def _draw_run(panel: Axes, run: Mapping[str, Any]) -> None:
 
 def _known(value: Any) -> bool:
     return value is not None and bool(np.isfinite(value))
-
-
-def _draw_tables(tables: Mapping[str, Any]) -> Figure:
-    """The error motions as those of every method, those that hold a single value in the title."""
-    curves = {
-        name: np.column_stack([numbers(table[key]) for key in ("nodes", "value", "value_u")])
-        for name, table in tables.items()
-        if "nodes" in table
-    }
-    single = {name: table for name, table in tables.items() if "nodes" not in table and _known(table["value"])}
-    return draw_motions(curves, {name: (one["value"], one["value_u"]) for name, one in single.items()})
-
-
-def draw_map(content: Mapping[str, Any]) -> Figure:
-    """Position errors as magnified arrows in the plane that the points fill most.
-
-    A direction that is determined nowhere is drawn as without error, and named in the title.
-
-    Args:
-        content: `error_map` of the result.
-    """
-    points, error = numbers(content["points"]), numbers(content["position_error"])
-    i, j = sorted(np.argsort(-np.ptp(points, axis=0))[:2].tolist())
-    figure = new_figure(8, 7.5)
-    panel = figure.subplots()
-    lost = np.asarray(~np.isfinite(error).any(axis=0))
-    if not lost.all():
-        error = np.where(lost, 0.0, error)
-    shown = np.isfinite(error[:, [i, j]]).all(axis=1)
-    size = np.hypot(error[shown, i], error[shown, j])
-    largest = float(size.max(initial=0.0))
-    width = float(np.ptp(points[:, [i, j]], axis=0).max())
-    panel.plot(1e3 * points[:, i], 1e3 * points[:, j], ".", color="0.7", markersize=3)
-    if largest > 0:
-        # arrows in the axes' own unit, so that they turn and grow with the picture
-        arrow = 1e3 * _LENGTH * width / largest * error[shown][:, [i, j]]
-        start = 1e3 * points[shown][:, [i, j]]
-        arrows = panel.quiver(
-            *start.T, *arrow.T, angles="xy", scale_units="xy", scale=1.0, color="tab:blue", width=0.003
-        )
-        known = round_down(largest)
-        panel.quiverkey(
-            arrows, 0.9, 0.96, 1e3 * _LENGTH * width / largest * known, quantity(known, "m"), labelpos="W", color="0.2"
-        )
-        panel.update_datalim(start + arrow)  # matplotlib counts only where arrows begin
-        panel.autoscale_view()
-    panel.set_aspect("equal", adjustable="datalim")
-    name_axes(panel, i, j, "XYZ")
-    known = np.linalg.norm(np.nan_to_num(error[np.isfinite(error).any(axis=1)]), axis=1)
-    longest = quantity(float(known.max(initial=0.0)), "m")
-    nowhere = ", ".join("xyz"[k] for k in (i, j) if lost[k])
-    lines = [say("picture.map_title", rms=quantity(rms(known), "m"), most=longest)]
-    lines += [say("text.not_determined_along", names=nowhere)] if nowhere else []
-    panel.set_title(together(lines, "\n"))
-    return figure

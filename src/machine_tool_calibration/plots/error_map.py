@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_map", "draw_motions", "draw_tables", "neighbours", "read_tables"]
+__all__ = ["draw_map", "draw_motions", "draw_plane", "draw_tables", "neighbours", "read_tables"]
 
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
@@ -114,6 +114,8 @@ _SEEN = 0.014
 # Room that ellipses may take beside the points, as a share of the map.
 _ROOM = 0.25
 _MOST_LAYERS = 6
+# Extent of a plane across itself, m.
+_FLAT = 1e-6
 _MOST_ELLIPSES = 1500
 
 
@@ -135,7 +137,19 @@ class _Map:
         return _Map(self.points[keep], self.error[keep], self.uncertainty[keep])
 
 
-def draw_map(content: Mapping[str, Any]) -> Figure:
+def draw_plane(content: Mapping[str, Any]) -> Figure:
+    """The map of points that lie in one plane of the machine, seen across it; any other as `draw_map` draws it."""
+    points, *errors = (numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
+    across, *plane = np.argsort(np.ptp(points, axis=0), kind="stable").tolist()
+    if np.ptp(points[:, across]) > _FLAT:
+        return draw_map(content)
+    plane.sort()
+    seen = [points[:, [*plane, across]], *(values[:, plane] for values in errors)]
+    named = zip(("points", "position_error", "position_error_u"), seen, strict=True)
+    return draw_map(dict(named), "".join("xyz"[k] for k in plane))
+
+
+def draw_map(content: Mapping[str, Any], plane: str = "xy") -> Figure:
     """Nominal and measured positions, with ellipses of expanded uncertainty (k = 2).
 
     A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction
@@ -143,8 +157,10 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
 
     Args:
         content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
+        plane: names of the axes to the right and upwards.
     """
-    whole, unknown = _known(_Map(*(numbers(content[key]) for key in ("points", "position_error", "position_error_u"))))
+    parts = (numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
+    whole, unknown = _known(_Map(*parts), f"{plane}z")
     flat = whole.error.shape[1] == 2
     layers = [("", whole)] if flat else _layers(whole)
     scale = _magnification(layers[0][1], whole)
@@ -160,16 +176,16 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
         panel.set_title(name, fontsize="medium")
     for panel in panels[len(layers) :]:
         panel.set_axis_off()
-    _finish(figure, list(panels), len(layers), columns, limit)
+    _finish(figure, list(panels), len(layers), columns, limit, plane)
     return figure
 
 
-def _known(whole: _Map) -> tuple[_Map, list[str]]:
+def _known(whole: _Map, axes: str) -> tuple[_Map, list[str]]:
     """The map with zeros in the directions that are determined nowhere, and these in a line for the title."""
     lost = np.asarray(~np.isfinite(whole.error).any(axis=0))
     if lost.all() or not lost.any():
         return whole, []
-    names = ", ".join(name for name, gone in zip("xyz", lost, strict=False) if gone)
+    names = ", ".join(name for name, gone in zip(axes, lost, strict=False) if gone)
     filled = (np.where(lost, 0.0, values) for values in (whole.error, whole.uncertainty))
     return _Map(whole.points, *filled), [say("text.not_determined_along", names=names)]
 
@@ -201,7 +217,6 @@ class _Drawing:
 
 
 def _headline(whole: _Map, scale: float) -> Iterator[str]:
-    """The map in a line or two."""
     if not whole.good.any():
         yield say("picture.no_target", scale=spaced(scale))
         return
@@ -268,13 +283,13 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
         scale_bar(panel, scale, drawing.largest, drawn.min(axis=0), drawn.max(axis=0))
 
 
-def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit: float) -> None:
+def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit: float, plane: str) -> None:
     """Labels on the outer panels, one legend, one colour bar."""
     for k, panel in enumerate(panels[:count]):
         if k % columns == 0:
-            panel.set_ylabel("y, mm")
+            panel.set_ylabel(f"{plane[1]}, mm")
         if k + columns >= count:
-            panel.set_xlabel("x, mm")
+            panel.set_xlabel(f"{plane[0]}, mm")
             panel.tick_params(labelbottom=True)
     seen: dict[str, Any] = {}
     for panel in panels[:count]:

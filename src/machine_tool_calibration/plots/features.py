@@ -124,6 +124,5 @@ def _draw_wall(panel: Axes, one: Line, places: Array, off: Array, u: Array, scal
 
 
 def _label(panel: Axes, text: str, place: Array) -> None:
-    """A name below and beside a place, mm."""
     at = (float(place[0]), float(place[1]))
     panel.annotate(text, at, (6, -11), textcoords="offset points", fontsize="x-small", color="0.35")

@@ -49,11 +49,6 @@ def draw_gallery(
 ) -> list[Path]:
     """Write a picture of every effect into a folder, and a page (README.md) that shows them.
 
-    Args:
-        effects: which.
-        folder: where; made if it is not there.
-        progress: called with the effect and the share that is finished.
-
     Returns:
         The files, the page last. An effect that shows in no simulated plan is on the page without a picture.
     """

@@ -88,7 +88,6 @@ def _followed(joint: JointFit) -> str:
 
 
 def _over(panel: Axes, joint: JointFit, name: str) -> None:
-    """Residuals of all sessions over a covariate."""
     pool = Pool(joint)
     none = [np.full(len(one), np.nan) for one in pool.observations]  # where what is left does not vary any more
     own = [covariates(one).get(name, nan) for one, nan in zip(pool.observations, none, strict=True)]

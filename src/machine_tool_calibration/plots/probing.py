@@ -32,12 +32,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
-    """Four panels: the workpiece's form and its uncertainty, the linear axes' grid, C.
-
-    Args:
-        description: the workpiece and its points.
-        content: the error map of a result, as in its document or with arrays.
-    """
+    """Four panels: the workpiece's form and its uncertainty, the linear axes' grid, C."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 

@@ -30,12 +30,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
-    """Six panels: error motion against the angle, with expanded uncertainty (k = 2); what is not determined is gray.
-
-    Args:
-        content: `error_map` of the result.
-        axis: letter of the rotary axis.
-    """
+    """Six panels: error motion against the angle, with expanded uncertainty (k = 2); what is not determined is gray."""
     figure = new_figure(12, 7)
     figure.suptitle(say("picture.rotary", axis=axis))
     panels = figure.subplots(2, 3, sharex=True)

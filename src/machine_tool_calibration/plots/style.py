@@ -64,11 +64,6 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None = None) -> list[Path]:
     """Write pictures as PNG files of their names into a folder, which is made where it is missing.
 
-    Args:
-        figures: by name.
-        folder: where.
-        origin: what they were made from, for the foot of each and, in full, for the file itself.
-
     Returns:
         The files.
     """
@@ -101,13 +96,7 @@ def add_footer(figure: Figure, text: str) -> Bbox:
 
 
 def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> None:
-    """Write one picture to a file whose ending chooses the format (png, svg, pdf, …); its folder is made.
-
-    Args:
-        figure: what is written.
-        path: where to.
-        origin: what it was made from, for its foot and, in full, for the file itself where the format can hold it.
-    """
+    """Write one picture to a file whose ending chooses the format (png, svg, pdf, …); its folder is made."""
     ending = path.suffix.removeprefix(".").lower() or "png"
     area = None if origin is None else add_footer(figure, origin.footer)
     told = None

@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, name_axes, new_figure, numbers
-from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
@@ -31,11 +31,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def draw_stations(content: Mapping[str, Any]) -> Figure:
-    """Plan of targets and stations with the lines of sight; for a volume also the side view.
-
-    Args:
-        content: the error map of a result, in its document or with arrays.
-    """
+    """Plan of targets and stations with the lines of sight; for a volume also the side view."""
     points, stations = numbers(content["points"]) * 1e3, numbers(content["stations"]) * 1e3
     uncertainty = numbers(content["stations_u"]) * 1e6
     flat = np.array(content["position_error"]).shape[1] == 2
@@ -58,7 +54,7 @@ def _plan(panel: Axes, points: Array, stations: Array, uncertainty: Array, names
             panel.fill(*sight[_outline(sight)].T, color=COLORS[k % len(COLORS)], alpha=0.08, lw=0)
         panel.plot(*station, "^", color=COLORS[k % len(COLORS)], ms=9, zorder=3)
         known = uncertainty[k][np.isfinite(uncertainty[k])]
-        text = f"{name} ({quantity(2e-6 * float(known.max()), 'm')})" if len(known) else name
+        text = f"{name} ({expanded_text(2e-6 * float(known.max()))})" if len(known) else name
         outwards = np.sign(station - (low + high) / 2)
         panel.annotate(
             text, station, (0, 9 * outwards[1] or 9), textcoords="offset points", ha="center",

@@ -18,7 +18,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
-from machine_tool_calibration.reports.measured import Measured
+from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.session.contributor import Contributor
 
 __all__ = ["Evaluation", "evaluate"]

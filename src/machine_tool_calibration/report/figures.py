@@ -1,24 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's pictures as SVG, with their texts in the report's language."""
+"""The report's pictures as SVG, with their texts in the report's language, and the map in space, to be turned."""
 
 from __future__ import annotations
 
 import base64
+import gzip
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.methods.identify import JointResult
+from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.compare import chosen_covariates, draw_against, draw_map, draw_setups
 from machine_tool_calibration.plots.direct import standard_figures
+from machine_tool_calibration.plots.error_map import neighbours
 from machine_tool_calibration.plots.pictures import figures
-from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
+from machine_tool_calibration.plots.style import COLORS, NOMINAL, draw_band, new_figure, round_down, spaced
 from machine_tool_calibration.report.evaluation import Evaluation
-from machine_tool_calibration.reports.result_tables import error_motions
+from machine_tool_calibration.reports.quantities import micrometres
+from machine_tool_calibration.reports.result_tables import error_map, error_motions
 from machine_tool_calibration.words import Words, say
 
 if TYPE_CHECKING:
@@ -26,7 +31,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.ticker import Formatter
 
-__all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "standard_pictures", "told"]
+__all__ = [
+    "Picture",
+    "library",
+    "map_pictures",
+    "motion_pictures",
+    "residual_pictures",
+    "standard_pictures",
+    "told",
+    "turnable",
+]
 
 # Width of a picture, inches, of which three stand side by side; and up to which two do, made that wide.
 _NARROW, _SQUARE, _HALF = 5.0, 7.5, 5.6
@@ -36,6 +50,9 @@ _WIDEST, _LOWEST = 9.5, 0.8
 _DPI = 150
 # Pictures of a method with a caption of their own.
 _CAPTIONS = ("error_map", "map", "stations", "arrangement", "probing")
+# Share of the drawing in space's size that the largest error takes, and points beyond which a browser is slow.
+_LENGTH, _MOST = 0.08, 20000
+_GRAY = f"rgb({', '.join([str(round(255 * float(NOMINAL)))] * 3)})"
 # Panels of residuals over covariates.
 _PANELS = 4
 
@@ -191,12 +208,9 @@ def _draw_motion(name: str, rows: pd.DataFrame) -> Figure:
     panel = figure.subplots()
     rows = rows.sort_values("position")
     angle, rotary = rows["unit"].iloc[0] == "rad", rows["position_unit"].iloc[0] == "rad"
-    at = np.degrees(rows["position"]) if rotary else 1e3 * rows["position"]
-    value, expanded = 1e6 * rows["value"], 2e6 * rows["u"]
-    panel.fill_between(at, value - expanded, value + expanded, color="0.85", lw=0)
-    for edge in (value - expanded, value + expanded):
-        panel.plot(at, edge, color="0.5", lw=0.7, ls="--")
-    panel.plot(at, value, "o-", color=COLORS[0], ms=3, lw=1.2)
+    at = (180.0 / np.pi if rotary else 1e3) * rows["position"].to_numpy(dtype=float)
+    value, u = (1e6 * rows[column].to_numpy(dtype=float) for column in ("value", "u"))
+    draw_band(panel, at, value, u)
     lost = ~rows["determined"].to_numpy(dtype=bool)
     panel.plot(at[lost], np.zeros(lost.sum()), "x", color="black", ms=5)
     panel.axhline(0.0, color=NOMINAL, lw=0.8, zorder=0)
@@ -219,3 +233,83 @@ def residual_pictures(found: Evaluation) -> Iterator[Picture]:
                 yield Picture(f"{label}_{name}", say("text.join", one=label, other=caption), figure)
             else:
                 yield Picture(name, caption, figure)
+
+
+@cache
+def library() -> str:
+    """plotly.js, compressed and in letters that may stand in a page."""
+    from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
+
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
+
+
+def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | None:
+    """The nominal grid and the found one with its errors magnified; None where the map has no extent to be turned.
+
+    Returns:
+        `data` and `layout` of plotly.js.
+    """
+    table = error_map(result)
+    place, error, u = (table[[f"{begin}{axis}" for axis in "xyz"]].to_numpy(dtype=float) for begin in ("", "e", "u"))
+    known = np.isfinite(error).any(axis=1)
+    place, error, u = place[known], np.nan_to_num(error[known]), u[known]
+    size = np.linalg.norm(error, axis=1)
+    if not 2 < len(place) <= _MOST or (np.ptp(place, axis=0) > 1e-6).sum() < 2 or not size.max() > 0.0:
+        return None
+    scale = round_down(_LENGTH * float(np.ptp(place, axis=0).max()) / float(size.max()))
+    found = place + scale * error
+    pairs = neighbours(place)
+    if len(pairs) < len(place) / 2:
+        pairs = np.empty((0, 2), dtype=int)
+    texts = [
+        "<br>".join(
+            words.numbers(f"{axis.upper()} {1e3 * p:.6g} mm: {micrometres(e, signed=True)} ± {micrometres(2 * s)} µm")
+            for axis, p, e, s in zip("xyz", *rows, strict=True)
+        )
+        for rows in zip(place, error, u, strict=True)
+    ]
+    arrows = np.stack([place, found], axis=1)
+    data = [
+        _lines(1e3 * place[pairs], _GRAY, words("report.nominal"), "dot"),
+        _lines(1e3 * found[pairs], COLORS[0], words("report.measured"), "solid"),
+        _lines(1e3 * arrows, COLORS[1], words("report.deviation"), "solid"),
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            "name": words("report.measured"),
+            "showlegend": False,
+            **_columns(1e3 * found),
+            "marker": {
+                "size": 4,
+                "color": np.round(1e6 * size, 4).tolist(),
+                "colorscale": "Cividis",
+                "colorbar": {"title": {"text": words("report.deviation_um")}, "len": 0.7},
+            },
+            "text": texts,
+            "hoverinfo": "text",
+        },
+    ]
+    axes = {f"{axis}axis": {"title": {"text": f"{axis.upper()}, mm"}} for axis in "xyz"}
+    layout = {
+        "title": {"text": words("report.magnified", scale=spaced(scale)), "font": {"size": 14}},
+        "scene": {**axes, "aspectmode": "data" if (np.ptp(place, axis=0) > 1e-6).all() else "cube"},
+        "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
+        "legend": {"orientation": "h"},
+        "height": 560,
+        "separators": f"{words('report.decimal')}\u202f",
+    }
+    return {"data": data, "layout": layout}
+
+
+def _lines(segments: np.ndarray, color: str, name: str, dash: str) -> dict[str, Any]:
+    """(n, 2, 3) segments, mm, as one line with gaps."""
+    gaps = np.full((len(segments), 1, 3), np.nan)
+    drawn = np.concatenate([segments, gaps], axis=1).reshape(-1, 3)
+    line = {"color": color, "width": 3, "dash": dash}
+    return {"type": "scatter3d", "mode": "lines", "name": name, **_columns(drawn), "line": line, "hoverinfo": "skip"}
+
+
+def _columns(points: np.ndarray) -> dict[str, list[float | None]]:
+    return {
+        axis: [None if not np.isfinite(v) else round(float(v), 5) for v in points[:, j]] for j, axis in enumerate("xyz")
+    }

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.report.figures import Picture
+from machine_tool_calibration.report.figures import Picture, library
 from machine_tool_calibration.report.sections import Section, Turnable, sections
-from machine_tool_calibration.report.turnable import library
-from machine_tool_calibration.reports.tables import TextTable, is_number
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import name_of_machine
 from machine_tool_calibration.words import Words
 
@@ -33,13 +32,6 @@ def write_report(
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Path]:
     """Write a report.
-
-    Args:
-        found: what it tells.
-        words: of its language.
-        files: each by its ending an HTML page or a PDF.
-        figures: folder for the pictures as SVG files of their own.
-        progress: called with what is being done and the share that is finished.
 
     Returns:
         The files.
@@ -88,7 +80,6 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
     environment.tests["picture"] = lambda block: isinstance(block, Picture)
     environment.tests["table"] = lambda block: isinstance(block, TextTable)
     environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
-    environment.filters["numbers"] = _numbers
     origin = found.result.provenance
     drawings = [block.drawing for section in content for block in section.blocks if isinstance(block, Turnable)]
     interactive = bool(drawings) and not for_paper
@@ -108,12 +99,6 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         library=library() if interactive else "",
     )
     return page.translate(_UNPRINTABLE)
-
-
-def _numbers(table: TextTable) -> list[int]:
-    """Columns with a heading that hold nothing but numbers: they stand to the right."""
-    filled = [[row[k] for row in table.rows if row[k]] for k in range(len(table.columns))]
-    return [k for k, texts in enumerate(filled) if table.columns[k] and texts and all(map(is_number, texts))]
 
 
 def save_pictures(content: Sequence[Section], folder: Path) -> list[Path]:

@@ -21,14 +21,12 @@ from machine_tool_calibration.report.figures import (
     residual_pictures,
     standard_pictures,
     told,
+    turnable,
 )
-from machine_tool_calibration.report.turnable import turnable
-from machine_tool_calibration.reports.budget import budget_tables
+from machine_tool_calibration.reports.budget import budget_parts, conformity_parts, decision_words
 from machine_tool_calibration.reports.comparison import records, times_declared
-from machine_tool_calibration.reports.conformity import conformity_table, decision_words
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.goodness import fits
-from machine_tool_calibration.reports.history_tables import tried_models
+from machine_tool_calibration.reports.goodness import fits, negative_words
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
@@ -36,7 +34,7 @@ from machine_tool_calibration.reports.identification import (
     readings_set_aside,
     summary_rows,
 )
-from machine_tool_calibration.reports.improvement import steps_table
+from machine_tool_calibration.reports.improvement import steps_table, tried_models
 from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.quantities import (
     micrometres,
@@ -46,10 +44,8 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
-from machine_tool_calibration.reports.signs import negative_words
-from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
 from machine_tool_calibration.reports.tables import TextTable, heads
-from machine_tool_calibration.reports.values import value_tables
+from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
@@ -102,7 +98,7 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
         "diagnosis": _diagnosis(found),
         "improvement": _improvement(found),
         "budget": _budget(found),
-        "conformity": _conformity(found),
+        "conformity": conformity_parts(found.conformity) if found.conformity is not None else (),
         "undetermined": _undetermined(found),
         "rejected": _rejected(found),
         "provenance": _provenance(found),
@@ -123,12 +119,12 @@ def _told(block: str | TextTable | Picture | Turnable, words: Words) -> str | Te
         return told(block, words)
     if not isinstance(block, TextTable):
         return block
-    used = [k for k in range(len(block.columns)) if any(row[k] for row in block.rows)]
+    table = block.filled()
     return TextTable(
-        words.numbers(words.told(block.title)),
-        tuple(words.told(block.columns[k]) for k in used),
-        tuple(tuple(_cell(row[k], words) for k in used) for row in block.rows),
-        words.numbers(words.told(block.note)),
+        words.numbers(words.told(table.title)),
+        tuple(map(words.told, table.columns)),
+        tuple(tuple(_cell(text, words) for text in row) for row in table.rows),
+        words.numbers(words.told(table.note)),
     )
 
 
@@ -220,7 +216,6 @@ def _standard(found: Evaluation, name: str) -> Iterator[str | TextTable | Pictur
 
 
 def _effects(found: Evaluation) -> TextTable:
-    """Effects in the model, with what was found of them."""
     rows = [
         (found.titles.get(name, name), name, sizes_in_words([p for p in found.result.parameters if p.owner == name]))
         for name in found.document["effects"]
@@ -275,7 +270,6 @@ def _residuals(found: Evaluation) -> Iterator[str | TextTable | Picture]:
 
 
 def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
-    """As `mtcal diagnose` tells it."""
     if found.improvement is None or found.conclusions is None:
         return
     report = diagnosis_report(found.improvement.diagnosis, found.conclusions.advice, found.conclusions.changes)
@@ -297,14 +291,8 @@ def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
 
 def _budget(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     if found.budget is not None:
-        yield from budget_tables(found.budget)
+        yield from budget_parts(found.budget)
         yield Picture("budget", say("report.figure_budget"), draw_budget(found.budget))
-
-
-def _conformity(found: Evaluation) -> Iterator[str | TextTable]:
-    if found.conformity is not None:
-        yield decision_words(found.conformity)
-        yield conformity_table(found.conformity)
 
 
 def _undetermined(found: Evaluation) -> Iterator[str | TextTable]:

@@ -1,29 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `mtcal budget` tells: the contributors, what each gives to a result, and the document for programs."""
+"""What `mtcal budget` and `mtcal conformity` tell: contributors, verdicts, and the documents for programs."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Line, Sum
+from machine_tool_calibration.budget.conformity import VOLUMETRIC, Conformity
+from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Drawn, Line, Sum
 from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
-from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
-from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.words import named, say, together
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 __all__ = [
     "budget_document",
-    "budget_tables",
+    "budget_parts",
     "chosen_sums",
+    "conformity_document",
+    "conformity_parts",
+    "decision_words",
     "default_names",
     "line_name",
-    "show_budget",
     "sum_name",
     "unit_of",
 ]
@@ -81,24 +82,13 @@ def unit_of(one: Sum) -> tuple[float, str]:
     return (1e6, "µ" + unit) if unit in ("m", "rad") else (1.0, unit)
 
 
-def show_budget(screen: Console, budget: Budget, names: Sequence[str]) -> None:
-    """Print a budget.
+def budget_parts(budget: Budget, names: Sequence[str] = ()) -> Iterator[Part]:
+    """A budget in tables and sentences.
 
     Args:
-        screen: where to.
-        budget: what to print.
+        budget: of which.
         names: quantities that were asked for; empty for those that are told of every measurement.
     """
-    for part in budget_tables(budget, names):
-        if isinstance(part, TextTable):
-            show_table(screen, part)
-        else:
-            screen.print()
-            screen.print(part)
-
-
-def budget_tables(budget: Budget, names: Sequence[str] = ()) -> Iterator[TextTable | str]:
-    """A budget as tables and sentences, in the order in which they are read; arguments as of `show_budget`."""
     yield _contributors(budget)
     sums = chosen_sums(budget, names or default_names(budget))
     detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
@@ -108,31 +98,25 @@ def budget_tables(budget: Budget, names: Sequence[str] = ()) -> Iterator[TextTab
     if len(sums) > len(detailed):
         yield _overview(budget, sums[len(detailed) :])
     if budget.drawn is not None and sums:
-        yield _check(budget, sums)
+        yield _check(budget.drawn, sums)
     yield from _remarks(budget, sums)
 
 
 def _contributors(budget: Budget) -> TextTable:
-    rows = []
-    for line in budget.lines:
-        c = line.contributor
-        if c is None:
-            continue
-        dof = "" if c.degrees_of_freedom is None else f"{c.degrees_of_freedom:g}"
-        rows.append(
-            (
-                line_name(line),
-                c.type,
-                named("distribution", c.distribution),
-                quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
-                dof,
-                say(f"enters.{c.enters}"),
-                say(f"varies.{c.varies}"),
-                micrometres(line.reading) if line.reading >= _LEAST_READING else "< 0.001",
-            )
-        )
-    begin, end = ("contributor", "type", "distribution"), ("enters_by", "varies_with", "in_a_reading")
-    return TextTable(say("budget.contributors"), (*heads(*begin), "u", "ν", *heads(*end)), tuple(rows))
+    return table(
+        say("budget.contributors"),
+        [(line, line.contributor) for line in budget.lines if line.contributor is not None],
+        contributor=lambda one: line_name(one[0]),
+        type=lambda one: one[1].type,
+        distribution=lambda one: named("distribution", one[1].distribution),
+        u=lambda one: (
+            quantity(one[1].u, one[1].unit) if one[1].unit != "1" or one[1].enters == "length" else rounded(one[1].u)
+        ),
+        nu=lambda one: "" if one[1].degrees_of_freedom is None else f"{one[1].degrees_of_freedom:g}",
+        enters_by=lambda one: say(f"enters.{one[1].enters}"),
+        varies_with=lambda one: say(f"varies.{one[1].varies}"),
+        in_a_reading=lambda one: micrometres(one[0].reading) if one[0].reading >= _LEAST_READING else "< 0.001",
+    )
 
 
 def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
@@ -176,51 +160,37 @@ def _freedom(value: float) -> str:
 
 
 def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
-    rows = []
-    for one in sums:
-        order = sorted(range(len(budget.lines)), key=lambda k, one=one: -one.shares[k].share)[:2]  # type: ignore[misc]
-        shares = [(line_name(budget.lines[k]), 100.0 * one.shares[k].share) for k in order]
-        most = together(
-            (say("budget.share", name=name, share=f"{share:.0f}") for name, share in shares if share >= _LEAST_NAMED),
-            ", ",
-        )
-        rows.append(
-            (
-                _title(one),
-                _shown(one, one.u).strip(),
-                f"{one.k:.2f}",
-                _shown(one, one.expanded).strip(),
-                _shown(one, one.stated).strip(),
-                most,
-            )
-        )
-    return TextTable(
+    return table(
         say("budget.further"),
-        (*heads("quantity"), "u", "k", "U", *heads("u_readings", "most_from")),
-        tuple(rows),
+        sums,
+        quantity=_title,
+        u=lambda one: _shown(one, one.u).strip(),
+        k=lambda one: f"{one.k:.2f}",
+        U=lambda one: _shown(one, one.expanded).strip(),
+        u_readings=lambda one: _shown(one, one.stated).strip(),
+        most_from=lambda one: _most(budget, one),
     )
 
 
-def _check(budget: Budget, sums: Sequence[Sum]) -> TextTable:
-    assert budget.drawn is not None
-    rows = []
-    for one in sums:
-        if one.index is None:
-            continue
-        low, high = budget.drawn.interval(one.index)
-        factor = unit_of(one)[0]
-        rows.append(
-            (
-                _title(one),
-                _shown(one, one.u).strip(),
-                _shown(one, float(budget.drawn.u[one.index])).strip(),
-                say("budget.interval", low=rounded(factor * low), high=rounded(factor * high)),
-            )
-        )
-    return TextTable(
-        say("budget.check", n=len(budget.drawn.deviation)),
-        heads("quantity", "u_linear", "u_drawn", "deviations_95"),
-        tuple(rows),
+def _most(budget: Budget, one: Sum) -> str:
+    """The two contributors that give most."""
+    shares = sorted(zip(budget.lines, one.shares, strict=True), key=lambda pair: -pair[1].share)[:2]
+    told = [(line_name(line), 100.0 * part.share) for line, part in shares]
+    return together((say("budget.share", name=n, share=f"{p:.0f}") for n, p in told if p >= _LEAST_NAMED), ", ")
+
+
+def _check(drawn: Drawn, sums: Sequence[Sum]) -> TextTable:
+    def interval(one: Sum) -> str:
+        low, high = (rounded(unit_of(one)[0] * end) for end in drawn.interval(one.index or 0))
+        return say("budget.interval", low=low, high=high)
+
+    return table(
+        say("budget.check", n=len(drawn.deviation)),
+        [one for one in sums if one.index is not None],
+        quantity=_title,
+        u_linear=lambda one: _shown(one, one.u).strip(),
+        u_drawn=lambda one: _shown(one, float(drawn.u[one.index])).strip(),
+        deviations_95=interval,
     )
 
 
@@ -248,10 +218,6 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
 def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]:
     """The budget for programs, SI; what is not determined is None.
 
-    Args:
-        budget: of which.
-        names: quantities that were asked for; empty for all that are told of every measurement.
-
     Raises:
         ModelError: a name that is not published.
     """
@@ -265,20 +231,10 @@ def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]
 
 
 def _line_document(line: Line) -> dict[str, Any]:
-    c = line.contributor
-    said: dict[str, Any] = {}
+    c, said = line.contributor, dict[str, Any]()
     if c is not None:
-        said = {
-            "symbol": c.symbol,
-            "type": c.type,
-            "distribution": c.distribution,
-            "standard_uncertainty": c.u,
-            "unit": c.unit,
-            "degrees_of_freedom": c.degrees_of_freedom,
-            "enters": c.enters,
-            "varies": c.varies,
-            "source": c.source,
-        }
+        said = picked(c, "symbol", "type", "distribution", "unit", "degrees_of_freedom", "enters", "varies", "source")
+        said["standard_uncertainty"] = c.u
     reading = line.reading if math.isfinite(line.reading) else None
     return {"name": line.name, **said, "in_one_reading": reading, "by": line.how}
 
@@ -307,3 +263,57 @@ def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
             "interval": list(budget.drawn.interval(one.index)),
         }
     return out
+
+
+def conformity_parts(found: Conformity) -> Iterator[Part]:
+    """The decision of all tolerances together, and the verdicts, one a row."""
+    yield decision_words(found)
+    yield table(
+        say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %"),
+        found.each,
+        say("conformity.by_budget" if found.uncertainty == "budget" else "conformity.nothing_decided"),
+        figure=lambda one: _figure(one.name),
+        tolerance=lambda one: quantity(one.tolerance, one.unit),
+        measured_u=lambda one: quantity(one.value, one.unit, one.u) if math.isfinite(one.value) else NOT_DETERMINED,
+        probability=lambda one: _percent(one.probability),
+        decision=lambda one: named("decision", one.decision),
+        why=lambda one: one.why,
+    )
+
+
+def decision_words(found: Conformity) -> str:
+    """Of all tolerances together, in a sentence."""
+    key = "conformity.together" if found.uncertainty == "budget" else "conformity.together_incomplete"
+    return say(key, decision=named("decision", found.decision))
+
+
+def _figure(name: str) -> str:
+    """What of a name a tolerance is for, which is not its values along the axis."""
+    if name in ERROR_MOTIONS:
+        return say(f"conformity.{'about_line' if parse_motion(name).is_straightness else 'range'}", name=name)
+    return say("conformity.volumetric") if name == VOLUMETRIC else name
+
+
+def _percent(probability: float) -> str:
+    """Never 0 or 100 %, which no measurement proves."""
+    if not math.isfinite(probability):
+        return NOT_DETERMINED
+    if probability < 0.001:
+        return "< 0.1 %"
+    return "> 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
+
+
+def conformity_document(found: Conformity) -> dict[str, Any]:
+    """The verdicts for programs, SI; what is not determined is None."""
+    return {
+        "format": "mtcal-conformity/1",
+        "provenance": found.origin.document(),
+        "rule": found.rule,
+        "conformance_probability": found.level,
+        "uncertainty": found.uncertainty,
+        "decision": found.decision,
+        "figures": [
+            {"standard_uncertainty" if key == "u" else key: value for key, value in vars(verdict).items()}
+            for verdict in found.each
+        ],
+    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.quantities import micrometres, quantity
-from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.reports.tables import TextTable, table
 from machine_tool_calibration.words import say, together
 
 __all__ = ["absent_words", "harm_words", "left_table"]
@@ -13,15 +13,16 @@ __all__ = ["absent_words", "harm_words", "left_table"]
 
 def left_table(found: Exported) -> TextTable:
     """Errors before and after in each direction, and their length."""
-    rows = []
-    for row in found.left:
-        lengths = (row.rms_before, row.rms_left, row.largest_before, row.largest_left, 2 * row.uncertainty)
-        rows.append((row.name, *map(micrometres, lengths)))
-    return TextTable(
+    return table(
         say("compensation.table"),
-        heads("direction", "rms_now", "rms_left", "largest_now", "largest_left", "U_rms"),
-        tuple(rows),
+        found.left,
         say("compensation.left_complete" if found.complete else "compensation.left"),
+        direction=lambda row: row.name,
+        rms_now=lambda row: micrometres(row.rms_before),
+        rms_left=lambda row: micrometres(row.rms_left),
+        largest_now=lambda row: micrometres(row.largest_before),
+        largest_left=lambda row: micrometres(row.largest_left),
+        U_rms=lambda row: micrometres(2 * row.uncertainty),
     )
 
 

@@ -14,9 +14,9 @@ from machine_tool_calibration.diagnosis.search.effect_search import Absorbed
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.planning.dominant import Dominant
 from machine_tool_calibration.planning.what_to_measure import Advice, alias_groups_of
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
+from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import (
     duration,
     micrometres,
@@ -25,7 +25,7 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.tables import TextTable, heads, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
@@ -33,43 +33,13 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.planning.what_to_measure import Conclusions
 
 __all__ = [
     "Report",
+    "diagnosis_parts",
     "diagnosis_report",
-    "dominant_words",
-    "show_diagnosis",
 ]
-
-
-def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
-
-    In shares: what U is, the map says, and the sizes assumed here are no part of that.
-    """
-    if found.cause == "readings":
-        yield say("found.dominant_readings", share=f"{100 * found.shares['readings']:.0f}")
-        return
-    share = f"{100 * found.shares[found.cause]:.0f}"
-    if found.cause == "time":
-        yield say("found.dominant_time", share=share, size=quantity(found.drift, "m/s"))
-    else:
-        yield say("found.dominant", share=share, size=quantity(found.angular, "rad"))
-    for remedy in found.remedies:
-        measure: str = remedy.measure
-        if remedy.seconds is not None:
-            key = "found.remedy_besides" if remedy.aside else "found.remedy_time"
-            measure = say(key, measure=measure, time=duration(remedy.seconds), besides=remedy.aside)
-        left, again = (
-            None if u is None else f"{100 * u / found.uncertainty:.0f}" for u in (remedy.uncertainty, found.again)
-        )
-        key = "found.remedy" if again is None else "found.remedy_again"
-        yield say(key, measure=measure, share=left, again=again)
-    if not found.remedies:
-        yield say("found.no_remedy")
 
 
 # Errors of position that are not the machine's: a map that takes them up is wrong by them.
@@ -78,22 +48,19 @@ _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
 
 def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
     """Every coefficient of the effects found: what it is, and its size."""
-    observations = diagnosis.fits[0].fits[0].model.observations
-    known = _effects(diagnosis)
-    rows = []
-    for name in diagnosis.accepted:
-        effect, change = known.get(name), changes.get(name)
-        meanings = {} if effect is None else effect.meanings(observations)
-        for p in () if change is None else change.parameters:
-            size = quantity(p.value, p.unit, p.standard_uncertainty)
-            rows.append((name, p.name.removeprefix(f"{name}."), meanings.get(p.name, ""), size))
-    columns = heads("effect", "coefficient", "what_it_is", "size_u")
-    return TextTable(say("found.coefficients"), columns, tuple(rows))
-
-
-def _in_map_table(diagnosis: Diagnosis) -> TextTable:
-    """Errors of the machine that are part of the map already: whatever their size, nothing needs to be added."""
-    return TextTable(say("found.in_map"), heads("errors", "part_of"), _rows(diagnosis, True))
+    observations, known = diagnosis.fits[0].fits[0].model.observations, _effects(diagnosis)
+    found = [(name, p) for name in diagnosis.accepted if name in changes for p in changes[name].parameters]
+    meanings: dict[str, str] = {}
+    for name in known.keys() & set(diagnosis.accepted):
+        meanings |= known[name].meanings(observations)
+    return table(
+        say("found.coefficients"),
+        found,
+        effect=lambda one: one[0],
+        coefficient=lambda one: one[1].name.removeprefix(f"{one[0]}."),
+        what_it_is=lambda one: meanings.get(one[1].name, ""),
+        size_u=lambda one: quantity(one[1].value, one[1].unit, one[1].standard_uncertainty),
+    )
 
 
 def _hidden_table(diagnosis: Diagnosis) -> TextTable:
@@ -184,7 +151,8 @@ def diagnosis_report(
         _confounded(diagnosis, advice),
         _next(advice),
         _hidden_table(diagnosis),
-        _in_map_table(diagnosis),
+        # Errors of the machine that are part of the map already: whatever their size, nothing needs to be added.
+        TextTable(say("found.in_map"), heads("errors", "part_of"), _rows(diagnosis, True)),
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
@@ -198,50 +166,50 @@ def diagnosis_report(
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
-    letters: dict[str, str] = {}
-    for k, group in enumerate(alias_groups_of(diagnosis)):
-        for name in group:
-            letters.setdefault(name, chr(ord("A") + k % 26))
-    accepted = diagnosis.accepted
-    ranked = [f for f in diagnosis.ranked if f.rank]
-    rows = []
-    for r in ranked[: len(accepted) + shown] if shown else ranked:
-        name = r.name
-        change = changes.get(name)
-        _, after = before_and_after(diagnosis, r, changes)
-        rows.append(
-            (
-                f"{'✓ ' if name in accepted else ''}{name}",
-                letters.get(name, ""),
-                probability(r.probability),
-                probability(r.p_value),
-                sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(r)),
-                "" if r.plausible else say("text.no"),
-                _held_out(diagnosis, name),
-                micrometres(after),
-                micrometres(None if change is None else change.map_change_rms),
-            )
-        )
-    title = say("found.none_named" if diagnosis.verdict == "unexplained" else "found.candidates")
-    left = len(ranked) - len(rows)
+    groups = alias_groups_of(diagnosis)
+    letters = {name: chr(ord("A") + k % 26) for k, group in reversed([*enumerate(groups)]) for name in group}
+    ranked = [finding for finding in diagnosis.ranked if finding.rank]
+    listed = ranked[: len(diagnosis.accepted) + shown] if shown else ranked
     before = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
-    notes = [say("found.note_found")] if accepted else []
     # Columns of which nothing is known are not shown.
-    notes += [say("found.note_group")] if any(row[1] for row in rows) else []
-    notes += [say("found.note_p"), say("head.size_u")]
-    notes += [say("found.note_cross")] if any(row[6] for row in rows) else []
-    notes += [say("found.note_residual"), say("found.note_without", size=before)]
-    if accepted:
-        notes.append(say("found.note_others"))
-    if any(not r.plausible for r in ranked):
-        notes.append(say("found.note_plausible"))
-    if left:
-        notes.append(say("found.note_left", n=left))
-    columns = heads(
-        *("effect", "group", "probability", "p_value", "size", "plausible", "cross_validation"),
-        *("residual_um", "map_moves_um"),
+    notes = {
+        "found": diagnosis.accepted,
+        "group": any(one.name in letters for one in listed),
+        "p": True,
+        "size": True,
+        "cross": any(diagnosis.predicted.get(one.name) for one in listed),
+        "residual": True,
+        "without": True,
+        "others": diagnosis.accepted,
+        "plausible": not all(one.plausible for one in ranked),
+        "left": len(ranked) > len(listed),
+    }
+    left = len(ranked) - len(listed)
+    said = [say(f"found.note_{name}", size=before, n=left) for name, wanted in notes.items() if wanted]
+    return table(
+        say("found.none_named" if diagnosis.verdict == "unexplained" else "found.candidates"),
+        listed,
+        together(said, "; "),
+        effect=lambda one: _marked(diagnosis, one),
+        group=lambda one: letters.get(one.name, ""),
+        probability=lambda one: probability(one.probability),
+        p_value=lambda one: probability(one.p_value),
+        size=lambda one: _sizes(one, changes),
+        plausible=lambda one: "" if one.plausible else say("text.no"),
+        cross_validation=lambda one: _held_out(diagnosis, one.name),
+        residual_um=lambda one: micrometres(before_and_after(diagnosis, one, changes)[1]),
+        map_moves_um=lambda one: micrometres(changes[one.name].map_change_rms if one.name in changes else None),
     )
-    return TextTable(title, columns, tuple(rows), together(notes, "; "))
+
+
+def _marked(diagnosis: Diagnosis, finding: Finding) -> str:
+    return f"{'✓ ' if finding.name in diagnosis.accepted else ''}{finding.name}"
+
+
+def _sizes(finding: Finding, changes: Mapping[str, Consequence]) -> str:
+    """Of a full fit where there is one, otherwise those of the screening."""
+    change = changes.get(finding.name)
+    return sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
 
 
 def _held_out(diagnosis: Diagnosis, name: str) -> str:
@@ -251,54 +219,56 @@ def _held_out(diagnosis: Diagnosis, name: str) -> str:
 
 
 def _outliers(diagnosis: Diagnosis) -> TextTable:
-    rows = tuple(
-        (str(o.row), f"{o.studentized:+.1f}", micrometres(o.deviation, signed=True))
-        for o in sorted(diagnosis.gross_errors, key=lambda o: o.row)
+    return table(
+        say("found.outliers"),
+        sorted(diagnosis.gross_errors, key=lambda one: one.row),
+        say("found.note_outliers"),
+        row=lambda one: str(one.row),
+        times_expected=lambda one: f"{one.studentized:+.1f}",
+        deviation_um=lambda one: micrometres(one.deviation, signed=True),
     )
-    columns = heads("row", "times_expected", "deviation_um")
-    return TextTable(say("found.outliers"), columns, rows, say("found.note_outliers"))
 
 
 def _structure(diagnosis: Diagnosis) -> TextTable:
     left = diagnosis.search.left
-    rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
-    note = say("text.more", n=len(left) - _SHOWN) if len(left) > _SHOWN else ""
-    return TextTable(say("found.structure"), heads("covariate", "shape", "p_value", "share"), rows, note)
+    return table(
+        say("found.structure"),
+        left[:_SHOWN],
+        say("text.more", n=len(left) - _SHOWN) if len(left) > _SHOWN else "",
+        covariate=lambda one: one.covariate,
+        shape=lambda one: one.shape,
+        p_value=lambda one: probability(one.p_value),
+        share=lambda one: f"{100 * one.share:.0f} %",
+    )
 
 
 def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
-    rows = []
-    for s in advice.separations:
-        found = s.effects[0] in diagnosis.accepted
-        rows.append(
-            (
-                ", ".join(s.effects),
-                s.measure,
-                duration(s.seconds),
-                s.aside,
-                f"{s.cosine_before:.2f} → {s.cosine_after:.2f}" if s.kind is not None else "",
-                f"{s.apart_before:.1f} → {s.apart_after:.1f}" if found else "",
-            )
-        )
-    columns = heads("confounded", "to_distinguish", "time", "besides", "cosine", "apart")
-    notes = [say("found.note_cosine"), *([say("found.note_apart")] if any(row[-1] for row in rows) else [])]
-    return TextTable(say("found.confounded"), columns, tuple(rows), together(notes, "; "))
+    found = {s.effects[0] for s in advice.separations} & set(diagnosis.accepted)
+    notes = [say("found.note_cosine"), *([say("found.note_apart")] if found else [])]
+    return table(
+        say("found.confounded"),
+        advice.separations,
+        together(notes, "; "),
+        confounded=lambda s: ", ".join(s.effects),
+        to_distinguish=lambda s: s.measure,
+        time=lambda s: duration(s.seconds),
+        besides=lambda s: s.aside,
+        cosine=lambda s: f"{s.cosine_before:.2f} → {s.cosine_after:.2f}" if s.kind is not None else "",
+        apart=lambda s: f"{s.apart_before:.1f} → {s.apart_after:.1f}" if s.effects[0] in found else "",
+    )
 
 
 def _next(advice: Advice) -> TextTable:
-    rows = tuple(
-        (
-            v.effect,
-            v.measure,
-            duration(v.seconds),
-            v.aside,
-            say("found.not_at_all") if v.before is None else quantity(v.before, v.unit),
-            quantity(v.after, v.unit),
-        )
-        for v in advice.visibilities
+    return table(
+        say("found.hardly"),
+        advice.visibilities,
+        effect=lambda v: v.effect,
+        to_detect=lambda v: v.measure,
+        time=lambda v: duration(v.seconds),
+        besides=lambda v: v.aside,
+        smallest_now=lambda v: say("found.not_at_all") if v.before is None else quantity(v.before, v.unit),
+        then=lambda v: quantity(v.after, v.unit),
     )
-    columns = heads("effect", "to_detect", "time", "besides", "smallest_now", "then")
-    return TextTable(say("found.hardly"), columns, rows)
 
 
 def _detectable(diagnosis: Diagnosis) -> TextTable:
@@ -336,20 +306,17 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     return TextTable(say("found.excluded"), heads("effect", "why"), rows)
 
 
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, *, details: bool = False) -> None:
+def diagnosis_parts(found: Diagnosis, then: Conclusions, *, details: bool = False) -> Iterator[Part]:
     """The verdict, the effects and the next step; with details all words, all tables and all effects."""
-    if not details:
-        for paragraph in verdict_words(found, then.changes, then.advice, brief=True):
-            screen.print(paragraph)
-        show_table(screen, _brief(found, then.changes))
-        screen.print(next_step(found, then.advice))
-        screen.print(say("found.details"))
+    if details:
+        report = diagnosis_report(found, then.advice, then.changes, shown=0)
+        yield from (*report.words, *report.forecast)
+        yield from (*report.tables, *report.details)
         return
-    report = diagnosis_report(found, then.advice, then.changes, shown=0)
-    for paragraph in (*report.words, *report.forecast):
-        screen.print(paragraph)
-    for table in (*report.tables, *report.details):
-        show_table(screen, table)
+    yield from verdict_words(found, then.changes, then.advice, brief=True)
+    yield _brief(found, then.changes)
+    yield next_step(found, then.advice)
+    yield say("found.details")
 
 
 def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
@@ -358,14 +325,12 @@ def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTabl
     own = [finding for finding in ranked if finding.name in diagnosis.accepted]
     others = [finding for finding in ranked if finding not in own][:_FEW]
     likely = [finding for finding in others if finding.probability > AS_GOOD]
-    rows = tuple(_sized(diagnosis, finding, changes) for finding in ([*own, *likely] if own else others))
     title = "looked_for" if not own else "found_and" if likely else "found"
-    return TextTable(say(f"found.{title}"), heads("effect", "probability", "size_u", "residual_then_um"), rows)
-
-
-def _sized(diagnosis: Diagnosis, finding: Finding, changes: Mapping[str, Consequence]) -> tuple[str, ...]:
-    change = changes.get(finding.name)
-    sizes = sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(finding))
-    _, after = before_and_after(diagnosis, finding, changes)
-    name = f"{'✓ ' if finding.name in diagnosis.accepted else ''}{finding.name}"
-    return name, probability(finding.probability), sizes, micrometres(after)
+    return table(
+        say(f"found.{title}"),
+        [*own, *likely] if own else others,
+        effect=lambda one: _marked(diagnosis, one),
+        probability=lambda one: probability(one.probability),
+        size_u=lambda one: _sizes(one, changes),
+        residual_then_um=lambda one: micrometres(before_and_after(diagnosis, one, changes)[1]),
+    )

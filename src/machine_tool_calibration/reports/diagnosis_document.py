@@ -16,7 +16,7 @@ from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation, Visibility, alias_groups_of
-from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.documents import picked, plain
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["candidate_document", "diagnosis_document", "screened_sizes", "smallest_sizes"]
@@ -72,12 +72,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "structure": [asdict(s) for s in look.structure],
         "structure_left": [asdict(s) for s in look.left],
         "outliers": [
-            {
-                **({"session": label} if label else {}),
-                "row": o.row,
-                "studentized": o.studentized,
-                "deviation": o.deviation,
-            }
+            ({"session": label} if label else {}) | picked(o, "row", "studentized", "deviation")
             for label, own in zip(diagnosis.chosen.labels or ("",), diagnosis.set_aside, strict=True)
             for o in sorted(own, key=lambda o: o.row)
         ],
@@ -150,29 +145,15 @@ def _fit(joint: JointFit) -> dict[str, Any]:
     }
 
 
-def _separation(separation: Separation) -> dict[str, Any]:
-    return {
-        "effects": list(separation.effects),
-        "measure": separation.measure,
-        "separates": separation.separates,
-        "cosine_before": separation.cosine_before,
-        "cosine_after": separation.cosine_after,
-        "seconds": separation.seconds,
-        "besides": separation.aside or None,
+def _separation(one: Separation) -> dict[str, Any]:
+    return picked(one, "effects", "measure", "separates", "cosine_before", "cosine_after", "seconds") | {
+        "besides": one.aside or None
     }
 
 
-def _visibility(visibility: Visibility) -> dict[str, Any]:
-    return {
-        "effect": visibility.effect,
-        "measure": visibility.measure,
-        "coefficient": visibility.coefficient,
-        "unit": visibility.unit,
-        "detectable_before": visibility.before,
-        "detectable_after": visibility.after,
-        "seconds": visibility.seconds,
-        "besides": visibility.aside or None,
-    }
+def _visibility(one: Visibility) -> dict[str, Any]:
+    bounds = {"detectable_before": one.before, "detectable_after": one.after}
+    return picked(one, "effect", "measure", "coefficient", "unit", "seconds") | bounds | {"besides": one.aside or None}
 
 
 def _detectable(diagnosis: Diagnosis) -> Iterator[dict[str, Any]]:

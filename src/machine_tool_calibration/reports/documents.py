@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = ["plain", "to_json", "write_table"]
+__all__ = ["picked", "plain", "to_json", "write_table"]
+
+
+def picked(record: Any, *names: str) -> dict[str, Any]:
+    """Attributes of a record by their names."""
+    return {name: getattr(record, name) for name in names}
 
 
 def plain(value: Any) -> Any:
@@ -79,11 +84,6 @@ def _compact(value: Any) -> str:
 
 def write_table(table: pd.DataFrame, file: Path, origin: Provenance) -> Path:
     """Write a table as CSV, after lines with `#` that say what it was made from (`pd.read_csv(file, comment="#")`).
-
-    Args:
-        table: the columns.
-        file: its folder is made where it is missing.
-        origin: what it was made from.
 
     Returns:
         The file.

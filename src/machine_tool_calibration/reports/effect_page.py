@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import range_of
-from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.reports.tables import TextTable, table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.words import say, together
 
@@ -38,33 +39,24 @@ def coefficients_in_words(effect: Effect) -> list[str]:
     for s in effect.shapes:
         chosen = say("catalogue.chosen", low=f"{s.low:g}", high=f"{s.high:g}")
         ranges.append((s, chosen if s.discrete else say("catalogue.fitted", span=range_of(s.low, s.high, s.unit))))
-    out: list[str] = [say("catalogue.coefficient", what=_what(one), span=span) for one, span in ranges]
+    out: list[str] = []
+    for one, span in ranges:
+        what = say("catalogue.named", name=one.name, meaning=one.meaning) if one.meaning else one.name
+        out.append(say("catalogue.coefficient", what=what, span=span))
     if effect.coefficients:
         return out
     return [say("catalogue.a_set" if effect.setup_level else "catalogue.as_needed"), *out]
 
 
-def _what(coefficient: Coefficient | Shape) -> str:
-    meaning = coefficient.meaning
-    return say("catalogue.named", name=coefficient.name, meaning=meaning) if meaning else coefficient.name
-
-
 def effect_document(effect: Effect) -> dict[str, Any]:
     """The effect for programs; SI units."""
-    return {
-        "id": effect.id,
-        "title": effect.title,
-        "formula": effect.formula,
+    return picked(effect, "id", "title", "formula", "source") | {
         "enters": effect.kind,
-        "coefficients": [{"name": c.name, "unit": c.unit, "low": c.low, "high": c.high} for c in effect.coefficients],
-        "nonlinear": [
-            {"name": s.name, "unit": s.unit, "low": s.low, "high": s.high, "discrete": s.discrete}
-            for s in effect.shapes
-        ],
+        "coefficients": [picked(c, "name", "unit", "low", "high") for c in effect.coefficients],
+        "nonlinear": [picked(s, "name", "unit", "low", "high", "discrete") for s in effect.shapes],
         "columns": list(effect.needs),
         "methods": list(effect.methods),
         "for_each_setup": effect.setup_level,
-        "source": effect.source,
     }
 
 
@@ -73,17 +65,15 @@ def effects_table(effects: Sequence[Effect]) -> TextTable:
     lines: dict[tuple[str, ...], list[Effect]] = {}
     for effect in effects:
         lines.setdefault(_without_axis(effect), []).append(effect)
-    rows = tuple(
-        (
-            " ".join(effect.id for effect in alike),
-            alike[0].title,
-            alike[0].formula,
-            ", ".join(m.split("_")[0] for m in alike[0].methods) or say("catalogue.all"),
-        )
-        for alike in lines.values()
+    return table(
+        say("catalogue.title"),
+        lines.values(),
+        say("catalogue.alike") if len(lines) < len(effects) else "",
+        id=lambda alike: " ".join(effect.id for effect in alike),
+        effect=lambda alike: alike[0].title,
+        formula=lambda alike: alike[0].formula,
+        methods=lambda alike: ", ".join(m.split("_")[0] for m in alike[0].methods) or say("catalogue.all"),
     )
-    note = say("catalogue.alike") if len(lines) < len(effects) else ""
-    return TextTable(say("catalogue.title"), ("id", *heads("effect", "formula", "methods")), rows, note)
 
 
 def _without_axis(effect: Effect) -> tuple[str, ...]:
@@ -96,22 +86,21 @@ def _without_axis(effect: Effect) -> tuple[str, ...]:
 
 def shown_table(shown: Sequence[Shown]) -> TextTable:
     """What becomes of an effect in each simulated plan."""
-    rows = tuple(
-        (
-            s.plan,
-            f"{s.left:.0%}",
-            "" if s.left > _NEARLY_ALL else unknowns_in_words(s.taken_up_by),
-        )
-        for s in shown
-        if s.left is not None
-    )
     without: dict[str, list[str]] = {}
-    for s in shown:
-        if s.left is None:
-            without.setdefault(s.why_not, []).append(s.plan)
-    notes = [say("catalogue.noiseless")] if rows else []
+    for one in shown:
+        if one.left is None:
+            without.setdefault(one.why_not, []).append(one.plan)
+    left = [(one, one.left) for one in shown if one.left is not None]
+    notes = [say("catalogue.noiseless")] if left else []
     notes += [say("catalogue.not_in", plans=", ".join(plans), why=why) for why, plans in without.items()]
-    return TextTable(say("catalogue.left"), heads("plan", "left", "rest"), rows, together(notes, "; "))
+    return table(
+        say("catalogue.left"),
+        left,
+        together(notes, "; "),
+        plan=lambda one: one[0].plan,
+        left=lambda one: f"{one[1]:.0%}",
+        rest=lambda one: "" if one[1] > _NEARLY_ALL else unknowns_in_words(one[0].taken_up_by),
+    )
 
 
 def gallery_page(effects: Sequence[Effect], found: Mapping[str, Injected | None]) -> str:

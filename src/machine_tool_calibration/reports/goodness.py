@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a model fits: the levels of the p-value and the sentence, for all that is said of it."""
+"""What is said of a fit: whether it fits, by the levels of the p-value, and what negative coefficients mean."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Literal
 
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.words import Said, say
 
-__all__ = ["Fits", "fit_words", "fits", "scatter_words"]
+__all__ = ["Fits", "fit_words", "fits", "negative_words", "scatter_words"]
 
 Fits = Literal["bad", "nearly", "well", "too well"]
 
 # A right model with a right uncertainty is called bad once in a thousand measurements, and nearly fitting once in 20.
 _BAD, _NEARLY = 1e-3, 0.05
+# Standard uncertainties below zero from which a coefficient is negative.
+_SURE = 2.0
 
 
 def fits(p_value: float | None) -> Fits:
@@ -54,3 +58,16 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
 
 def _both(found: float, declared: float) -> Said:
     return say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))
+
+
+def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
+    """A sentence for every coefficient that is positive by its nature and negative in the readings."""
+    unknowns = fit.assembly.unknowns
+    for found in effect_estimates(fit, list(effects)):
+        unknown = unknowns[found.name]
+        # A nonlinear coefficient is positive wherever it is looked for.
+        if unknown.low == 0.0 and unknown.reference == 0.0 and found.value < -_SURE * found.standard_uncertainty:
+            backlash = found.owner.startswith("backlash_")
+            reversal = backlash or found.owner.startswith("lost_motion_")
+            key = "fit.negative_backlash" if reversal else "fit.negative"
+            yield say(key, name=found.owner if backlash else found.name)

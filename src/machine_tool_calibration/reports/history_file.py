@@ -105,10 +105,6 @@ def update_history(path: Path, change: Callable[[History], History]) -> History:
     Whatever happens, the file holds the whole old history or the whole new one; two commands at once wait for each
     other.
 
-    Args:
-        path: the file; its folder must be there.
-        change: makes the new history from the old one.
-
     Raises:
         SessionError: the file is damaged (and is left as it is), or cannot be written.
     """

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.reports.goodness import fit_words, fits, scatter_words
+from machine_tool_calibration.reports.goodness import fit_words, fits, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
+    expanded_text,
     micrometres,
     not_ruled_out,
     quantity,
@@ -22,31 +23,58 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     value_and_uncertainties,
 )
-from machine_tool_calibration.reports.signs import negative_words
-from machine_tool_calibration.reports.standards import STANDARDS, standard_tables
-from machine_tool_calibration.reports.tables import TextTable, heads, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
 from machine_tool_calibration.reports.unknowns import unknown_in_words
-from machine_tool_calibration.reports.values import value_tables
+from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Said, Verbatim, named, say, together
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from machine_tool_calibration.diagnosis.history import Entry
+    from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
+    "Measured",
     "datum_words",
     "goodness_of_fit",
     "group_by_reason",
     "readings_set_aside",
+    "result_parts",
     "session_headline",
-    "show_result",
     "summary_rows",
 ]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measurements as they were recorded, and what is to be fitted to them.
+
+    Attributes:
+        recorded: the measurements, with all their readings.
+        chosen: those to fit, without what the history's model sets aside, and the model: one that was asked for, or
+            one of the history.
+        history: the models from the first to the one in use, where it is the history's.
+    """
+
+    recorded: tuple[Session, ...]
+    chosen: FitRequest
+    history: tuple[Entry, ...] = ()
+
+    def document(self, result: Result | JointResult) -> dict[str, Any]:
+        """The result as a JSON document, with the readings that the history's model set aside among the rejected."""
+        document = result.document()
+        last = self.history[-1].number if self.history else 0
+        why = say("result.aside_by", n=last) if last else say("result.aside_by_history")
+        for label, session, kept in zip(self.chosen.labels or ("",), self.recorded, self.chosen.sessions, strict=True):
+            gone = sorted(set(session.readings.row.tolist()) - set(kept.readings.row.tolist()))
+            named = {"session": label} if label else {}
+            document["rejected"] += [{**named, "row": row, "reason": why} for row in gone]
+            document["observations"] += len(gone)
+        return document
 
 
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
@@ -65,7 +93,10 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     known = bool(np.isfinite(uncertainty).any())
     if error.size:
-        rows.append((say("result.points"), _points(error_map.get("points"), len(error))))
+        count = len(error)
+        places = len({tuple(point) for point in error_map.get("points") or ()}) or count
+        told = str(count) if places == count else say("result.points_at", n=count, places=places)
+        rows.append((say("result.points"), told))
         text = say("text.not_determined")
         expanded = (2 * _rms(uncertainty), 2 * _largest(uncertainty)) if known else (None, None)
         if np.isfinite(error).any():
@@ -73,7 +104,7 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             text = _lost(_rms_and_most(as_exact(size, "m", u) for size, u in sizes), error)
         rows.append((say("result.position_error"), text))
         if known:
-            text = _rms_and_most(as_exact(u, "m", u) for u in expanded if u is not None)
+            text = _rms_and_most(expanded_text(u) for u in expanded if u is not None)
             if document.get("uncertainty") != "budget":
                 text = say("result.without", text=text)
             rows.append((say("result.uncertainty"), say("result.if_right", text=text) if _doubtful(document) else text))
@@ -101,12 +132,6 @@ def _lost(text: Said, error: np.ndarray) -> Said:
     if lost:
         text = say("result.lost_along", text=text, names=", ".join(lost))
     return say("result.lost_at", text=text, n=partly, count=len(error)) if partly else text
-
-
-def _points(points: Any, count: int) -> str:
-    """How many, and why one place may be there more than once."""
-    places = len({tuple(point) for point in points}) if points else count
-    return str(count) if places == count else say("result.points_at", n=count, places=places)
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -148,13 +173,11 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _rms(vectors: np.ndarray) -> float:
-    """Root mean square length of the vectors of which anything is known."""
     known = vectors[np.isfinite(vectors).any(axis=1)]
     return float(np.sqrt(np.mean(np.nansum(known**2, axis=1))))
 
 
 def _largest(vectors: np.ndarray) -> float:
-    """Greatest length of a vector."""
     return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1))))
 
 
@@ -163,44 +186,38 @@ _MOST_PLACES = 24
 _MOST_NAMES = 8
 
 
-def show_result(
-    screen: Console, document: Mapping[str, Any], opened: Sequence[Session], result: Result | JointResult
-) -> None:
-    """Print a result: its document, with the sessions and the fit that it is of."""
+def result_parts(
+    document: Mapping[str, Any], opened: Sequence[Session], result: Result | JointResult
+) -> Iterator[Part]:
+    """A result: its document in words, with the sessions and the fit that it is of."""
     fit = result.joint
-    for session in opened:
-        screen.print(session_headline(session))
+    yield from map(session_headline, opened)
     if document["effects"]:
-        screen.print(say("result.model_with", model=_variants(document), effects=", ".join(document["effects"])))
+        each = [f"{entry['model']} ({entry['label']})" for entry in document.get("sessions", ())]
+        model = ", ".join(each) or document["model"]
+        yield say("result.model_with", model=model, effects=", ".join(document["effects"]))
     fitting = goodness_of_fit(document)
     doubt = fits(document["p_value"]) in ("bad", "nearly")
-    screen.print(say("result.ask_diagnosis", text=fitting) if doubt else fitting)
-    show_suspicions(screen, document["suspicious"])
-    for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
-        screen.print(words)
-    show_table(screen, TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []}))))
-    of_standards = (standard_tables(document["error_map"], name, _MOST_PLACES) for name in STANDARDS)
-    for part in chain(*of_standards, value_tables(result, _MOST_PLACES)):
-        if isinstance(part, TextTable):
-            show_table(screen, part)
-        else:
-            screen.print(part)
+    yield say("result.ask_diagnosis", text=fitting) if doubt else fitting
+    yield from suspicion_words(document["suspicious"])
+    yield from reproducibility_words(document["spread"])
+    yield from not_ruled_out(document["spread"])
+    yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
+    for name in STANDARDS:
+        yield from standard_tables(document["error_map"], name, _MOST_PLACES)
+    yield from value_tables(result, _MOST_PLACES)
     if "agreement" in document:
-        screen.print(document["agreement"]["statement"])
+        yield document["agreement"]["statement"]
     for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
-        screen.print(say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason))
-    aside = readings_set_aside(document, opened)
-    if aside.rows:
-        show_table(screen, aside)
-    _show_parameters(screen, document, fit)
-    for words in negative_words(fit, document["effects"]):
-        screen.print(words)
+        yield say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason)
+    yield from (table for table in (readings_set_aside(document, opened), _parameters(document, fit)) if table.rows)
+    yield from negative_words(fit, document["effects"])
     namesakes = _namesakes(fit)
     missing = document["not_determined"]
     names = ((e["name"] if e["name"] not in namesakes else say("result.effect", name=e["name"])) for e in missing)
     for why, lost in group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True)):
-        screen.print(say("result.not_determined", names=lost, why=why))
-    screen.print(say("result.datum", datum=datum_words(document)))
+        yield say("result.not_determined", names=lost, why=why)
+    yield say("result.datum", datum=datum_words(document))
 
 
 def _namesakes(fit: JointFit) -> set[str]:
@@ -217,12 +234,7 @@ def datum_words(document: Mapping[str, Any]) -> str:
 
 
 def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -> TextTable:
-    """What was set aside: when, where, and how far off, row by row; without rows where nothing was.
-
-    Args:
-        document: of the result.
-        opened: the sessions that were identified, with all their readings.
-    """
+    """What was set aside: when, where, and how far off, row by row; without rows where nothing was."""
     labels = [entry["label"] for entry in document.get("sessions", [{"label": None}])]
     by_label = dict(zip(labels, opened, strict=True))
     rows = []
@@ -233,8 +245,8 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
         if not np.isfinite(readings.displacement[at]):
             continue
         time = readings.columns.get("time")
-        places = [f"{axis.upper()} {_place(axis, readings.columns[axis][at])}" for axis in "xyzabc"
-                  if axis in readings.columns]  # fmt: skip
+        at_axes = {axis: readings.columns[axis][at] for axis in "xyzabc" if axis in readings.columns}
+        places = [f"{axis.upper()} {np.degrees(v) if axis in 'abc' else 1e3 * v:.6g}" for axis, v in at_axes.items()]
         labels = [together((named("column", name), Verbatim(values[at]))) for name, values in readings.labels.items()]
         rows.append(
             (
@@ -249,17 +261,6 @@ def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -
         )
     columns = heads("session", "row", "time_s", "setup", "repeat", "position", "deviation")
     return TextTable(say("result.set_aside"), columns, tuple(rows[:_MOST_ROWS]), say("result.note_aside"))
-
-
-def _place(axis: str, value: float) -> str:
-    return f"{np.degrees(value) if axis in 'abc' else 1e3 * value:.6g}"
-
-
-def _variants(document: Mapping[str, Any]) -> str:
-    """The method's variant, of several sessions each with its label."""
-    if "sessions" not in document:
-        return str(document["model"])
-    return ", ".join(f"{entry['model']} ({entry['label']})" for entry in document["sessions"])
 
 
 def session_headline(session: Session) -> str:
@@ -295,7 +296,7 @@ def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES)
     ]
 
 
-def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit) -> None:
+def _parameters(document: Mapping[str, Any], fit: JointFit) -> TextTable:
     unknowns = fit.assembly.unknowns
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.
@@ -309,8 +310,7 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         what = unknown.meaning or unknown_in_words(unknown)
         texts = value_and_uncertainties(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
         rows.append((name, *texts, "" if what == name else what))
-    if rows:
-        left = len(single) - len(rows)
-        note = say("text.more_with_json", n=left) if left else ""
-        columns = heads("name", "value", "u1", "U2", "unit", "what_it_is")
-        show_table(screen, TextTable(say("result.parameters"), columns, tuple(rows), note))
+    left = len(single) - len(rows)
+    note = say("text.more_with_json", n=left) if left else ""
+    columns = heads("name", "value", "u1", "U2", "unit", "what_it_is")
+    return TextTable(say("result.parameters"), columns, tuple(rows), note)

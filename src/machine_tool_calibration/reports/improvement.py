@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model made better: as a document for programs, and for people."""
+"""A model made better, and the models that were tried: for people, and as a document for programs."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
+from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
+from machine_tool_calibration.reports.goodness import negative_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     micrometres,
@@ -16,14 +19,17 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.signs import negative_words
-from machine_tool_calibration.reports.tables import TextTable, heads, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words, table
 from machine_tool_calibration.words import say
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-__all__ = ["improvement_document", "show_improvement", "step_document", "steps_table"]
+__all__ = [
+    "compared_models",
+    "improvement_document",
+    "improvement_parts",
+    "step_document",
+    "steps_table",
+    "tried_models",
+]
 
 # Growth of the map's uncertainty that is explained.
 _GROWN = 1.2
@@ -62,14 +68,13 @@ def step_document(step: Step) -> dict[str, Any]:
     }
 
 
-def show_improvement(screen: Console, done: Improvement) -> None:
+def improvement_parts(done: Improvement) -> Iterator[Part]:
     """In words first, then a row for every step."""
-    screen.print(_words(done))
+    yield _words(done)
     last = done.steps[-1].result
-    for words in negative_words(last.joint, last.effects):
-        screen.print(words)
-    show_suspicions(screen, done.diagnosis.suspicious)
-    show_table(screen, steps_table(done))
+    yield from negative_words(last.joint, last.effects)
+    yield from suspicion_words(done.diagnosis.suspicious)
+    yield steps_table(done)
 
 
 def _words(done: Improvement) -> str:
@@ -107,22 +112,69 @@ def _what_grows(done: Improvement) -> str:
 
 def steps_table(done: Improvement) -> TextTable:
     """The models on the way, one a row."""
-    rows = []
     chance = {f.name: f.probability for f in done.diagnosis.ranked}
-    for step in done.steps:
-        own = [p for p in step.parameters if p.owner == step.change]
-        rows.append(
-            (
-                step.label,
-                sizes_in_words(own) if own else "",
-                probability(chance[step.change]) if step.change in chance else "",
-                micrometres(step.result.rms_residual),
-                rounded(step.reduced_chi_square),
-                micrometres(step.map_change),
-                *of_map(step.map_rms, step.map_uncertainty),
-                micrometres(step.residual_volumetric_error(done.steps[-1])),
-            )
-        )
-    before, after = ("model", "size_pm", "probability", "residual"), ("map_moves", "map", "U_map", "volumetric")
-    columns = (*heads(*before), "chi²/ν", *heads(*after))
-    return TextTable(say("improved.steps"), columns, tuple(rows), say("improved.note"))
+    return table(
+        say("improved.steps"),
+        done.steps,
+        say("improved.note"),
+        model=lambda step: step.label,
+        size_pm=lambda step: sizes_in_words([p for p in step.parameters if p.owner == step.change], ""),
+        probability=lambda step: probability(chance[step.change]) if step.change in chance else "",
+        residual=lambda step: micrometres(step.result.rms_residual),
+        chi=lambda step: rounded(step.reduced_chi_square),
+        map_moves=lambda step: micrometres(step.map_change),
+        map=lambda step: of_map(step.map_rms, step.map_uncertainty)[0],
+        U_map=lambda step: of_map(step.map_rms, step.map_uncertainty)[1],
+        volumetric=lambda step: micrometres(step.residual_volumetric_error(done.steps[-1])),
+    )
+
+
+_FIGURES: dict[str, Callable[[Entry], str]] = {
+    "history.variant": lambda one: one.model,
+    "history.effects": lambda one: ", ".join(one.effects) or "–",
+    "improved.readings": lambda one: str(one.used),
+    "history.set_aside": lambda one: str(one.readings_aside),
+    "improved.rms": lambda one: micrometres(one.rms_residual),
+    "improved.chi": lambda one: rounded(one.reduced_chi_square),
+    "history.freedom": lambda one: str(one.degrees_of_freedom),
+    "improved.map": lambda one: of_map(one.map_rms, one.map_uncertainty_rms)[0],
+    "history.U_map": lambda one: of_map(one.map_rms, one.map_uncertainty_rms)[1],
+}
+"""What is told of a model beside its coefficients, by the key of what it is."""
+
+
+def tried_models(models: Sequence[Entry], current: int | None) -> TextTable:
+    """Models of a history, one a row, with a mark at the one in use; a model stands twice where one went back to it."""
+    return table(
+        say("history.tried"),
+        models,
+        say("history.note"),
+        model=lambda entry: f"{'→' if entry.number == current else ' '} {entry.number}",
+        **{"from": lambda entry: "" if entry.parent is None else str(entry.parent)},
+        made=lambda entry: entry.made.replace("T", " ")[:16],
+        variant=lambda entry: entry.model,
+        effects=lambda entry: ", ".join(entry.effects) or "–",
+        change=lambda entry: entry.change or say("step.first"),
+        readings=lambda entry: str(entry.used),
+        residual=lambda entry: micrometres(entry.rms_residual),
+        chi=lambda entry: rounded(entry.reduced_chi_square),
+        map_moves=lambda entry: micrometres(entry.map_change_rms),
+    )
+
+
+def compared_models(one: Entry, other: Entry) -> TextTable:
+    """Two models side by side: figures first, then each coefficient with its expanded uncertainty."""
+    both = (one, other)
+    rows: list[tuple[str, ...]] = [(say(key), *map(shown, both)) for key, shown in _FIGURES.items()]
+    known = [{p.name: p for p in entry.parameters} for entry in both]
+    for name in dict.fromkeys([*known[0], *known[1]]):
+        texts = [
+            quantity(k[name].value, k[name].unit, k[name].standard_uncertainty) if name in k else "–" for k in known
+        ]
+        rows.append((name, *texts))
+    return TextTable(
+        say("history.side"),
+        ("", *(say("history.model", n=entry.number) for entry in both)),
+        tuple(rows),
+        say("history.coefficients") if len(rows) > len(_FIGURES) else "",
+    )

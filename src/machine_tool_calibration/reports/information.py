@@ -9,15 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.documents import picked, plain
 from machine_tool_calibration.reports.quantities import declared_words, duration, fixed
-from machine_tool_calibration.reports.tables import TextTable, heads, show_head, show_suspicions, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words, table
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Verbatim, named, say
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.recording.reader import BagReader
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
@@ -25,9 +23,9 @@ if TYPE_CHECKING:
 __all__ = [
     "counts_in_words",
     "measurement_document",
+    "recording_parts",
+    "session_parts",
     "session_tables",
-    "show_recording",
-    "show_session",
 ]
 
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
@@ -39,15 +37,7 @@ _ANGLES = ("a", "b", "c", "azimuth", "elevation")
 def measurement_document(
     path: Path, bag: BagReader | None, session: Session | None, summary: SessionSummary | None, absent: str
 ) -> Mapping[str, Any]:
-    """The content of `mtcal-info/1`: the session in figures and as described, the recording with its topics.
-
-    Args:
-        path: of the measurement.
-        bag: the recording, if it is one.
-        session: what was measured, if anything.
-        summary: of the session.
-        absent: why there is no session.
-    """
+    """The content of `mtcal-info/1`: the session in figures and as described, the recording with its topics."""
     document: dict[str, Any] = {"format": "mtcal-info/1", "path": path, "kind": "bag" if bag else "session"}
     if session is not None and summary is not None:
         document["measurement"] = {
@@ -66,50 +56,45 @@ def measurement_document(
             "start": bag.first,
             "duration": bag.duration,
             "topics": [
-                {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "messages": topic.messages,
-                    "type_hash": topic.type_hash,
-                    "latched": any(profile.latched for profile in topic.qos),
-                }
+                picked(topic, "name", "type", "messages", "type_hash")
+                | {"latched": any(profile.latched for profile in topic.qos)}
                 for topic in sorted(bag.topics.values(), key=lambda topic: topic.name)
             ],
         }
     return document
 
 
-def show_recording(out: Console, bag: BagReader, absent: str) -> None:
+def recording_parts(bag: BagReader, absent: str) -> Iterator[Part]:
     """Files, duration and topics of a recording, and why it holds no measurement if it holds none."""
     size = sum(file.stat().st_size for file in bag.files)
     try:
         start = datetime.fromtimestamp(bag.first / 1e9, UTC).isoformat(sep=" ", timespec="seconds")
     except (ValueError, OverflowError, OSError):
         start = f"{bag.first} ns"
-    show_head(out, str(bag.path), say("recorded.recording", n=len(bag.files), size=f"{size / 1e6:.2f}"))
-    out.print(say("recorded.messages", n=bag.messages_in_all, time=f"{bag.duration:.1f}", start=start))
-    rows = []
-    for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
-        rate = f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else ""
-        latched = say("text.yes") if any(profile.latched for profile in topic.qos) else ""
-        rows.append((topic.name, topic.type, str(topic.messages), rate, latched))
-    show_table(
-        out, TextTable(say("recorded.topics"), heads("topic", "type", "messages", "per_second", "latched"), tuple(rows))
+    yield f"{bag.path}{say('recorded.recording', n=len(bag.files), size=f'{size / 1e6:.2f}')}"
+    yield say("recorded.messages", n=bag.messages_in_all, time=f"{bag.duration:.1f}", start=start)
+    yield table(
+        say("recorded.topics"),
+        sorted(bag.topics.values(), key=lambda topic: topic.name),
+        topic=lambda topic: topic.name,
+        type=lambda topic: topic.type,
+        messages=lambda topic: str(topic.messages),
+        per_second=lambda topic: f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else "",
+        latched=lambda topic: say("text.yes") if any(profile.latched for profile in topic.qos) else "",
     )
     if absent:
-        out.print(say("recorded.nothing", why=absent.split(": ", 1)[-1]))
+        yield say("recorded.nothing", why=absent.split(": ", 1)[-1])
 
 
-def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
+def session_parts(session: Session, summary: SessionSummary) -> Iterator[Part]:
     """Setups and columns of a session."""
     method = named("method", summary.method.replace("_", " "))
-    show_head(out, session.source, say("recorded.session", method=method, chain=session.description.machine.chain))
-    out.print(counts_in_words(session, summary))
-    for table in session_tables(session, summary):
-        show_table(out, table)
-    show_suspicions(out, summary.suspicious)
+    yield f"{session.source}{say('recorded.session', method=method, chain=session.description.machine.chain)}"
+    yield counts_in_words(session, summary)
+    yield from session_tables(session, summary)
+    yield from suspicion_words(summary.suspicious)
     if summary.labels:
-        out.print(say("recorded.labels", names=", ".join(summary.labels)))
+        yield say("recorded.labels", names=", ".join(summary.labels))
 
 
 def counts_in_words(session: Session, summary: SessionSummary) -> str:
@@ -126,23 +111,19 @@ def counts_in_words(session: Session, summary: SessionSummary) -> str:
 
 def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTable]:
     """Setups and columns of a session, and the models that its method has, where there are several."""
-    rows = tuple(
-        (
-            Verbatim(setup.id),
-            _place(entry),
-            str(setup.readings),
-            str(setup.missing or ""),
-            str(setup.repeats),
-            _minutes(setup.first_time),
-            _minutes(setup.last_time),
-        )
-        for setup, entry in zip(summary.setups, session.description.setups, strict=True)
+    yield table(
+        say("recorded.setups"),
+        zip(summary.setups, session.description.setups, strict=True),
+        setup=lambda one: Verbatim(one[0].id),
+        where=lambda one: _place(one[1]),
+        readings=lambda one: str(one[0].readings),
+        missing=lambda one: str(one[0].missing or ""),
+        repeats=lambda one: str(one[0].repeats),
+        from_min=lambda one: _minutes(one[0].first_time),
+        to_min=lambda one: _minutes(one[0].last_time),
     )
-    columns = heads("setup", "where", "readings", "missing", "repeats", "from_min", "to_min")
-    yield TextTable(say("recorded.setups"), columns, rows)
-    values = tuple(_column(column) for column in summary.columns)
     columns = heads("column", "from", "to", "unit", "missing")
-    yield TextTable(say("recorded.columns"), columns, values, say("recorded.note"))
+    yield TextTable(say("recorded.columns"), columns, tuple(map(_column, summary.columns)), say("recorded.note"))
     if len(spec_of(session).models) > 1:
         yield TextTable(say("recorded.models"), heads("name", "when"), tuple(spec_of(session).models.items()))
 

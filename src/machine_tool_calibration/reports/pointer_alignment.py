@@ -4,38 +4,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.methods.tracking.pointer_alignment import Centre, ZeroAngle
 from machine_tool_calibration.reports.quantities import micrometres, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import Part, TextTable, Typed
 from machine_tool_calibration.words import named, say
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-__all__ = ["alignment_document", "show_alignment"]
+__all__ = ["alignment_document", "alignment_parts"]
 
 
-def show_alignment(screen: Console, centre: Centre | None, zero: ZeroAngle | None, setup: str) -> None:
-    """Print what was found, who contributes what to its uncertainty, and the lines to put into files."""
+def alignment_parts(centre: Centre | None, zero: ZeroAngle | None, setup: str) -> Iterator[Part]:
+    """What was found, who contributes what to its uncertainty, and the lines to put into files."""
     if centre is not None:
-        show_table(screen, _centre_table(centre))
+        yield _centre_table(centre)
         offset = ", ".join(f"{name} {quantity(float(v), 'm')}" for name, v in zip("xy", centre.offset, strict=True))
-        screen.print()
         radial, scatter = quantity(centre.radial, "m"), quantity(centre.scatter, "m")
-        screen.print(say("pointer.beside", offset=offset, radial=radial, scatter=scatter))
+        yield say("pointer.beside", offset=offset, radial=radial, scatter=scatter)
         if "positioning error of the machine" not in centre.contributions:
-            screen.print(say("pointer.no_machine"))
+            yield say("pointer.no_machine")
     if zero is not None:
-        screen.print()
         offset, scatter = quantity(zero.offset, "rad", zero.u), quantity(zero.scatter, "m")
-        screen.print(say("pointer.zero", offset=offset, scatter=scatter))
-    screen.print()
-    for line in _alignment_lines(centre, zero, setup):
-        screen.print(line, soft_wrap=True)
+        yield say("pointer.zero", offset=offset, scatter=scatter)
+    yield ""
+    yield from map(Typed, _alignment_lines(centre, zero, setup))
 
 
 def _centre_table(centre: Centre) -> TextTable:

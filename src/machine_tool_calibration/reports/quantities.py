@@ -23,6 +23,7 @@ __all__ = [
     "decimals",
     "declared_words",
     "duration",
+    "expanded_text",
     "fixed",
     "micrometres",
     "millimetres",
@@ -98,6 +99,11 @@ def as_exact(value: float, unit: str, expanded: float | None) -> str:
     places = 10 if not expanded else decimals(expanded * factor)
     after = f" {shown}" if shown else ""
     return f"{rounded(value * factor)}{after}" if places > 9 else f"{fixed(value * factor, places)}{after}"
+
+
+def expanded_text(expanded: float, unit: str = "m") -> str:
+    """An expanded uncertainty with its unit, of which two figures are shown; a dash where it is not determined."""
+    return as_exact(expanded, unit, expanded) if math.isfinite(expanded) else NOT_DETERMINED
 
 
 def _scale(unit: str, size: float) -> tuple[float, str]:
@@ -178,10 +184,10 @@ def residual_change(before: float, after: float) -> Said:
     return say(key, before=quantity(before, "m"), after=quantity(after, "m"))
 
 
-def sizes_in_words(parameters: Sequence[Estimate]) -> str:
+def sizes_in_words(parameters: Sequence[Estimate], none: str = NOT_DETERMINED) -> str:
     """Coefficients of one effect with their expanded uncertainty; of many, the most significant one."""
     if not parameters:
-        return NOT_DETERMINED
+        return none
     shown = list(parameters)
     if len(shown) > _MANY:
         shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
@@ -234,10 +240,8 @@ def plus_minus(value: float | None, uncertainty: float | None, factor: float) ->
     """
     if value is None or uncertainty is None:
         return NOT_DETERMINED
-    shown, number = 2 * factor * uncertainty, factor * value
-    places = min(decimals(shown) if shown > 0 else 3, _MOST_PLACES)
-    text = fixed(number, places)
-    return f"{'+' if float(text) > 0.0 else ''}{text} ± {fixed(shown, places)}"
+    text, expanded = _pair(factor * value, 2 * factor * uncertainty)
+    return f"{'+' if float(text) > 0.0 else ''}{text} ± {expanded}"
 
 
 def value_and_uncertainties(
@@ -256,8 +260,12 @@ def value_and_uncertainties(
 
 def with_expanded(value: float, expanded: float) -> tuple[str, str]:
     """A length and its expanded uncertainty in micrometres, of which two figures are shown."""
-    places = decimals(1e6 * expanded) if expanded > 0.0 else 3
-    return fixed(1e6 * value, places), fixed(1e6 * expanded, places)
+    return _pair(1e6 * value, 1e6 * expanded)
+
+
+def _pair(number: float, expanded: float) -> tuple[str, str]:
+    places = min(decimals(expanded) if expanded > 0 else 3, _MOST_PLACES)
+    return fixed(number, places), fixed(expanded, places)
 
 
 def of_map(size: float | None, u: float | None) -> tuple[str, str]:

@@ -74,11 +74,15 @@ def _places(result: Result) -> dict[str, Any]:
 
 def error_motions(result: Result | JointResult) -> pd.DataFrame:
     """Error motions and squareness errors, one value a row; without rows where every point has errors of its own."""
-    values = _joint(result) if isinstance(result, JointResult) else _single(result)
+    content = result.error_map.content
+    if isinstance(result, JointResult):
+        values = _tables({**content["tables"], **content.get("rotary", {})})
+    else:
+        values = _single(result)
     rows = []
     for one in values:
         single = one.motion in SQUARENESS
-        known, turned = _known(one), single or parse_motion(one.motion).is_rotation
+        known, turned = bool(np.isfinite([one.value, one.u]).all()), single or parse_motion(one.motion).is_rotation
         rows.append(
             (
                 *(one.motion, one.position, "" if single else "rad" if one.motion[2] in "ABC" else "m"),
@@ -87,16 +91,6 @@ def error_motions(result: Result | JointResult) -> pd.DataFrame:
             )
         )
     return pd.DataFrame(rows, columns=["motion", "position", "position_unit", "value", "u", "unit", "determined"])
-
-
-def _known(entry: _Value) -> bool:
-    return bool(np.isfinite(entry.value) and np.isfinite(entry.u))
-
-
-def _joint(result: JointResult) -> Iterator[_Value]:
-    content = result.error_map.content
-    yield from _tables(content["tables"])
-    yield from _tables(content.get("rotary", {}))
 
 
 def _single(result: Result) -> Iterator[_Value]:

@@ -1,19 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of text: what they hold, and how a terminal shows them."""
+"""What is told: sentences and tables of text in the order in which they are read, and how a terminal shows them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from machine_tool_calibration.words import say
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "heads", "is_number", "shortened", "show_head", "show_suspicions", "show_table"]
+__all__ = [
+    "Part",
+    "TextTable",
+    "Typed",
+    "heads",
+    "shortened",
+    "show",
+    "show_table",
+    "suspicion_words",
+    "table",
+]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -39,15 +49,38 @@ class TextTable:
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
 
+    def filled(self) -> TextTable:
+        """The same without columns of which no row has any text."""
+        used = [k for k in range(len(self.columns)) if any(row[k] for row in self.rows)]
+        rows = tuple(tuple(row[k] for k in used) for row in self.rows)
+        return TextTable(self.title, tuple(self.columns[k] for k in used), rows, self.note)
+
+    def numeric(self) -> set[int]:
+        """Columns of nothing but numbers, shares, bounds and dashes, which stand to the right."""
+        every = range(len(self.columns))
+        return {k for k in every if all(_NUMBER.fullmatch(row[k]) for row in self.rows if row[k])}
+
+
+class Typed(str):
+    """A line to be copied into a file, which is never broken."""
+
+
+Part = str | TextTable
+"""Of what is told: a sentence or a table. Terminal, report and pages show the same parts, each in its way."""
+
 
 def heads(*names: str) -> tuple[str, ...]:
     """Heads of columns by their keys in the catalogue's room `head`; over names there is none."""
     return tuple(say(f"head.{name}") if name else "" for name in names)
 
 
-def is_number(text: str) -> bool:
-    """Whether a text of a table stands to the right: a number, a share, a bound, a dash."""
-    return _NUMBER.fullmatch(text) is not None
+_Entry = TypeVar("_Entry")
+
+
+def table(title: str, entries: Iterable[_Entry], note: str = "", /, **cells: Callable[[_Entry], str]) -> TextTable:
+    """Entries, one a row; what each column says of one stands under the key of its head."""
+    every = tuple(cells.values())
+    return TextTable(title, heads(*cells), tuple(tuple(cell(one) for cell in every) for one in entries), note)
 
 
 def shortened(rows: Sequence[tuple[str, ...]], most: int | None) -> tuple[tuple[str, ...], ...]:
@@ -58,17 +91,24 @@ def shortened(rows: Sequence[tuple[str, ...]], most: int | None) -> tuple[tuple[
     return (*rows[:half], tuple("…" if k == 0 else "" for k in range(len(rows[0]))), *rows[-half:])
 
 
-def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
-    """Print what is suspicious in the sessions that were read (`suspicions`), a line each."""
-    for words in suspicious:
-        screen.print(say("result.suspicious", what=words))
+def suspicion_words(suspicious: Iterable[str]) -> Iterator[str]:
+    """What is suspicious in the sessions that were read (`suspicions`), a sentence each."""
+    return (say("result.suspicious", what=words) for words in suspicious)
 
 
-def show_head(screen: Console, head: str, words: str = "") -> None:
-    """Print a line that begins with what it is about."""
+def show(screen: Console, parts: Iterable[Part]) -> None:
+    """Print sentences and tables one below the other, a sentence apart from a table before it."""
     from rich.text import Text
 
-    screen.print(Text.assemble((head, "bold"), words))
+    below = False
+    for part in parts:
+        if isinstance(part, TextTable):
+            show_table(screen, part)
+        else:
+            if below:
+                screen.print()
+            screen.print(Text(part), soft_wrap=isinstance(part, Typed))
+        below = isinstance(part, TextTable)
 
 
 def show_table(screen: Console, table: TextTable) -> None:
@@ -82,12 +122,14 @@ def show_table(screen: Console, table: TextTable) -> None:
     if table.title:
         screen.print()
         screen.print(Text(table.title, style="bold"))
+    table = table.filled()
+    numeric = table.numeric()
     for columns in _parts(table, screen.width):
         shown = Table(box=None, show_header=any(table.columns), header_style="bold", pad_edge=False)
         for k, width in _widths(table, columns, screen.width).items():
-            numbers = all(is_number(row[k]) for row in table.rows if row[k])
+            right = k in numeric
             head = Text(table.columns[k])
-            shown.add_column(head, overflow="fold", width=width, justify="right" if numbers else "left")
+            shown.add_column(head, overflow="fold", width=width, justify="right" if right else "left")
         for row in table.rows:
             shown.add_row(*(Text(row[k]) for k in columns))
         screen.print(shown)
@@ -96,13 +138,12 @@ def show_table(screen: Console, table: TextTable) -> None:
 
 
 def _parts(table: TextTable, width: int) -> list[list[int]]:
-    """Columns that stand beside each other: those that have any text, the first one in each part."""
-    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
-    parts: list[list[int]] = [used[:1]]
-    for k in used[1:]:
+    """Columns that stand beside each other, the first one in each part."""
+    parts: list[list[int]] = [[]]
+    for k in range(len(table.columns)):
         wanted = [*parts[-1], k]
         if len(parts[-1]) > 1 and sum(_least(table, j) + _GAP for j in wanted) - _GAP > width:
-            parts.append([used[0], k])
+            parts.append([0, k])
         else:
             parts[-1].append(k)
     return parts

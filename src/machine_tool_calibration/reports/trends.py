@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.reports.quantities import probability, quantity
-from machine_tool_calibration.reports.tables import TextTable, heads
+from machine_tool_calibration.reports.tables import TextTable, heads, table
 from machine_tool_calibration.trends.check import SESSIONS, Change, Check
 from machine_tool_calibration.words import enumeration, say
 
@@ -26,34 +26,34 @@ _SHORT, _MOST = 12, 3
 
 def entries_table(entries: Sequence[Entry]) -> TextTable:
     """The entries of a logbook, one a row."""
-    rows = tuple(
-        (
-            *(str(one.number), one.date, one.machine, one.label, one.instrument),
-            ", ".join([str(one.result.get("model", "")), *one.result.get("effects", ())]),
-            *(str(len(one.sizes)), one.sha256[:_SHORT]),
-        )
-        for one in entries
+    return table(
+        say("logbook.title", n=len(entries)),
+        entries,
+        number=lambda one: str(one.number),
+        date=lambda one: one.date,
+        machine=lambda one: one.machine,
+        session=lambda one: one.label,
+        instrument=lambda one: one.instrument,
+        model=lambda one: ", ".join([str(one.result.get("model", "")), *one.result.get("effects", ())]),
+        sizes=lambda one: str(len(one.sizes)),
+        sum=lambda one: one.sha256[:_SHORT],
     )
-    columns = heads("number", "date", "machine", "session", "instrument", "model", "sizes", "sum")
-    return TextTable(say("logbook.title", n=len(entries)), columns, rows)
 
 
 def check_table(check: Check) -> TextTable:
     """Every error that both have, the most significant change first."""
-    rows = tuple(
-        (
-            *(_name(one), quantity(one.before, one.unit), quantity(one.after, one.unit)),
-            *(quantity(one.change, one.unit, one.u), _where(one)),
-            *(
-                probability(one.adjusted),
-                say("check.moved" if one.moved else "check.blind" if one.blind else "check.stayed"),
-            ),
-        )
-        for one in check.changes
+    return table(
+        say("check.title", earlier=check.earlier, now=check.now),
+        check.changes,
+        say("check.note", n=len(check.changes)),
+        figure=_name,
+        was=lambda one: quantity(one.before, one.unit),
+        is_now=lambda one: quantity(one.after, one.unit),
+        largest_change=lambda one: quantity(one.change, one.unit, one.u),
+        changed_at=_where,
+        adjusted_p=lambda one: probability(one.adjusted),
+        verdict=lambda one: say("check.moved" if one.moved else "check.blind" if one.blind else "check.stayed"),
     )
-    columns = heads("figure", "was", "is_now", "largest_change", "changed_at", "adjusted_p", "verdict")
-    title = say("check.title", earlier=check.earlier, now=check.now)
-    return TextTable(title, columns, rows, say("check.note", n=len(check.changes)))
 
 
 def check_verdict(check: Check) -> str:

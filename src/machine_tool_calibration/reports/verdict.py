@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
-from machine_tool_calibration.reports.goodness import fits
+from machine_tool_calibration.reports.goodness import fits, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     p_value,
     probability,
@@ -24,7 +24,6 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -284,13 +283,13 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     """Scatter of direct deviations: a part's or an axis's own, which no instrument declares."""
-    noise, fit = diagnosis.noise, diagnosis.fits[-1]
-    declared = noise.declared
-    found = float(np.sqrt(fit.reduced_chi_square)) * declared
-    how = {"bad": "more", "too well": "less"}.get(fits(fit.p_value), "as_declared")
-    both = say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))
-    yield say(f"diagnosis.scatter_{how}", both=both)
-    repeats = noise.from_repeats
+    fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
+    ratio = float(np.sqrt(fit.reduced_chi_square))
+    if words := scatter_words(diagnosis.fitted[-1].error_map.content, fit.p_value):
+        yield words
+    elif fits(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
+        yield say("diagnosis.no_noise", ratio=rounded(ratio))
+    found = ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
         yield say("diagnosis.places_differ", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.search.left:

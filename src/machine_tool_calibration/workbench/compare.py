@@ -13,8 +13,7 @@ from bokeh.models import AllIndices, BoxAnnotation, CDSView, FactorRange, IndexF
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.comparison import in_words
-from machine_tool_calibration.reports.comparison_tables import comparison_tables
+from machine_tool_calibration.reports.comparison import comparison_tables, in_words
 from machine_tool_calibration.reports.quantities import millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (
@@ -102,7 +101,7 @@ class ComparePage:
         when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
         self._back = bar_button("Put back", self._put_back, disabled=True)
-        self._look = bar_button("Select those set aside", self._select_aside, visible=False)
+        self._look = bar_button("Select those set aside", lambda: readings.select(state.model.aside), visible=False)
         self._cleared = bar_button("Clear the selection", self._clear)
         self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
         self._table = text()
@@ -252,9 +251,6 @@ class ComparePage:
 
     def _select_suggested(self) -> None:
         self._readings.select(self._state.model.found.keys() - self._state.model.aside - self._state.model.kept)
-
-    def _select_aside(self) -> None:
-        self._readings.select(self._state.model.aside)
 
 
 def _number(value: float) -> str:

@@ -12,8 +12,8 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
+from machine_tool_calibration.reports.goodness import negative_words
 from machine_tool_calibration.reports.quantities import probability, quantity, residual_change, sizes_in_words
-from machine_tool_calibration.reports.signs import negative_words
 from machine_tool_calibration.workbench.look import (
     DIM,
     bar_button,
@@ -91,11 +91,19 @@ class DiagnosePage:
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)
         self._add = bar_button("Add it to the model", self._use, "primary", disabled=True)
-        self._all = bar_button("Add all that the diagnosis names", self._improve, disabled=True)
+        self._all = bar_button(
+            "Add all that the diagnosis names",
+            lambda: work.run("adding what was found", state.improved()),
+            disabled=True,
+        )
         self._own = OwnEffect(state, self._new_effect)
         self.view = pn.Column(
             controls(
-                bar_button("Look for what is missing", self._diagnose, "primary"),
+                bar_button(
+                    "Look for what is missing",
+                    lambda: work.run("looking for what is missing", state.diagnosed()),
+                    "primary",
+                ),
                 self._effect,
                 self._against,
                 self._add,
@@ -149,12 +157,6 @@ class DiagnosePage:
         if found.accepted and found.accepted[0] in self._effect.options:
             self._effect.value = found.accepted[0]
 
-    def _diagnose(self) -> None:
-        self._work.run("looking for what is missing", self._state.diagnosed())
-
-    def _improve(self) -> None:
-        self._work.run("adding what was found", self._state.improved())
-
     def _clicked(self, chosen: list[int]) -> None:
         if chosen:
             name = self._bars.data["effect"][chosen[0]]
@@ -198,7 +200,6 @@ class DiagnosePage:
             self._work.alone(partial(self._state.use, self._trial))
 
     def _new_effect(self, name: str) -> None:
-        """Another effect of the user's own is known."""
         if name not in self._effect.options:
             self._effect.options = [*self._effect.options, name]
         if self._effect.value == name:

@@ -16,7 +16,7 @@ from machine_tool_calibration.plots.style import save_as
 from machine_tool_calibration.report.evaluation import evaluate
 from machine_tool_calibration.report.page import write_report
 from machine_tool_calibration.reports.documents import to_json, write_table
-from machine_tool_calibration.reports.measured import Measured
+from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.reports.result_tables import tidy
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import words
@@ -40,15 +40,6 @@ def reported(
     progress: Progress,
 ) -> list[Path]:
     """Write the report of a model.
-
-    Args:
-        subject: the measurement.
-        model: the model.
-        history: the models on the way to it, and itself.
-        language: of the report.
-        files: each by its ending an HTML page or a PDF.
-        diagnosis: whether to look for what the model lacks.
-        progress: told what is being done.
 
     Returns:
         The files.

@@ -10,7 +10,7 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.history_tables import compared_models, tried_models
+from machine_tool_calibration.reports.improvement import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import of_map, quantity
 from machine_tool_calibration.workbench.look import (
     bar_button,
@@ -49,7 +49,7 @@ class ImprovePage:
         self._go = pn.widgets.Select(name="Go to a model of the history", width=210, options=[""])
         self._before = pn.widgets.Select(name="Compare with", width=210)
         self._plane = pn.widgets.Select(name="Maps in the plane", width=110)
-        self._undo = bar_button("Undo", self._undone)
+        self._undo = bar_button("Undo", lambda: work.alone(state.undo))
         self._all = bar_button("Diagnose, and add all that is found", self._improve, "primary")
         self._table, self._history, self._note, self._scale = text(), text(), text(), text()
         when_changed(self._add, lambda name: self._changed(add=name))
@@ -183,9 +183,6 @@ class ImprovePage:
         """What was not done can be chosen again."""
         self._add.value = self._take.value = ""
         self._go.value = 0
-
-    def _undone(self) -> None:
-        self._work.alone(self._state.undo)
 
     def _improve(self) -> None:
         """As `mtcal improve`: nothing is added unless the diagnosis names it."""

@@ -19,7 +19,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.quantities import micrometres, millimetres, quantity
+from machine_tool_calibration.reports.quantities import expanded_text, micrometres, millimetres, quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import (
@@ -71,9 +71,6 @@ class Thinned:
 
     Attributes:
         step: how many stand for one that is drawn.
-
-    Args:
-        most: that are drawn.
     """
 
     def __init__(self, most: int) -> None:
@@ -217,7 +214,6 @@ class LivePage:
         return said + tables([TextTable(f"The map, {found.whose}", ("", ""), (*found.rows, *drawn))])
 
     def _setup_table(self) -> str:
-        """Readings, the last one and the residual of each setup."""
         if not self._counts:
             return ""
         found, rows = self._feed.map, []
@@ -293,7 +289,7 @@ class LivePage:
         self._fall.data = {
             "number": [count for count, _, _ in fall],
             "value": [1e6 * u for _, _, u in fall],
-            "shown": [quantity(u, "m") for _, _, u in fall],
+            "shown": [expanded_text(u) for _, _, u in fall],
             "determined": [str(determined) for _, determined, _ in fall],
         }
         self._uncertainty.visible = len(fall) > 1
@@ -357,7 +353,6 @@ def _displacement(value: float) -> str:
 
 
 def _where(feed: Feed, states: Sequence[NodeState]) -> str:
-    """What is listened to."""
     if feed.trouble:
         return f'<p class="error" role="alert">{escape(feed.trouble)}</p>'
     domain = os.environ.get("ROS_DOMAIN_ID", "0") if feed.domain is None else feed.domain

@@ -114,12 +114,6 @@ class Feed:
             of one of them, m.
         calculating: since when a map is being calculated, and from how many readings; 0 if none is.
         why_not: why there is no map of the newest readings; empty if there is.
-
-    Args:
-        own: effects of the user's own.
-        variant: of the method's model; its default if absent.
-        domain: ROS domain id; None for that of the environment.
-        namespace: of the graph.
     """
 
     def __init__(

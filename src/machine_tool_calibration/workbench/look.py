@@ -121,10 +121,9 @@ def tables(every: Iterable[TextTable]) -> str:
 
 
 def _table(table: TextTable) -> str:
-    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
-    rows = [[escape(row[k]) for k in used] for row in table.rows]
+    table = table.filled()
     note = paragraphs([table.note]).replace("<p>", '<p class="note">') if table.note else ""
-    return html_table(table.title, [table.columns[k] for k in used], rows) + note
+    return html_table(table.title, table.columns, [[*map(escape, row)] for row in table.rows]) + note
 
 
 def html_table(title: str, heads: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
@@ -144,16 +143,7 @@ def _cell(html: str) -> str:
 def new_figure(
     title: str, x: str, y: str, *, height: int = 300, hover: Sequence[tuple[str, str]] = (), **more: Any
 ) -> Any:
-    """An empty plot.
-
-    Args:
-        title: of the plot.
-        x: label of the axis to the right.
-        y: label of the axis upwards.
-        height: pixels.
-        hover: what is said of a reading under the pointer: label and column.
-        more: for Bokeh's figure.
-    """
+    """An empty plot."""
     plot = figure(
         title=title,
         x_axis_label=x,

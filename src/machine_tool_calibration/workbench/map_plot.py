@@ -34,10 +34,6 @@ def magnification(maps: Sequence[ErrorMap]) -> float:
 def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:
     """A map as columns of a plot: places `x y z`, ends of the magnified errors `x1 y1 z1`, `wx wy wz`: width of U, mm.
 
-    Args:
-        found: the map.
-        factor: magnification of errors.
-
     Returns:
         Those, and errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is
         drawn, NaN in what is said.
@@ -57,9 +53,6 @@ class MapPlot:
 
     Attributes:
         plot: Bokeh's figure.
-
-    Args:
-        color: of the arrows.
     """
 
     def __init__(self, color: str) -> None:
@@ -74,14 +67,7 @@ class MapPlot:
         self.plot.toolbar_location = None
 
     def show(self, found: ErrorMap, plane: str, factor: float, title: str) -> None:
-        """Show a map.
-
-        Args:
-            found: the map.
-            plane: in which it is seen, such as `xy`.
-            factor: magnification of errors.
-            title: of the plot.
-        """
+        """Show a map."""
         a, b = plane[0], plane[1]
         self._base.glyph.x, self._base.glyph.y = a, b
         arrows, band = self._arrows.glyph, self._band.glyph

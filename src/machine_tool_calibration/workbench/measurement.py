@@ -123,7 +123,6 @@ class MeasurementPage:
         self._look()
 
     def _look(self) -> None:
-        """Project onto what the sliders look at."""
         turn, tilt = self._turn.value, self._tilt.value
         stations = np.column_stack([np.asarray(self._stations.data[axis], dtype=float) for axis in "xyz"])
         self._stations.data.update(dict(zip("uv", seen_from(stations, turn, tilt).T, strict=True)))

@@ -28,8 +28,8 @@ from machine_tool_calibration.methods.fitted import FitRequest, gross_errors
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
 from machine_tool_calibration.procedure import Procedure
-from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 
 __all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "looked_ahead", "opened", "planned"]
@@ -127,13 +127,7 @@ class Subject:
         return replace(model.fit.chosen, own=self.own)
 
     def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> dict[int, float]:
-        """What `mtcal identify` would set aside beside a model: see `Model.found`.
-
-        Args:
-            chosen: the model.
-            aside: numbers of the readings that are left out.
-            kept: numbers of those that are known to be sound.
-        """
+        """What `mtcal identify` would set aside beside a model: see `Model.found`."""
         chosen = replace(chosen, sessions=self.without(aside, kept).sessions, own=self.own)
         return self.deviations(sifted.outliers for sifted in gross_errors(chosen))
 
@@ -209,7 +203,6 @@ class Subject:
         ]
 
     def _rows(self, session: int, numbers: Iterable[int]) -> tuple[int, ...]:
-        """Those of the readings that are of one session, as rows of its recording."""
         first, count = self.first[session], len(self.measurement.sessions[session].readings)
         return tuple(sorted(number - first for number in numbers if 0 <= number - first < count))
 
@@ -237,12 +230,6 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     """Read a measurement and fit its models: those of the history, or the first one.
 
     Readings that do not belong to the rest are set aside in a second model, as `mtcal identify` does.
-
-    Args:
-        paths: of a session or a recording, or of several of one machine.
-        variant: of the first model.
-        own: effects of the user's own.
-        progress: told what is being done.
     """
     progress("reading", 0.0)
     measurement = load(*paths)
@@ -289,12 +276,6 @@ def diagnosed(subject: Subject, model: Model, progress: Progress) -> Diagnosis:
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
     """Set aside and add what a diagnosis names, one by one, as `mtcal improve` does.
 
-    Args:
-        subject: the measurement.
-        model: that was diagnosed.
-        found: the diagnosis of it.
-        progress: told what is being done.
-
     Returns:
         The models, each made from the one before.
     """
@@ -335,4 +316,4 @@ def planned(
     found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
     now = None if model is None else current(subject.measurement.sessions[0], model.fit.result.error_map)
     words = f"procedure {procedure.name}, by itself"
-    return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))
+    return now, outlook_of(found, words), printed(forecast_parts(found))

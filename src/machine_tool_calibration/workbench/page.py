@@ -125,7 +125,6 @@ class _Window:
             self._choice.value = self._state.paths
 
     def _changed(self) -> None:
-        """Another model is in use, or another measurement."""
         state = self._state
         self._stale = set(self._places)
         named = " + ".join(path.absolute().name for path in state.paths)

@@ -13,7 +13,7 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.dominant import ANGULAR
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.style import round_down, spaced
-from machine_tool_calibration.reports.outlook import outlook_table
+from machine_tool_calibration.reports.planning import outlook_table
 from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import method_spec

@@ -50,9 +50,6 @@ class Calculation:
     def outcome(self, progress: Callable[[str, float], object]) -> Any:
         """Do it, and wait for it.
 
-        Args:
-            progress: told what is being done, and the share that is finished.
-
         Raises:
             CalibrationError: what the calculation raised, or it was ended.
             OSError: likewise.

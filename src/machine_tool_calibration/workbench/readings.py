@@ -71,12 +71,7 @@ class Readings:
         self._held = False
 
     def source(self, page: str, *columns: str) -> ColumnDataSource:
-        """What the plots of a page draw.
-
-        Args:
-            page: its title.
-            columns: that it needs.
-        """
+        """What the plots of a page draw."""
         for name in columns:
             self.data.setdefault(name, self._empty(name))
         source = self._sources[page] = ColumnDataSource({name: self.data[name] for name in columns})

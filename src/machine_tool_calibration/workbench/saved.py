@@ -22,8 +22,6 @@ _OFFERED: dict[str, Path] = {}
 
 
 class _Download(RequestHandler):
-    """Gives out a file that a page has written."""
-
     def get(self, key: str) -> None:
         path = _OFFERED.get(key)
         if path is None or not path.is_file():
@@ -85,10 +83,6 @@ class Saved:
 
     def write(self, folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
         """Write files and offer them.
-
-        Args:
-            folder: made where it is missing.
-            files: contents by name.
 
         Raises:
             CalibrationError: a file is there that was not written from here.

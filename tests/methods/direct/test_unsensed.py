@@ -18,8 +18,7 @@ from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.model.result import map_change
-from machine_tool_calibration.plots import direct as pictures
-from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.error_map import draw_map, draw_plane
 from machine_tool_calibration.plots.pictures import figures
 
 matplotlib.use("agg")
@@ -133,7 +132,7 @@ def test_subscribers_and_controllers_get_what_was_measured(direct: SimpleNamespa
 
 def test_pictures_name_the_direction(direct: SimpleNamespace) -> None:
     document = identify(_plate(direct, both=False)).document()
-    assert "not determined along y" in pictures.draw_map(document["error_map"]).axes[0].get_title()
+    assert "not determined along y" in draw_plane(document["error_map"]).get_suptitle().splitlines()
     figure = draw_map(document["error_map"])
     assert "not determined along y, z" in figure.get_suptitle() and "largest error" in figure.get_suptitle()
     assert figures((), document)
