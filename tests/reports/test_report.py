@@ -45,7 +45,8 @@ SPECS = {
 }
 DOMINANT = Dominant(
     "angular errors", 4e-7, {"readings": 0.1, "angular errors": 0.84, "time": 0.06}, 5e-6, 1e-9, 3.9e-7,
-    (Remedy(kind="diagonal", measure="add the diagonal nnp", uncertainty=2e-7, seconds=360.0, aside="mounting the mirror again"),),
+    (Remedy(kind="diagonal", measure="add the diagonal nnp", uncertainty=2e-7, seconds=360.0,
+            aside="mounting the mirror again"),),
 )  # fmt: skip
 
 
