@@ -41,7 +41,6 @@ def test_sizes_follow_from_the_columns_outside_the_model(simulated: Callable[...
         assert one.size == pytest.approx(size, rel=1e-6)
         assert one.reading == pytest.approx(size * np.abs(columns).max(), rel=1e-6)
         assert (one.coefficient, one.unit) == (coefficient.name, coefficient.unit)
-        assert one.occurs == (size <= 2 * half)
     # Of several coefficients the one that shows with the smallest change of a reading.
     assert visible["lost_motion_y"].coefficient.startswith("b")
     assert (visible["lost_motion_y"].reading or 1.0) < 3 * (visible["backlash_x"].reading or 0.0)
@@ -57,7 +56,7 @@ def test_in_several_passes_as_in_one(simulated: Callable[..., Session], monkeypa
         assert one.size == pytest.approx(other.size, rel=1e-9)
 
 
-def test_no_size_is_possible_of_what_would_have_to_be_too_large(simulated: Callable[..., Session]) -> None:
+def test_so_much_noise_hides_all_that_is_plausible(simulated: Callable[..., Session]) -> None:
     joint = fit_models([build_model(simulated("tracking_2d", noise=3e-4))[0]])
     (one,) = detectable(joint, [catalogue()["backlash_x"]]).visible
-    assert one.size is not None and one.size > 5e-5 and not one.occurs
+    assert one.size is not None and one.size > 5e-5

@@ -242,12 +242,7 @@ def propagate(
 ) -> Budget:
     """The uncertainty of everything that is published, from contributors to the readings.
 
-    Args:
-        fitted: the sessions.
-        contributors: the lines of the budget.
-        draws: of a Monte Carlo check beside it (JCGM 101); 0 without one.
-        seed: of all random draws.
-        progress: is told what is done and which share of it.
+    With a Monte Carlo check of so many draws beside it (JCGM 101), or without one.
 
     Raises:
         ModelError: more draws than memory holds.

@@ -41,14 +41,9 @@ def choose_flaw(
     seed: int | np.random.Generator = 0,
     scene: Scene | None = None,
 ) -> Chosen:
-    """A flaw with its size and parameters; what is not given is typical or drawn from the seed.
+    """A flaw with its size and parameters; what is not given is typical, or drawn from the seed.
 
-    Args:
-        name: the effect's id.
-        size: coefficient of its formula.
-        parameters: further coefficients.
-        seed: of what is drawn.
-        scene: the readings it is meant for, where that matters (`unlisted_step` happens among them).
+    The `scene` is the readings it is meant for, where that matters (`unlisted_step` happens among them).
 
     Raises:
         CalibrationError: unknown effect or parameter.
