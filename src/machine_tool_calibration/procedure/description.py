@@ -215,10 +215,5 @@ def parse_procedure(text: str, source: str) -> Procedure:
         for key, given in (("both_ways", content.path.both_ways), ("targets", content.path.targets != "one_by_one")):
             if given:
                 raise SessionError(f"{source}: path.{key} is for the method rotary_axis; this is {session.method}")
-    return Procedure(
-        name=content.name,
-        session=session,
-        path=content.path if content.path is not None else _FROM_SESSION,
-        motion=content.motion,
-        choices=content.choices,
-    )
+    path = content.path or _FROM_SESSION
+    return Procedure(name=content.name, session=session, path=path, motion=content.motion, choices=content.choices)
