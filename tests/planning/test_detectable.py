@@ -12,7 +12,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import fit_models, screen
-from machine_tool_calibration.planning import detectable as module
+from machine_tool_calibration.planning import forecast as module
 from machine_tool_calibration.planning.forecast import detectable
 from machine_tool_calibration.session.session import Session
 
