@@ -30,8 +30,7 @@ from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.check import check
 from machine_tool_calibration.trends.explain import ALARM, FEWEST, explain
 from machine_tool_calibration.trends.logbook import Entry, Logbook, entry_of
-from machine_tool_calibration.trends.statement import Size, sizes_of
-from machine_tool_calibration.trends.statement import of_fit
+from machine_tool_calibration.trends.statement import Size, of_fit, sizes_of
 from machine_tool_calibration.trends.trend import Course, trend
 
 MONTHS, CHANGED = 30, 15
