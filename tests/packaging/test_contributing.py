@@ -61,4 +61,4 @@ def test_the_example_effect_is_recovered(effect: Effect, session: Session) -> No
 def test_the_example_effect_is_an_effect_like_the_others(effect: Effect) -> None:
     assert effect.id not in catalogue()
     assert effect.id in catalogue([effect])
-    assert all(effect.describe().values())
+    assert effect.id and effect.title and effect.formula and effect.source

@@ -106,12 +106,6 @@ def test_station_drift(plan):
         assert np.all(np.linalg.norm(found, axis=1) < 1.55e-8)
 
 
-def test_a_beam_that_tracks_has_no_cosine_error():
-    plan = TrackingPlan(dimension=2, pointing="tracking")
-    simulated = simulate(SimulationSpec(plan=plan, effects=[FlawSpec(id="pointer_zero_offset", size=3e-3)]))
-    assert not simulated.truth.signal.any()
-
-
 def test_a_structure_behind_its_sensor():
     """Against the differential equation tau y' = T - y, y(0) = T(0), solved step by step."""
     drift = Drift(21.0, ((0.8, 3000.0, 0.7), (0.3, 9000.0, 2.0)), 1e-4)

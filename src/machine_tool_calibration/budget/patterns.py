@@ -41,8 +41,7 @@ def shared_errors(observed: Observations) -> SharedErrors | None:
         if contributor.varies == "reading" or own.count > _MOST_VALUES:
             squares += float(np.mean(own.size**2)) / sigma**2
             continue
-        signed = np.where(own.slope + own.curvature < 0, -own.size, own.size)
-        change += [signed * (own.group == g) for g in np.unique(own.group[own.size > 0])]
+        change += [own.signed * (own.group == g) for g in np.unique(own.group[own.size > 0])]
     return SharedErrors(float(np.sqrt(squares)), np.array(change).reshape(len(change), len(observed)))
 
 
@@ -79,6 +78,11 @@ class Pattern:
         """(n,) standard deviation of what it does to each reading, m."""
         u, fourth = self.contributor.u, self.contributor.fourth
         return np.asarray(np.abs(self.slope) * u + np.abs(self.curvature) * u**2 * np.sqrt(fourth - 1.0))
+
+    @property
+    def signed(self) -> Array:
+        """(n,) one standard deviation of what it does to each reading with the sign of that, m."""
+        return np.where(self.slope + self.curvature < 0, -self.size, self.size)
 
     @property
     def mean(self) -> Array:

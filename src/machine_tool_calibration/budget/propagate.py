@@ -242,12 +242,7 @@ def propagate(
 ) -> Budget:
     """The uncertainty of everything that is published, from contributors to the readings.
 
-    Args:
-        fitted: the sessions.
-        contributors: the lines of the budget.
-        draws: of a Monte Carlo check beside it (JCGM 101); 0 without one.
-        seed: of all random draws.
-        progress: is told what is done and which share of it.
+    With a Monte Carlo check of so many draws beside it (JCGM 101), or without one.
 
     Raises:
         ModelError: more draws than memory holds.
@@ -329,7 +324,7 @@ class _Propagation:
             return self.drawn_squares(own), "draws"
         squares = np.zeros(len(self.base))
         for g in there:
-            squares += self.response(self.signed(own) * (own.group == g)) ** 2
+            squares += self.response(own.signed * (own.group == g)) ** 2
         return squares, "steps"
 
     def closed(self, own: Pattern) -> tuple[Array, str] | None:
@@ -350,17 +345,12 @@ class _Propagation:
             squares[self.iso] = self.drawn_squares(own, iso_only=True)[self.iso]
         return squares, how
 
-    def signed(self, own: Pattern) -> Array:
-        """(n,) one standard deviation of what it does to each reading with the sign of that."""
-        return np.where(own.slope + own.curvature < 0, -own.size, own.size)
-
     def drawn_squares(self, own: Pattern, *, iso_only: bool = False) -> Array:
         """(M,) mean square change over random values."""
         total = np.zeros(len(self.base))
-        signed = self.signed(own)
         for k in range(DRAWS):
             self.progress(own.contributor.name, k / DRAWS)
-            shift = signed * self.rng.standard_normal(own.count)[own.group]
+            shift = own.signed * self.rng.standard_normal(own.count)[own.group]
             if iso_only:
                 figures = iso_numbers(self.fitted, self.split(shift)).value
                 total[self.iso] += (figures - self.base[self.iso]) ** 2 / DRAWS

@@ -9,34 +9,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from machine_tool_calibration.effects.drift import (
-    LinearDrift,
-    RotaryAxisDrift,
-    SquarenessDrift,
-    SquarenessThermal,
-    StationDrift,
-)
+from machine_tool_calibration.effects import drift, error_motion, instrument, pitch_periodic, reversal, thermal
 from machine_tool_calibration.effects.effect import AxisEffect, Effect
-from machine_tool_calibration.effects.error_motion import AxisScale, ErrorMotionEffect, Scale, Squareness
-from machine_tool_calibration.effects.instrument import (
-    DeadPath,
-    MirrorMisalignment,
-    PointerAxisOffset,
-    PointerRadialError,
-    PointerZeroOffset,
-    ProbePretravel,
-    RefractiveIndex,
-    RetroreflectorForm,
-)
-from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
-from machine_tool_calibration.effects.reversal import REVERSALS, Backlash, LostMotion, Reversal, RotaryBacklash
-from machine_tool_calibration.effects.thermal import (
-    TableThermalGrowth,
-    ThermalExpansion,
-    ThermalLag,
-    Warmup,
-    WorkpieceThermal,
-)
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 
@@ -48,13 +22,16 @@ ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 _MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC")
 # The effects in their order, with the axes or errors of axes of which there is one each.
 _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
-    (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"), (Reversal, REVERSALS),
-    (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"), (PitchPeriodic, "xyz"),
-    RefractiveIndex, DeadPath, LinearDrift, StationDrift, MirrorMisalignment,
-    PointerRadialError, PointerZeroOffset, PointerAxisOffset, RetroreflectorForm,
-    TableThermalGrowth, RotaryAxisDrift, WorkpieceThermal, ProbePretravel,
-    Scale, (AxisScale, "xyz"), (ErrorMotionEffect, _MOTIONS), (Squareness, SQUARENESS),
-    (SquarenessDrift, SQUARENESS), (SquarenessThermal, SQUARENESS),
+    (reversal.Backlash, "xyz"), (reversal.RotaryBacklash, "abc"), (reversal.LostMotion, "xyz"),
+    (reversal.Reversal, reversal.REVERSALS),
+    (thermal.ThermalExpansion, "xyz"), (thermal.ThermalLag, "xyz"), (thermal.Warmup, "xyz"),
+    (pitch_periodic.PitchPeriodic, "xyz"),
+    instrument.RefractiveIndex, instrument.DeadPath, drift.LinearDrift, drift.StationDrift,
+    instrument.MirrorMisalignment, instrument.PointerRadialError, instrument.PointerZeroOffset,
+    instrument.PointerAxisOffset, instrument.RetroreflectorForm,
+    thermal.TableThermalGrowth, drift.RotaryAxisDrift, thermal.WorkpieceThermal, instrument.ProbePretravel,
+    error_motion.Scale, (error_motion.AxisScale, "xyz"), (error_motion.ErrorMotionEffect, _MOTIONS),
+    (error_motion.Squareness, SQUARENESS), (drift.SquarenessDrift, SQUARENESS), (drift.SquarenessThermal, SQUARENESS),
 )  # fmt: skip
 
 

@@ -152,10 +152,6 @@ class Effect(ABC):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """(k, n) change of each reading per unit of each coefficient, at given nonlinear coefficients."""
 
-    def describe(self) -> Mapping[str, str]:
-        """For lists and tables."""
-        return {"id": self.id, "title": self.title, "formula": self.formula, "source": self.source}
-
 
 class AxisEffect(Effect):
     """An effect that every axis can have: in its texts `{axis}` stands for the letter of one, `{AXIS}` for its capital.

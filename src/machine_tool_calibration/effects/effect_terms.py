@@ -53,12 +53,8 @@ def effect_term(
 ) -> Term:
     """An effect's columns, linearised at given nonlinear coefficients.
 
-    Args:
-        effect: the effect.
-        observations: the readings.
-        shape: nonlinear coefficients.
-        size: (k,) linear coefficients at which the nonlinear ones are linearised; without them they are held.
-        mapped: whether to say where the effect moves the functional point, if the method maps that.
+    These are held where no (k,) linear coefficients are given at which they are linearised. Where it is `mapped`, the
+    term says where the effect moves the functional point, if the method maps that.
     """
     columns = effect.columns(observations, shape)
     parameters = [
@@ -101,11 +97,6 @@ def common_shape(
     """Nonlinear coefficients with which an effect explains most of the residuals of one or several sessions.
 
     A grid first, as there are several minima, then a search around its best value.
-
-    Args:
-        joint: the fit.
-        effect: acts in those sessions that have what it needs.
-        grid: where to search.
 
     Returns:
         The nonlinear coefficients and, for each session, the linear ones there; none where the effect does not act.

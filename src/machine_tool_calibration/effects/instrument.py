@@ -20,9 +20,6 @@ __all__ = [
     "ProbePretravel", "RefractiveIndex", "RetroreflectorForm",
 ]  # fmt: skip
 
-# A beam in air whose wavelength measures.
-_BEAMS = ("laser_interferometer", "tracking_interferometer", "laser_tracker")
-_OPTICAL = ("step_diagonal", "tracking_interferometer", "rotary_axis", "direct")
 # A beam that is pointed at a retroreflector from a station.
 _POINTED = ("tracking_interferometer", "laser_tracker")
 _STATIONS = ("tracking_interferometer", "rotary_axis")
@@ -37,43 +34,45 @@ def _azimuth(direction: Array) -> Array:
     return np.asarray(np.arctan2(direction[:, 1], direction[:, 0]))
 
 
-def _deviation(observations: Observations) -> Array:
-    columns = observations.readings.columns
-    return index_deviation(columns["temperature_air"], columns.get("air_pressure"), columns.get("relative_humidity"))
+class AirEffect(Effect):
+    """An effect of the air in a beam whose wavelength measures."""
+
+    kind = "reading"
+    needs = ("temperature_air",)
+    covariates: tuple[str, ...] = ("temperature_air", "air_pressure", "relative_humidity")
+    methods = ("step_diagonal", "tracking_interferometer", "rotary_axis", "direct")
+    instruments = ("laser_interferometer", "tracking_interferometer", "laser_tracker")
+
+    def deviation(self, observations: Observations) -> Array:
+        """(n,) refractive index minus that of standard air."""
+        columns = observations.readings.columns
+        others = columns.get("air_pressure"), columns.get("relative_humidity")
+        return index_deviation(columns["temperature_air"], *others)
 
 
-class RefractiveIndex(Effect):
+class RefractiveIndex(AirEffect):
     """The part g of the wavelength's compensation that is missing, in proportion to the path (Edlén)."""
 
     id = "refractive_index"
     title = say("effect.air")
     formula = say("formula.air")
     source = "Edlén; Bönsch and Potulski 1998; ISO 230-2:2014 Annex on laser interferometers"
-    kind = "reading"
     coefficients = (Coefficient("g", "1", -20.0, 20.0, say("coefficient.not_compensated"), usual=2.0),)
-    needs = ("temperature_air",)
-    covariates = ("temperature_air", "air_pressure", "relative_humidity", "path", "displacement")
-    methods = _OPTICAL
-    instruments = _BEAMS
+    covariates = (*AirEffect.covariates, "path", "displacement")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Deviation of the index times path."""
-        return np.asarray(_deviation(observations) * observations.path)[None]
+        return np.asarray(self.deviation(observations) * observations.path)[None]
 
 
-class DeadPath(Effect):
+class DeadPath(AirEffect):
     """The path in front of the datum, which is not in the reading but changes with the air (ISO 230-2)."""
 
     id = "dead_path"
     title = say("effect.dead_path")
     formula = say("formula.dead_path")
     source = "ISO 230-2:2014, dead path; Ibaraki et al. 2014, Table 4, u14"
-    kind = "reading"
     coefficients = (Coefficient("D", "m", -20.0, 20.0, say("coefficient.dead_path"), usual=_LEAST_USUAL),)
-    needs = ("temperature_air",)
-    covariates = ("temperature_air", "air_pressure", "relative_humidity")
-    methods = _OPTICAL
-    instruments = _BEAMS
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Usually no longer than the machine or the paths that were measured: who has a longer one sees it."""
@@ -83,7 +82,7 @@ class DeadPath(Effect):
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Deviation of the index."""
-        return np.asarray(_deviation(observations))[None]
+        return np.asarray(self.deviation(observations))[None]
 
 
 class MirrorMisalignment(Effect):

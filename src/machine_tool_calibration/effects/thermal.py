@@ -29,32 +29,31 @@ __all__ = [
 REFERENCE_TEMPERATURE = 20.0
 # An aluminium frame of half a metre grows by this while it warms by 40 K, m; a cast one by a quarter of it.
 _LARGEST = 5e-4
-_TAU = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
 
 
-def _time_constants(observations: Observations) -> list[tuple[float, ...]]:
-    """From a fiftieth of the session to its whole length; a longer one shows a rate of change only."""
-    length = float(np.ptp(observations.readings.column("time"))) or 1.0
-    return [(float(tau),) for tau in np.geomspace(length / 50, length, 12)]
+class LateEffect(AxisEffect):
+    """An effect with one time constant."""
+
+    kind = "position"
+    shapes = (Shape("tau", "s", 10.0, 1e5, meaning=say("coefficient.time_constant")),)
+
+    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
+        """From a fiftieth of the session to its whole length; a longer time constant shows a rate of change only."""
+        length = float(np.ptp(observations.readings.column("time"))) or 1.0
+        return [(float(tau),) for tau in np.geomspace(length / 50, length, 12)]
 
 
-class Warmup(AxisEffect):
+class Warmup(LateEffect):
     """Exponential approach of a new position with one time constant (ISO 230-3, thermal distortion)."""
 
     id = "warmup_{axis}"
     title = say("effect.warm_up")
     formula = say("formula.warm_up")
-    kind = "position"
     source = "ISO 230-3, thermal distortion caused by moving axes"
     tolerance = 0.3  # machines have more than one time constant
     coefficients = (Coefficient("a", "m", -_LARGEST, _LARGEST, say("coefficient.when_warm")),)
-    shapes = _TAU
     needs = ("{axis}", "time")
     covariates = ("time",)
-
-    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
-        """Time constants."""
-        return _time_constants(observations)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The exponential, along the axis."""
@@ -94,7 +93,7 @@ class ThermalExpansion(AxisEffect):
         return np.asarray([excess * observations.readings.column(self.axis) * along, -excess * along])
 
 
-class ThermalLag(ThermalExpansion):
+class ThermalLag(LateEffect, ThermalExpansion):
     """The structure follows its temperature sensor with a first-order lag: tau T' = T_sensor - T.
 
     At the start of the session structure and sensor are taken to be equally warm; between readings the sensor's
@@ -106,13 +105,8 @@ class ThermalLag(ThermalExpansion):
     title = say("effect.thermal_lag")
     formula = say("formula.thermal_lag")
     source = "ISO 230-3; first-order lag, ISO/TR 16015, thermal inertia"
-    shapes = _TAU
     needs = (*ThermalExpansion.needs, "time")
     contains = (ThermalExpansion.id,)
-
-    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
-        """Time constants."""
-        return _time_constants(observations)
 
     def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """What follows the sensor's."""

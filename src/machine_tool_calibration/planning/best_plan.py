@@ -155,10 +155,10 @@ def best_plan(
     seed: int = 0,
     progress: Progress = lambda what, share: None,
 ) -> BestPlan:
-    """The best plan of what a procedure offers.
+    """The best plan of what the text of a procedure's file offers.
 
     Args:
-        text: of the procedure's file.
+        text: of the file.
         source: its name, for messages.
         assumed: of the measurement.
         told: effects whose sizes the plan is to determine; the map's position errors if there are none.

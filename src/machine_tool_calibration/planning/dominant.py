@@ -116,14 +116,14 @@ def dominant(
     """
     try:
         built = build_model(session, model)[0]
-        angles = isinstance(built, StepDiagonalModel) and built.spread is not None
-        drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
-        readings = _uncertainty(session, "translations", 0.0, 0.0) if angles else _uncertainty(session, model, 0.0, 0.0)
-        still = _uncertainty(session, model, angular, 0.0) if angles else readings
-        whole = _uncertainty(session, model, angular, drift) if drift else still
-    except (CalibrationError, np.linalg.LinAlgError):
+    except CalibrationError:
         return None
-    if not np.isfinite(whole) or whole <= 0:
+    angles = isinstance(built, StepDiagonalModel) and built.spread is not None
+    drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
+    readings = _uncertainty(session, "translations" if angles else model, 0.0, 0.0)
+    still = _uncertainty(session, model, angular, 0.0) if angles else readings
+    whole = _uncertainty(session, model, angular, drift) if drift else still
+    if not np.isfinite(readings + still + whole) or whole <= 0:
         return None
     shares = {
         "readings": min(readings**2 / whole**2, 1.0),
@@ -134,8 +134,8 @@ def dominant(
     found = Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
     if cause == "readings":
         return found
-    tried = [(option, _after(option, model, angular, drift)) for option in further_options(session)]
-    return _with_remedies(found, [(option, after) for option, after in tried if after is not None])
+    tried = [(option, _uncertainty(option.session, model, angular, drift)) for option in further_options(session)]
+    return _with_remedies(found, [(option, after) for option, after in tried if np.isfinite(after)])
 
 
 def limits_of(session: Session, model: str | None = None) -> Dominant | None:
@@ -171,25 +171,19 @@ def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Do
     return replace(found, again=again, remedies=remedies)
 
 
-def _after(option: Option, model: str | None, angular: float, drift: float) -> float | None:
-    """The map's uncertainty with a further measurement; None where that is not determined."""
-    try:
-        after = _uncertainty(option.session, model, angular, drift)
-    except (CalibrationError, np.linalg.LinAlgError):
-        return None
-    return after if np.isfinite(after) else None
-
-
 def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:
-    """Root mean square standard uncertainty of the map, m, with what a drift that the model lacks does to it."""
-    built = expected_model(session, model, angular)
-    still = _map(built)
-    square = still.uncertainty**2
-    if drift:
-        term = effect_term(LinearDrift(), built.observations)
-        held = Constraint({term.parameters[0].name: 1.0}, -drift)
-        drifted = _map(replace(built.with_terms((term,)), constraints=(*built.constraints, held)))
-        square = square + (drifted.error - still.error) ** 2
+    """RMS standard uncertainty of the map, m, with what a drift that the model lacks does to it; NaN without a map."""
+    try:
+        built = expected_model(session, model, angular)
+        still = _map(built)
+        square = still.uncertainty**2
+        if drift:
+            term = effect_term(LinearDrift(), built.observations)
+            held = Constraint({term.parameters[0].name: 1.0}, -drift)
+            drifted = _map(replace(built.with_terms((term,)), constraints=(*built.constraints, held)))
+            square = square + (drifted.error - still.error) ** 2
+    except (CalibrationError, np.linalg.LinAlgError):
+        return float("nan")
     # Neither what is not determined nor what the datum fixes.
     known = square[np.isfinite(square) & (still.uncertainty > 0)]
     return float(np.sqrt(np.mean(known))) if len(known) else float("nan")

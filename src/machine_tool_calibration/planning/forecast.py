@@ -62,7 +62,6 @@ class Visible:
         size: smallest detectable size, in the unit; None if the model's own unknowns take the effect up.
         unit: SI.
         reading: largest change of a reading that this makes, m.
-        occurs: whether so large a size can be.
     """
 
     effect: str
@@ -70,7 +69,6 @@ class Visible:
     size: float | None
     unit: str
     reading: float | None
-    occurs: bool = True
 
 
 @dataclass(frozen=True)
@@ -135,8 +133,7 @@ class _Screened:
                 size = float(signal / np.sqrt(inner[k]))
                 reading = size * float(largest[k])
                 if best is None or best.reading is None or reading < best.reading:
-                    occurs = size <= max(abs(named[k].low), abs(named[k].high))
-                    best = Visible(self.effect, named[k].name, size, named[k].unit, reading, occurs)
+                    best = Visible(self.effect, named[k].name, size, named[k].unit, reading)
         return best
 
 
@@ -196,11 +193,7 @@ class Planned:
 
 
 def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
-    """The session that a procedure will make.
-
-    Args:
-        procedure: what is to be measured.
-        warming: change of the air's temperature that is assumed, K per hour; the machine follows more slowly.
+    """The session that a procedure will make, while the air warms by so many K per hour and the machine more slowly.
 
     Raises:
         SessionError: the procedure cannot be run, gives no map, or has more readings than can be forecast.

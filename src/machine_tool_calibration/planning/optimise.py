@@ -117,14 +117,9 @@ def _mean(variances: Array, power: float) -> float:
 def search(
     offered: Offer, candidates: Candidates, *, seed: int = 0, progress: Progress = lambda what, share: None
 ) -> Searched:
-    """The best plan that coordinate exchange finds.
+    """The best plan that coordinate exchange finds; the same seed gives the same plan.
 
-    Args:
-        offered: what could be measured.
-        candidates: what each adds to the knowledge.
-        seed: of the random starts: the same gives the same plan.
-        progress: told what is being done and the share that is finished; a KeyboardInterrupt ends the search with what
-            was found up to then.
+    A KeyboardInterrupt of `progress` ends the search with what was found up to then.
 
     Raises:
         ModelError: the candidates determine nothing, or not even one setup fits in the time.

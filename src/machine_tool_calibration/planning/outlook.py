@@ -85,15 +85,8 @@ def outlooks(
     """What is known now, and what would be after each further measurement that the sessions allow.
 
     The published uncertainty of each coordinate shrinks as the one that follows from the declared uncertainty does:
-    further readings are taken to scatter, and not to reproduce, as those did.
-
-    Args:
-        chosen: what was measured, and the model.
-        result: what it says of the machine.
-        progress: told what is being done, and the share that is finished.
-
-    Returns:
-        That of now first; those that would make the map better best first, of equals that with the least effort.
+    further readings are taken to scatter, and not to reproduce, as those did. That of now comes first; then those that
+    would make the map better best first, of equals that with the least effort.
     """
     progress("what is known now", 0.0)
     labels, published = chosen.labels, result.error_map

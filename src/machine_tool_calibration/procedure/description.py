@@ -51,40 +51,21 @@ class Choices(Record):
     seconds: Positive | None = None
 
 
-def expanded(template: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def expanded(template: Any) -> Iterator[Any]:
     """Every entry that a template stands for, in the order in which it names them."""
-    places = list(_alternatives(template, ()))
-    for values in product(*(options for _, options in places)):
-        chosen = dict(zip((path for path, _ in places), values, strict=True))
-        yield _filled(template, (), chosen)
-
-
-_Place = tuple[str | int, ...]
-
-
-def _alternatives(value: Any, path: _Place) -> Iterator[tuple[_Place, list[Any]]]:
-    if isinstance(value, Mapping):
-        if set(value) == {"any"} and isinstance(value["any"], list):
-            yield path, value["any"]
-        elif set(value) == {"first", "last", "count"}:
+    if isinstance(template, Mapping):
+        if set(template) == {"any"} and isinstance(template["any"], list):
+            yield from template["any"]
+        elif set(template) == {"first", "last", "count"}:
             # to the nanometre, so that files stay readable
-            yield path, np.round(np.linspace(value["first"], value["last"], int(value["count"])), 9).tolist()
+            yield from np.round(np.linspace(template["first"], template["last"], int(template["count"])), 9).tolist()
         else:
-            for key, inner in value.items():
-                yield from _alternatives(inner, (*path, key))
-    elif isinstance(value, list):
-        for number, inner in enumerate(value):
-            yield from _alternatives(inner, (*path, number))
-
-
-def _filled(value: Any, path: _Place, chosen: Mapping[_Place, Any]) -> Any:
-    if path in chosen:
-        return chosen[path]
-    if isinstance(value, Mapping):
-        return {key: _filled(inner, (*path, key), chosen) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_filled(inner, (*path, number), chosen) for number, inner in enumerate(value)]
-    return value
+            for values in product(*map(expanded, template.values())):
+                yield dict(zip(template, values, strict=True))
+    elif isinstance(template, list):
+        yield from map(list, product(*map(expanded, template)))
+    else:
+        yield template
 
 
 _MOST_REPEATS = 1000
@@ -234,10 +215,5 @@ def parse_procedure(text: str, source: str) -> Procedure:
         for key, given in (("both_ways", content.path.both_ways), ("targets", content.path.targets != "one_by_one")):
             if given:
                 raise SessionError(f"{source}: path.{key} is for the method rotary_axis; this is {session.method}")
-    return Procedure(
-        name=content.name,
-        session=session,
-        path=content.path if content.path is not None else _FROM_SESSION,
-        motion=content.motion,
-        choices=content.choices,
-    )
+    path = content.path or _FROM_SESSION
+    return Procedure(name=content.name, session=session, path=path, motion=content.motion, choices=content.choices)

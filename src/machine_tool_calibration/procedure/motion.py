@@ -198,12 +198,7 @@ class Trajectory:
 def check_command(
     names: Sequence[str], points: Sequence[tuple[Sequence[float], float]], travel: Mapping[str, tuple[float, float]]
 ) -> list[tuple[dict[str, float], float]]:
-    """A command's points by axis.
-
-    Args:
-        names: axes.
-        points: position of each axis and the time from the start, s.
-        travel: lower and upper end of each axis of the machine.
+    """A command's points (position of each axis, m or rad, and the time from the start, s) by axis.
 
     Raises:
         CalibrationError: an axis that the machine does not have or that is named twice, positions that are not

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -76,23 +75,23 @@ class DirectPlan(Plan):
 
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the axes that hold all points and zero, m."""
-        return spanned(self.run().points)
+        return spanned(self.run()[0])
 
-    def run(self) -> _Run:
-        """Points and directions of one run."""
+    def run(self) -> tuple[Array, Array]:
+        """(m, 3) points of one run, m, and (m, 3) unit directions in which they are read."""
         line = np.linspace(self.start, self.end, self.count)
         if self.kind == "points":
             points = np.asarray(self.points if self.points else [(0.0, 0.0, 0.0)], float)
             sense = np.asarray(self.directions if self.directions else [(1.0, 0.0, 0.0)], float)
             points, sense = np.broadcast_arrays(points, sense)
-            return _Run(points, sense / np.linalg.norm(sense, axis=1, keepdims=True))
+            return points, sense / np.linalg.norm(sense, axis=1, keepdims=True)
         if self.kind in ("iso230_2", "straightness"):
             letter = self.axis if self.kind == "iso230_2" else self.sense
             points = line[:, None] * np.eye(3)["xyz".index(self.axis)]
-            return _Run(points, np.tile(np.eye(3)["xyz".index(letter)], (len(line), 1)))
+            return points, np.tile(np.eye(3)["xyz".index(letter)], (len(line), 1))
         y, x = (side.ravel() for side in np.meshgrid(line, line, indexing="ij"))
         points = np.column_stack([x, y, np.zeros(len(x))])
-        return _Run(np.repeat(points, 2, axis=0), np.tile(np.eye(3)[:2], (len(points), 1)))
+        return np.repeat(points, 2, axis=0), np.tile(np.eye(3)[:2], (len(points), 1))
 
     def asked(self) -> tuple[str, ...]:
         """Machine errors that the session asks for."""
@@ -108,19 +107,22 @@ class DirectPlan(Plan):
 
     def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
         """The measurement of a plan: one setup, run after run."""
-        run = self.run()
-        forth = np.arange(len(run.points))
+        points, senses = self.run()
+        forth = np.arange(len(points))
         one = np.concatenate([forth, forth[::-1]]) if self.both_ways or self.kind == "iso230_2" else forth
         index = np.tile(one, self.repeats * self.mountings)
         repeat = np.tile(np.repeat(np.arange(self.repeats), len(one)), self.mountings)
         setup = np.repeat(np.arange(self.mountings), self.repeats * len(one))
-        position, sense = run.points[index], run.sense[index]
+        position, sense = points[index], senses[index]
         time = ordered_times(setup, self.interval, self.pause)
         if self.kind not in ("iso230_2", "straightness"):  # readings at the same point are taken together
             visit = blocks(setup, *np.round(position.T * 1e9).astype(np.int64))
             time = visit * self.interval + setup * self.pause
         direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-        _approach_from_below(self, direction, len(forth))
+        if self.kind == "iso230_2":  # each run overruns its ends: every position is approached in the run's direction
+            sign = 1.0 if self.end > self.start else -1.0
+            ahead = np.repeat([sign, -sign], len(forth))
+            direction[self.axis.upper()] = np.tile(ahead, self.repeats * self.mountings)
         scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
         datum = self.datum or _DATUM.get(self.kind, "rigid")
         place, turned = rng.normal(size=(2, self.mountings, 3))
@@ -137,8 +139,8 @@ class DirectPlan(Plan):
             return deviation + disturbance.added(sight)
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            points = np.unique(run.points, axis=0)
-            out: dict[str, Any] = {"points": points.tolist(), "position_error": machine.position_error(points).tolist()}
+            at = np.unique(points, axis=0)
+            out: dict[str, Any] = {"points": at.tolist(), "position_error": machine.position_error(at).tolist()}
             if datum != "none":
                 out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
             return out
@@ -155,17 +157,3 @@ class DirectPlan(Plan):
         }
         columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
         return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
-
-
-@dataclass(frozen=True)
-class _Run:
-    points: Array  # (m, 3) m
-    sense: Array  # (m, 3) unit
-
-
-def _approach_from_below(plan: DirectPlan, direction: dict[str, Array], count: int) -> None:
-    """ISO 230-2: each run overruns its ends, so that every position is approached in the run's direction."""
-    if plan.kind == "iso230_2":
-        sign = 1.0 if plan.end > plan.start else -1.0
-        ahead = np.concatenate([np.full(count, sign), np.full(count, -sign)])
-        direction[plan.axis.upper()] = np.tile(ahead, plan.repeats * plan.mountings)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every flaw by its id."""
+"""Every flaw by its id, and those in no catalogue: what a diagnosis must call unexplained."""
 
 from __future__ import annotations
 
@@ -9,13 +9,63 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
-from machine_tool_calibration.simulation.flaw import Chosen, Flaw
+from machine_tool_calibration.simulation.disturbance import Disturbance
+from machine_tool_calibration.simulation.flaw import BEAM, LINEAR, Chosen, Flaw, Parameters, drawn_phase, reads
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS, THERMAL_FLAWS
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
-from machine_tool_calibration.simulation.flaws_unlisted import UNLISTED_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["FLAWS", "choose_flaw", "find_flaw"]
+__all__ = ["FLAWS", "UNLISTED_FLAWS", "choose_flaw", "find_flaw"]
+
+
+def _moment(rng: np.random.Generator, scene: Scene | None) -> Parameters:
+    if scene is None or len(scene) < 3:
+        return {"moment": 600.0}
+    return {"moment": float(scene.time[int(rng.uniform(0.3, 0.7) * len(scene))])}
+
+
+def _product(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    """The structure twists: an error in all directions with the product x y, as no rigid body has."""
+    shape = np.ones(len(scene))
+    for axis in "XY":
+        low, high = scene.ends.get(axis, (0.0, 1.0))
+        shape = shape * (scene.along(axis) / max(abs(low), abs(high)))
+    return Disturbance(point=size * shape[:, None] * np.array([1.0, 1.0, 0.0]))
+
+
+def _rate(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    """A gradient in the frame follows how fast the air's temperature changes, and saturates."""
+    bent = np.tanh(scene.rate("temperature_air") / given["rate"])
+    return Disturbance(point=size * bent[:, None] * np.array([1.0, -0.5, 0.5]))
+
+
+def _hysteresis(size: float, given: Parameters, scene: Scene) -> Disturbance:
+    """Lost motion in X that grows along Y, as a worn guideway has."""
+    low, high = scene.ends.get("Y", (0.0, 1.0))
+    worn = np.sin(np.pi * (scene.along("Y") - low) / (high - low))
+    return Disturbance(axis={"X": -size * scene.toward("X") * worn * np.cos(given["turns"] * np.pi * worn)})
+
+
+_PRODUCT = "position in x and y: size * x * y / (ends of travel)"
+_RATE = "position: size * tanh(rate of the air's temperature / rate)"
+_WAVE = "reading: size * sin(2 pi time / period + phase)"
+_WORN = "position of X: lost motion that varies along y"
+UNLISTED_FLAWS: tuple[Flaw, ...] = (
+    # a counting error that grows with the cube of the change of path
+    Flaw("unlisted_cubic_path", "reading: size * (change of path / scale)^3", "m", 4e-6,
+         reads(lambda size, given, _, sight: size * (sight.change / given["scale"]) ** 3), {"scale": 0.3},
+         methods=BEAM),
+    # the instrument is knocked
+    Flaw("unlisted_step", "reading: size from a moment on", "m", 3e-6,
+         reads(lambda size, given, scene, _: np.where(scene.time >= given["moment"], size, 0.0)), draw=_moment),
+    Flaw("unlisted_product", _PRODUCT, "m", 5e-6, _product, methods=LINEAR),
+    Flaw("unlisted_rate", _RATE, "m", 5e-6, _rate, {"rate": 2e-4}, methods=(*LINEAR, "rotary_axis")),
+    # an air conditioner that comes and goes
+    Flaw("unlisted_wave", _WAVE, "m", 2e-6, reads(lambda size, given, scene, _: size * np.sin(
+         2.0 * np.pi * scene.time / given["period"] + given["phase"])), {"period": 900.0}, drawn_phase),
+    Flaw("unlisted_worn_guideway", _WORN, "m", 3e-6, _hysteresis, {"turns": 2.0}, methods=LINEAR),
+)  # fmt: skip
+
 
 FLAWS: Mapping[str, Flaw] = {
     flaw.id: flaw for flaw in (*POSITION_FLAWS, *REVERSAL_FLAWS, *THERMAL_FLAWS, *READING_FLAWS, *UNLISTED_FLAWS)
@@ -41,14 +91,9 @@ def choose_flaw(
     seed: int | np.random.Generator = 0,
     scene: Scene | None = None,
 ) -> Chosen:
-    """A flaw with its size and parameters; what is not given is typical or drawn from the seed.
+    """A flaw with its size and parameters; what is not given is typical, or drawn from the seed.
 
-    Args:
-        name: the effect's id.
-        size: coefficient of its formula.
-        parameters: further coefficients.
-        seed: of what is drawn.
-        scene: the readings it is meant for, where that matters (`unlisted_step` happens among them).
+    The `scene` is the readings it is meant for, where that matters (`unlisted_step` happens among them).
 
     Raises:
         CalibrationError: unknown effect or parameter.

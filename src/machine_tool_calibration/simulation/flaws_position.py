@@ -132,10 +132,6 @@ def _motion(name: str) -> Flaw:
     )
 
 
-def _scale(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"})
-
-
 _EXPANDS = "size * (temperature_{a} - 20) * ({a} - fixed_point)"
 _WAVES = "size * sin(2 pi {a} / lead + phase)"
 POSITION_FLAWS: tuple[Flaw, ...] = (
@@ -145,10 +141,11 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("thermal_expansion", _EXPANDS, 8e-6, _expansion, {**_COLD, "fixed_point": 0.0}, unit="1/K"),
     *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
     *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
-    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale, methods=LINEAR),
+    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
+         lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
     *(_motion(component + axis) for axis in "XYZC" for component in COMPONENTS),
-)
+)  # fmt: skip
 
 
 def _reversal(name: str) -> Flaw:

@@ -115,39 +115,9 @@ def _pointer_axes(size: float, given: Parameters, _: Scene, sight: Sight) -> Arr
     return np.asarray(np.sqrt(square) - sight.path)
 
 
-def _retroreflector(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
-    return size * _harmonics(sight.incidence, given)
-
-
-def _pretravel(size: float, given: Parameters, _: Scene, sight: Sight) -> Array:
-    """The stylus gives way, by direction, before the probe triggers."""
-    return size * _harmonics(sight.azimuth, given)
-
-
-def _optical(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    """The wavelength is not compensated, or wrongly: this share of the air's deviation stays."""
-    return Disturbance(optical=size * _air(scene))
-
-
-def _dead_path(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(dead=size * _air(scene))
-
-
-def _drift(size: float, _: Parameters, scene: Scene, sight: Sight) -> Array:
-    return size * scene.time
-
-
-def _zero_offset(size: float, _: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(turn=np.full(len(scene), size))
-
-
 def _table_growth(size: float, given: Parameters, scene: Scene) -> Disturbance:
     warm = scene.sensed("temperature_table") - given["reference"]
     return Disturbance(table_radial=size * warm, table_axial=size * given["axial"] * warm)
-
-
-def _work_growth(size: float, given: Parameters, scene: Scene) -> Disturbance:
-    return Disturbance(growth=size * (scene.sensed("temperature_work") - given["reference"]))
 
 
 _AIR = "reading: size * (n - n of standard air)"
@@ -164,16 +134,24 @@ _THREE = {"orders": [2, 3], "weights": [1.0, 0.6]}
 _COLD = {"reference": 20.0}
 
 READING_FLAWS: tuple[Flaw, ...] = (
-    Flaw("refractive_index", f"{_AIR} * path", "1", 1.0, _optical, methods=BEAM),
-    Flaw("dead_path", _AIR, "m", 1.0, _dead_path, methods=BEAM),
-    Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, reads(_drift)),
+    # the wavelength is not compensated, or wrongly: this share of the air's deviation stays
+    Flaw("refractive_index", f"{_AIR} * path", "1", 1.0, lambda size, _, scene: Disturbance(optical=size * _air(scene)),
+         methods=BEAM),
+    Flaw("dead_path", _AIR, "m", 1.0, lambda size, _, scene: Disturbance(dead=size * _air(scene)), methods=BEAM),
+    Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, reads(lambda size, _, scene, sight: size * scene.time)),
     Flaw("station_drift", _SETTLES, "m/s", 1e-8, _station_drift, {"vertical": 1.0}, drawn_seed, STATIONS),
     Flaw("mirror_misalignment", _TILTED, "rad", 1e-3, _mirror, draw=drawn_seed, methods=("step_diagonal",)),
     Flaw("pointer_radial_error", _RADIAL, "m", 2e-6, reads(_pointer_radial), _FIVE, _phases, STATIONS),
-    Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3, _zero_offset, methods=STATIONS[:1]),
+    Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3,
+         lambda size, _, scene: Disturbance(turn=np.full(len(scene), size)), methods=("tracking_interferometer",)),
     Flaw("pointer_axis_offset", _AXES, "m", 2e-5, reads(_pointer_axes), {"beam": 0.0}, methods=STATIONS),
-    Flaw("retroreflector_form", _INCIDENCE, "m", 1e-6, reads(_retroreflector), _TWO, _phases, STATIONS),
-    Flaw("table_thermal_growth", _OUT, "1/K", 1.2e-5, _table_growth, {"axial": 1.0, **_COLD}, methods=STATIONS[1:]),
-    Flaw("workpiece_thermal", _WORK, "1/K", 1.2e-5, _work_growth, _COLD, methods=("probing", "direct")),
-    Flaw("probe_pretravel", _NORMAL, "m", 3e-6, reads(_pretravel), _THREE, _phases, ("probing",)),
-)
+    Flaw("retroreflector_form", _INCIDENCE, "m", 1e-6,
+         reads(lambda size, given, _, sight: size * _harmonics(sight.incidence, given)), _TWO, _phases, STATIONS),
+    Flaw("table_thermal_growth", _OUT, "1/K", 1.2e-5, _table_growth, {"axial": 1.0, **_COLD}, methods=("rotary_axis",)),
+    Flaw("workpiece_thermal", _WORK, "1/K", 1.2e-5,
+         lambda size, given, scene: Disturbance(growth=size * (scene.sensed("temperature_work") - given["reference"])),
+         _COLD, methods=("probing", "direct")),
+    # the stylus gives way, by direction, before the probe triggers
+    Flaw("probe_pretravel", _NORMAL, "m", 3e-6,
+         reads(lambda size, given, _, sight: size * _harmonics(sight.azimuth, given)), _THREE, _phases, ("probing",)),
+)  # fmt: skip

@@ -164,15 +164,7 @@ def build_machine(
     seed: Any = 0,
     random: Amplitudes | None = None,
 ) -> VirtualMachine:
-    """The machine of a spec.
-
-    Args:
-        spec: what is said of it.
-        chain: chain for a spec that names none.
-        travel: ends of axes that the spec does not name, by letter.
-        rotation_sign: for a spec that names none.
-        seed: for a spec that names none.
-        random: sizes of random errors for a spec that says nothing of them.
+    """The machine of a spec; the arguments are for what the spec does not say.
 
     Raises:
         CalibrationError: no chain, an error motion of an axis that the chain lacks, unfit tables.

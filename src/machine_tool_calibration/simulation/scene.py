@@ -84,9 +84,7 @@ class Environment:
         return {name: drift(time) for name, drift in self.drifts.items()}
 
 
-def random_environment(
-    rng: np.random.Generator, *, swing: float = 1.0, columns: tuple[str, ...] = COLUMNS
-) -> Environment:
+def random_environment(rng: np.random.Generator, *, swing: float = 1.0) -> Environment:
     """A workshop whose temperatures wander by about a kelvin within hours, times `swing`, each in its own way."""
     drifts = {}
     for name in COLUMNS:
@@ -96,8 +94,7 @@ def random_environment(
         sizes = scale * rng.normal(size=3) * (periods / 10000.0)
         phases = rng.uniform(0, 2 * np.pi, 3)
         waves = tuple((float(a), float(p), float(f)) for a, p, f in zip(sizes, periods, phases, strict=True))
-        if name in columns:
-            drifts[name] = Drift(float(mean), waves)
+        drifts[name] = Drift(float(mean), waves)
     return Environment(drifts)
 
 

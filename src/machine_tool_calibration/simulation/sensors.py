@@ -48,15 +48,10 @@ def tilted(beam: Array, tilt: Array) -> Array:
 
 
 def aim(station: Array, target: Array, dimension: int = 3) -> tuple[Array, Array]:
-    """Commanded azimuth and elevation of the beam.
+    """Commanded (n,) azimuth from +X towards +Y in (-pi, pi], and (n,) elevation towards +Z, rad, of the beam.
 
-    Args:
-        station: (n, 3) estimate of the rotation centre, machine frame, m.
-        target: (n, 3) commanded target, m.
-        dimension: 2 for a pointer with azimuth only; its elevation is zero.
-
-    Returns:
-        (n,) azimuth from +X towards +Y in (-pi, pi], and (n,) elevation from the XY plane towards +Z, rad.
+    From the estimated rotation centre (n, 3) to the commanded target (n, 3), m; a pointer in the plane (dimension 2)
+    has no elevation.
     """
     line = np.asarray(target, float) - np.asarray(station, float)
     azimuth = np.arctan2(line[..., 1], line[..., 0])

@@ -100,7 +100,7 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
             random=plan.errors(),
         )
     machine = plan.prepared(machine)
-    environment = random_environment(rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns)
+    environment = random_environment(rng["environment"], swing=spec.environment_swing)
     measurement = plan.measured(environment, rng["setup"])
     shaken = Disturbance()
     if spec.repeatability:

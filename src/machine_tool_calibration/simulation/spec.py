@@ -18,7 +18,6 @@ from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.flaws import find_flaw
 from machine_tool_calibration.simulation.machine_file import MachineSpec, read_machine, read_record
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS, AnyPlan
-from machine_tool_calibration.simulation.scene import COLUMNS
 
 __all__ = [
     "Chips", "FlawSpec", "SimulationSpec", "Spread", "parse_effect", "parse_setting", "read_spec",
@@ -223,7 +222,6 @@ class SimulationSpec(Record):
         chips: gross errors.
         missing: fraction of readings that are lost.
         environment_swing: factor on all changes of temperature, pressure and humidity.
-        environment_columns: what is recorded of the environment.
     """
 
     plan: AnyPlan
@@ -237,14 +235,6 @@ class SimulationSpec(Record):
     chips: Chips | None = None
     missing: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
     environment_swing: NotNegative = 1.0
-    environment_columns: tuple[str, ...] = COLUMNS
-
-    @model_validator(mode="after")
-    def _check(self) -> SimulationSpec:
-        unknown = [name for name in self.environment_columns if name not in COLUMNS]
-        if unknown:
-            raise ValueError(f"environment_columns: {unknown[0]!r} is none of {', '.join(COLUMNS)}")
-        return self
 
     @property
     def method(self) -> str:

@@ -121,16 +121,9 @@ def entry_of(
     date: str | None = None,
     instrument: str | None = None,
 ) -> Entry:
-    """What is to be entered of a session.
+    """What is to be entered of a session: all that was recorded, its result document, and sizes of what was found.
 
-    Args:
-        session: the measurement; all that was recorded is entered.
-        label: its name.
-        result: its result document.
-        sizes: of what was found.
-        machine: its name, unless `about` says it.
-        date: when it was measured, ISO 8601, unless `about` says it.
-        instrument: which one read, unless `about` says it.
+    Machine, date (ISO 8601) and instrument need be given only where `about` does not say them.
 
     Raises:
         CalibrationError: nothing says which machine it was, or when.

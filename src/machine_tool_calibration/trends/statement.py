@@ -153,14 +153,9 @@ def of_fit(
     seed: int = 1,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Statement:
-    """What one identified session states, with all correlations.
+    """What one identified session states, with all correlations, which are carried by draws.
 
-    Args:
-        fitted: the session.
-        label: its name.
-        draws: by which the correlations are carried; each uncertainty is told to 1 / sqrt(2 draws).
-        seed: of the draws.
-        progress: told what is done and which share of it.
+    Each uncertainty is told to 1 / sqrt(2 draws).
     """
     published, origin = everything(fitted), fitted.provenance
     samples = np.zeros((draws, len(numbers(fitted, fitted.joint).value)))

@@ -274,11 +274,7 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
 
 
 def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint, ...]:
-    """Points with outward normals, numbered from 0 in the order of the features.
-
-    Args:
-        workpiece: the description.
-        folder: from which files are named.
+    """Points with outward normals, numbered from 0 in the order of the features; files are named from a folder.
 
     Raises:
         SessionError: a file cannot be used, an open outline is said to have an inside, a hole is too small for the

@@ -28,13 +28,9 @@ _FARTHEST = 1e6  # in the unit of the file
 
 
 def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
-    """Read one outline.
+    """Read one outline, of corners in columns x and y, with so many metres per unit of the file.
 
-    Args:
-        file: with a heading that names the columns x and y; separated by commas or, then also with decimal commas, by
-            semicolons.
-        unit: metres per unit of the file.
-        closed: whether the last corner is joined to the first.
+    They are separated by commas or, then also with decimal commas, by semicolons.
 
     Raises:
         SessionError: the file cannot be read, or a corner is no pair of numbers; the message names file and row.
