@@ -100,6 +100,20 @@ def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     assert set(found.search.sets[0][0]) == {"warmup_x", "backlash_x"}
 
 
+@pytest.mark.parametrize(("quick", "accepted"), [(1.0, {"warmup_x"}), (0.4, {"warmup_x", "linear_drift"})])
+def test_the_slow_part_of_a_warm_up_is_no_drift_beside_it_unless_it_is_the_larger(
+    quick: float, accepted: set[str]
+) -> None:
+    session = simulated("iso230_2", 23)
+    time = session.readings.columns["time"]
+    parts = [-np.expm1(-time / (share * np.ptp(time))) for share in (0.05, 2.0)]
+    fast, slow = (20.0 * session.sigma * part / np.sqrt(np.mean(part**2)) for part in parts)
+    # Without the air, whose temperature drifts as well.
+    found = diagnose(with_columns(session, quick * fast + slow, without="temperature_air"))
+    assert set(found.search.sets[0][0]) == {"warmup_x", "linear_drift"}
+    assert set(found.accepted) == accepted
+
+
 @pytest.mark.parametrize("plan", ["iso230_2", "tracking_2d"])
 def test_a_reversal_of_the_other_sign_is_the_same_effect(plan: str) -> None:
     """An axis whose control compensates more than there is: a sign is expected, and no wall."""
