@@ -131,10 +131,10 @@ MAY_BE = 0.02
 """The same from which the law of an effect is tried with its tolerance as well."""
 
 LIKELY = 0.2
-"""The same from which an effect is called likely: what one would look at next."""
+"""The same from which an effect is called likely: what one would look at next; and that nothing is missing is likely."""
 
 SURE = 0.95
-"""Probability that something is missing from which the verdict is that no effect explains it."""
+"""Probability that something is missing from which it is said although no effect can be named."""
 
 ALIKE, THE_SAME = 0.9, 0.98
 """Cosine between the signals of two effects outside the model from which they are look-alikes; and from which a

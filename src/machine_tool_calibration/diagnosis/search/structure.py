@@ -36,13 +36,14 @@ _MOMENTS, _CHANGES, _LOOKED_AT = 24, 6, 1000
 # Range of a direction's component below which it is the same for all readings.
 _SAME = 1e-6
 
-# Frequencies of the periodogram for each independent one, its largest peaks that are looked at, and the fewest periods
-# over the whole session: slower waves are smooth functions.
-_OVERSAMPLED, _PEAKS, _FEWEST = 4, 8, 2.5
+# Frequencies of the periodogram for each independent one, and its largest peaks that are looked at.
+_OVERSAMPLED, _PEAKS = 4, 8
 _MOST_FREQUENCIES = 20000
-# Most periods over the session of a slow wave, of which the model and what does not reproduce take up the more, and
-# columns that are projected at once.
-_SLOW, _BATCH = 60.0, 120
+# Bands of waves, by periods over the whole session, one of which may be missing in each: slower ones are smooth
+# functions; of those in these bands the model and what does not reproduce take up much, of faster ones little.
+_BANDS = ((2.5, 12.0), (12.0, 60.0))
+# Columns that are projected at once.
+_BATCH = 120
 # Numbers that are worked on at once; sum of squares of a wave below which it is zero at all readings.
 _AT_ONCE, _NOTHING = 4e5, 1e-12
 
@@ -118,13 +119,16 @@ def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
         functions = {"its_sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(within)}
         if name in _ANGLES:
             functions["periodic"] = np.array([wave(k * values) for k in _ORDERS for wave in (np.sin, np.cos)])
-        displaces = name in _SIGNS or name == "time" or name.startswith("temperature")
+        displaces = name in _SIGNS or name == "time" or "temperature" in name
         covariate = named("column", name)
         for shape, columns in functions.items():
             how = say(f"shape.{shape}")
             yield covariate, how, columns
             for axis, along in axes if displaces else ():
                 yield covariate, say("shape.displacement", shape=how, axis=axis), columns * along
+            if displaces and len(axes) > 1:
+                every = np.concatenate([columns * along for _, along in axes])
+                yield covariate, say("shape.displacement", shape=how, axis=", ".join(axis for axis, _ in axes)), every
 
 
 def _smooth(scaled: Array) -> Array:
@@ -180,20 +184,27 @@ def _events(
         some = np.unique(np.clip(best[:, None] + np.arange(-stride, stride + 1), 0, len(moments) - 1))
     steps = [Shaped((m,), (time > m).astype(float)[None]) for m in np.union1d(evenly, moments[best]).tolist()]
     yield _structure(covariate, say("shape.step_at", at=""), tuple(steps), len(time))
-    wave, length = say("shape.wave", at=""), float(np.ptp(time))
-    highest = len(time) / 2.0
-    slow = _frequencies(_FEWEST, min(_SLOW, highest)) / length
-    fast = _frequencies(_SLOW, highest)[:_MOST_FREQUENCIES] / length
-    found = {
-        "slow": explained(np.stack([_wave(time, f) for f in slow])) if len(slow) else [],
-        "fast": [_periodogram(time - time[0], observations.run, residual, fast)] if len(fast) else [],
-    }
-    for (speed, powers), frequency in zip(found.items(), (slow, fast), strict=True):
-        near = {k for power in powers for k in _around(frequency, _peaks(power)[:_PEAKS])}
-        waves = tuple(Shaped((1.0 / k,), _wave(time, k)) for k in sorted(near))
-        if waves:
-            candidate = _structure(covariate, wave, waves, len(time) // 2)
-            yield replace(candidate, name=f"{candidate.name}{speed}")
+    length, highest = float(np.ptp(time)), len(time) / 2.0
+    for lowest, end in _BANDS:
+        frequency = _frequencies(lowest, min(end, highest)) / length
+        if len(frequency):
+            powers = explained(np.stack([_wave(time, one) for one in frequency]))
+            yield from _waves(covariate, time, frequency, powers)
+    frequency = _frequencies(_BANDS[-1][1], highest)[:_MOST_FREQUENCIES] / length
+    if len(frequency):
+        power = _periodogram(time - time[0], observations.run, residual, frequency)
+        yield from _waves(covariate, time, frequency, [power])
+
+
+def _waves(covariate: str, time: Array, frequency: Array, powers: list[Array]) -> Iterator[Candidate]:
+    """Those of a band, at the peaks of sums of squares."""
+    near = {one for power in powers for one in _around(frequency, _peaks(power)[:_PEAKS])}
+    waves = tuple(Shaped((1.0 / one,), _wave(time, one)) for one in sorted(near))
+    if waves:
+        # As many of them are independent as there are periods over the session.
+        independent = round(float(np.ptp(time) * np.ptp(frequency)))
+        candidate = _structure(covariate, say("shape.wave", at=""), waves, independent)
+        yield replace(candidate, name=f"{candidate.name}{frequency[0]:.3g} Hz")
 
 
 def _wave(time: Array, frequency: float) -> Array:
@@ -228,12 +239,21 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     known = covariates(observations)
     # A displacement by the direction of approach is tried with every axis; the order stands for time, if need be.
     out = {name: values for name, values in known.items() if name not in ("order", "repeat") and " along " not in name}
+    if observations.timed:
+        warming = [name for name in out if name.startswith("temperature")]
+        out |= {f"rate of {name}": _rate(observations.clock, out[name]) for name in warming}
     if "path" in out:
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
             # There the reading is the deviation itself, which explains itself.
             out["displacement"] = observations.readings.displacement
     return out
+
+
+def _rate(time: Array, values: Array) -> Array:
+    """Of change, where readings of one moment have the same value."""
+    moments, first, place = np.unique(time, return_index=True, return_inverse=True)
+    return np.asarray(np.gradient(values[first], moments)[place] if len(moments) > 1 else np.zeros(len(time)))
 
 
 def _within(values: Array, group: IntArray) -> Array:
