@@ -131,7 +131,8 @@ MAY_BE = 0.02
 """The same from which the law of an effect is tried with its tolerance as well."""
 
 LIKELY = 0.2
-"""The same from which an effect is called likely: what one would look at next; and that nothing is missing is likely."""
+"""The same from which an effect is called likely: what one would look at next; and from which it is likely that nothing
+is missing."""
 
 SURE = 0.95
 """Probability that something is missing from which it is said although no effect can be named."""
