@@ -326,7 +326,7 @@ def _verdict(found: Diagnosis) -> str:
     search, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
     if found.contradicted:
         return "unexplained"
-    if search.unknown > priors.ACCEPTED and not _good_enough(found):
+    if search.unknown > priors.ACCEPTED and search.nothing < priors.LIKELY and not _good_enough(found):
         # Something without a known cause is there; it is the story unless the effects that were found explain more.
         left = max((s.share for s in search.left), default=0.0) * last.chi_square
         if not found.accepted or left > first.chi_square - last.chi_square:

@@ -131,10 +131,11 @@ MAY_BE = 0.02
 """The same from which the law of an effect is tried with its tolerance as well."""
 
 LIKELY = 0.2
-"""The same from which an effect is called likely: what one would look at next."""
+"""The same from which an effect is called likely: what one would look at next; and from which it is likely that nothing
+is missing."""
 
 SURE = 0.95
-"""Probability that something is missing from which the verdict is that no effect explains it; and that one of two
+"""Probability that something is missing from which it is said although no effect can be named; and that one of two
 effects is the one, from which they are told apart, alike as they are."""
 
 ALIKE, THE_SAME = 0.9, 0.98

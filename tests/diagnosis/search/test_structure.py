@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,9 +14,11 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.structure import (
     _around,
     _frequencies,
+    _moments,
     _Outside,
     _peaks,
     _periodogram,
+    _step,
     _wave,
     structure_candidates,
 )
@@ -79,13 +83,11 @@ def test_what_steps_and_waves_take_up_is_what_adding_them_to_the_model_gains(nam
     model = build_model(plan(name))[0]
     fit = fit_models([model])
     time = model.observations.clock
-    steps = (time > np.quantile(time, [[0.2], [0.45], [0.8]])).astype(float)[:, None]
-    waves = np.stack([_wave(time, 1.0 / period) for period in (300.0, 900.0)])
     outside = _Outside(Pool(fit))
-    for shapes in (steps, waves):
+    for of, values in ((_step, np.quantile(time, [0.2, 0.45, 0.8])), (_wave, 1.0 / np.array([300.0, 900.0]))):
         # The first is where all reproduces.
-        found = outside.explained(shapes, slice(0, len(time)))[0]
-        for k, columns in enumerate(shapes):
+        found = outside.explained(partial(of, time), values, slice(0, len(time)))[0]
+        for k, columns in enumerate(of(time, value) for value in values):
             names = tuple(Parameter(f"column {j}", "m", shared=True) for j in range(len(columns)))
             wider = fit_models([model.with_terms([Term("columns", names, columns)])])
             gain = fit.solution.chi_square - wider.solution.chi_square
@@ -114,3 +116,15 @@ def test_a_step_is_looked_for_where_it_explains_most() -> None:
     steps = [c for c in structure_candidates(Pool(fit_models([build_model(session)[0]]))) if "step" in c.name]
     assert moment in {shape.shape[0] for candidate in steps for shape in candidate.shapes}
     assert diagnose(session).verdict == "unexplained"
+
+
+def test_of_many_readings_the_moment_of_a_step_is_found_by_looking_closer() -> None:
+    time = np.sort(np.random.default_rng(1).uniform(0.0, 1000.0, 5000))
+
+    def explained(of: Callable[[float], np.ndarray], values: np.ndarray) -> list[np.ndarray]:
+        step = of(time[1234])[0]
+        step = step - step.mean()
+        tried = np.array([of(value)[0] - of(value)[0].mean() for value in values])
+        return [(tried @ step) ** 2 / np.sum(tried**2, axis=1)]
+
+    assert time[1234] in _moments(time, explained)

@@ -31,18 +31,19 @@ _ANGLES = ("c", "azimuth", "elevation", "normal")
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
 # Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and where it explains
-# most; and most moments that are looked at for that.
-_MOMENTS, _CHANGES, _LOOKED_AT = 24, 6, 1000
+# most; moments that are looked at for that at first, and steps by which it is looked closer.
+_MOMENTS, _CHANGES, _LOOKED_AT, _CLOSER = 24, 6, 300, 8
 # Range of a direction's component below which it is the same for all readings.
 _SAME = 1e-6
 
-# Frequencies of the periodogram for each independent one, its largest peaks that are looked at, and the fewest periods
-# over the whole session: slower waves are smooth functions.
-_OVERSAMPLED, _PEAKS, _FEWEST = 4, 8, 2.5
+# Frequencies of the periodogram for each independent one, and its largest peaks that are looked at.
+_OVERSAMPLED, _PEAKS = 4, 8
 _MOST_FREQUENCIES = 20000
-# Most periods over the session of a slow wave, of which the model and what does not reproduce take up the more, and
-# columns that are projected at once.
-_SLOW, _BATCH = 60.0, 120
+# Bands of waves, by periods over the whole session, one of which may be missing in each: slower ones are smooth
+# functions; of those in these bands the model and what does not reproduce take up much, of faster ones little.
+_BANDS = ((2.5, 12.0), (12.0, 60.0))
+# Columns that are projected at once.
+_BATCH = 120
 # Numbers that are worked on at once; sum of squares of a wave below which it is zero at all readings.
 _AT_ONCE, _NOTHING = 4e5, 1e-12
 
@@ -50,15 +51,15 @@ _AT_ONCE, _NOTHING = 4e5, 1e-12
 def structure_candidates(pool: Pool) -> list[Candidate]:
     """Functions of every covariate that varies, of each session for itself.
 
-    Smooth functions of every one, periodic ones of angles, steps and waves in time. A function of time, temperature or
-    direction of approach is also tried as a displacement along each machine axis; products of two axis positions show
-    where the machine does not move as rigid bodies, those of a direction of approach and a position where lost motion
-    is not the same everywhere.
+    Smooth functions of every one, periodic ones of angles, steps and waves in time. A function of time, a temperature,
+    its rate or a direction of approach is also tried as a displacement along each machine axis, and along all at once;
+    products of two axis positions show where the machine does not move as rigid bodies, those of a direction of
+    approach and a position where lost motion is not the same everywhere.
     """
     out, outside = [], _Outside(pool)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
         own = [_structure(c, how, (Shaped((), columns),)) for c, how, columns in _functions(observations)]
-        if len(observations) >= _ENOUGH:
+        if len(observations) >= _ENOUGH and np.ptp(observations.clock) > 0:
             residual = pool.residuals[piece] / pool.sigma[piece]
             own += _events(observations, residual, partial(outside.explained, piece=piece))
         for candidate in own:
@@ -83,18 +84,24 @@ class _Outside:
         likeliest = max(size_grid(gram), key=lambda one: one[2])[0]
         return {likeliest, (0.0,) * len(likeliest)}
 
-    def explained(self, shapes: Array, piece: slice) -> list[Array]:
-        """(s,) sums of squares that (s, d, n) sets of columns of a session take up, beside each of some sizes."""
-        pool, (count, d, n) = self._pool, shapes.shape
-        out = np.zeros((len(self._sizes), count))
-        for first in range(0, count, _BATCH // d):
-            some = slice(first, min(first + _BATCH // d, count))
-            columns = pool.only(shapes[some].reshape(-1, n), piece)
+    def explained(self, of: Callable[[float], Array], values: Array, piece: slice) -> list[Array]:
+        """(s,) sums of squares that (d, n) columns of a session take up, beside each of some sizes.
+
+        Args:
+            of: the columns by a value, such as a period.
+            values: (s,) of these.
+            piece: where the session's readings are.
+        """
+        pool, d, ratios = self._pool, len(of(1.0)), sorted(self._sizes)
+        out = np.zeros((len(ratios), len(values)))
+        for first in range(0, len(values), _BATCH // d):
+            some = slice(first, min(first + _BATCH // d, len(values)))
+            columns = pool.only(np.concatenate([of(value) for value in values[some]]), piece)
             projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
             own = np.arange(len(columns)).reshape(-1, d)
             # What the model takes up of a column has rounding left.
             least = np.eye(d) * priors.ABSORBED * projected.squares[own][:, :, None]
-            for k, ratio in enumerate(sorted(self._sizes)):
+            for k, ratio in enumerate(ratios):
                 marginal = marginal_at(gram_of(pool, projected), ratio)
                 inner = marginal.inner(own.reshape(-1), own.reshape(-1)).reshape(len(own), d, len(own), d)
                 core = inner[np.arange(len(own)), :, np.arange(len(own))] + least
@@ -118,13 +125,16 @@ def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
         functions = {"its_sign": np.sign(values)[None]} if name in _SIGNS else {"smooth": _smooth(within)}
         if name in _ANGLES:
             functions["periodic"] = np.array([wave(k * values) for k in _ORDERS for wave in (np.sin, np.cos)])
-        displaces = name in _SIGNS or name == "time" or name.startswith("temperature")
+        displaces = name in _SIGNS or name == "time" or "temperature" in name
         covariate = named("column", name)
         for shape, columns in functions.items():
             how = say(f"shape.{shape}")
             yield covariate, how, columns
             for axis, along in axes if displaces else ():
                 yield covariate, say("shape.displacement", shape=how, axis=axis), columns * along
+            if displaces and len(axes) > 1:
+                every = np.concatenate([columns * along for _, along in axes])
+                yield covariate, say("shape.displacement", shape=how, axis=", ".join(axis for axis, _ in axes)), every
 
 
 def _smooth(scaled: Array) -> Array:
@@ -156,9 +166,11 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
 
 
-def _events(
-    observations: Observations, residual: Array, explained: Callable[[Array], list[Array]]
-) -> Iterator[Candidate]:
+_Explained = Callable[[Callable[[float], Array], Array], list[Array]]
+"""Sums of squares that columns by a value take up, for each of some values, in one or more ways."""
+
+
+def _events(observations: Observations, residual: Array, explained: _Explained) -> Iterator[Candidate]:
     """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s.
 
     Where no time was recorded, the order of the readings serves, and both are counts of readings.
@@ -166,34 +178,53 @@ def _events(
     Args:
         observations: of a session.
         residual: (n,) over the standard uncertainty.
-        explained: sums of squares that sets of columns take up, in one or more ways.
+        explained: see there.
     """
     name, time = "time" if observations.timed else "order", observations.clock
-    covariate, moments = named("column", name), np.unique(time)[:-1]
+    covariate = named("column", name)
     evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    some = np.unique(np.linspace(0, len(moments) - 1, min(len(moments), _LOOKED_AT)).astype(int))
-    # Of many readings some, then all around the best.
-    for _ in range(2 if len(some) < len(moments) else 1):
-        powers = explained((time > moments[some, None]).astype(float)[:, None])
+    moments = np.union1d(evenly, _moments(time, explained)).tolist()
+    steps = tuple(Shaped((moment,), _step(time, moment)) for moment in moments)
+    yield _structure(covariate, say("shape.step_at", at=""), steps, len(time))
+    length, highest = float(np.ptp(time)), len(time) / 2.0
+    for lowest, end in _BANDS:
+        frequency = _frequencies(lowest, min(end, highest)) / length
+        if len(frequency):
+            yield from _waves(covariate, time, frequency, explained(partial(_wave, time), frequency))
+    frequency = _frequencies(_BANDS[-1][1], highest)[:_MOST_FREQUENCIES] / length
+    if len(frequency):
+        power = _periodogram(time - time[0], observations.run, residual, frequency)
+        yield from _waves(covariate, time, frequency, [power])
+
+
+def _moments(time: Array, explained: _Explained) -> Array:
+    """Moments after which a step explains most, each the time of the last reading before: closer and closer."""
+    every = np.unique(time)[:-1]
+    stride = -(-len(every) // _LOOKED_AT)
+    some = np.arange(0, len(every), stride)
+    while True:
+        powers = explained(partial(_step, time), every[some])
         best = np.unique(np.concatenate([some[_peaks(power)[:_CHANGES]] for power in powers]))
-        stride = -(-len(moments) // len(some))
-        some = np.unique(np.clip(best[:, None] + np.arange(-stride, stride + 1), 0, len(moments) - 1))
-    steps = [Shaped((m,), (time > m).astype(float)[None]) for m in np.union1d(evenly, moments[best]).tolist()]
-    yield _structure(covariate, say("shape.step_at", at=""), tuple(steps), len(time))
-    wave, length = say("shape.wave", at=""), float(np.ptp(time))
-    highest = len(time) / 2.0
-    slow = _frequencies(_FEWEST, min(_SLOW, highest)) / length
-    fast = _frequencies(_SLOW, highest)[:_MOST_FREQUENCIES] / length
-    found = {
-        "slow": explained(np.stack([_wave(time, f) for f in slow])) if len(slow) else [],
-        "fast": [_periodogram(time - time[0], observations.run, residual, fast)] if len(fast) else [],
-    }
-    for (speed, powers), frequency in zip(found.items(), (slow, fast), strict=True):
-        near = {k for power in powers for k in _around(frequency, _peaks(power)[:_PEAKS])}
-        waves = tuple(Shaped((1.0 / k,), _wave(time, k)) for k in sorted(near))
-        if waves:
-            candidate = _structure(covariate, wave, waves, len(time) // 2)
-            yield replace(candidate, name=f"{candidate.name}{speed}")
+        if stride == 1:
+            return np.asarray(every[best])
+        stride = -(-stride // _CLOSER)
+        near = best[:, None] + stride * np.arange(-_CLOSER, _CLOSER + 1)
+        some = np.unique(np.clip(near, 0, len(every) - 1))
+
+
+def _waves(covariate: str, time: Array, frequency: Array, powers: list[Array]) -> Iterator[Candidate]:
+    """Those of a band, at the peaks of sums of squares."""
+    near = {one for power in powers for one in _around(frequency, _peaks(power)[:_PEAKS])}
+    waves = tuple(Shaped((1.0 / one,), _wave(time, one)) for one in sorted(near))
+    if waves:
+        # As many of them are independent as there are periods over the session.
+        independent = round(float(np.ptp(time) * np.ptp(frequency)))
+        candidate = _structure(covariate, say("shape.wave", at=""), waves, independent)
+        yield replace(candidate, name=f"{candidate.name}{frequency[0]:.3g} Hz")
+
+
+def _step(time: Array, moment: float) -> Array:
+    return (time > moment).astype(float)[None]
 
 
 def _wave(time: Array, frequency: float) -> Array:
@@ -228,12 +259,21 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     known = covariates(observations)
     # A displacement by the direction of approach is tried with every axis; the order stands for time, if need be.
     out = {name: values for name, values in known.items() if name not in ("order", "repeat") and " along " not in name}
+    if observations.timed:
+        warming = [name for name in out if name.startswith("temperature")]
+        out |= {f"rate of {name}": _rate(observations.clock, out[name]) for name in warming}
     if "path" in out:
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
             # There the reading is the deviation itself, which explains itself.
             out["displacement"] = observations.readings.displacement
     return out
+
+
+def _rate(time: Array, values: Array) -> Array:
+    """Of change, where readings of one moment have the same value."""
+    moments, first, place = np.unique(time, return_index=True, return_inverse=True)
+    return np.asarray(np.gradient(values[first], moments)[place] if len(moments) > 1 else np.zeros(len(time)))
 
 
 def _within(values: Array, group: IntArray) -> Array:
