@@ -20,8 +20,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.effects.linear_drift import LinearDrift
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
