@@ -8,7 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
 from machine_tool_calibration.machine.error_motions import ErrorMotion, interpolation, motion_field, parse_motion
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
@@ -18,8 +18,7 @@ _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
 _POWERS = ("constant", "power_1", "power_2", "power_3", "power_4")
 # A single axis read again and again at so few positions shows its error at each of them.
-_FEWEST, _MOST = 4, 60
-_STILL = 1e-6  # m
+_FEWEST_NODES, _MOST_NODES = 4, 60
 _ARM = 1e-9  # m, shorter than which a lever arm is none
 _SQUARE = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
 
@@ -94,11 +93,11 @@ class ErrorMotionEffect(AxisEffect):
         direct = spec_of(observations.session).reads_machine
         if self.motion.is_rotation or not direct or observations.covered is not None:
             return None
-        moved = np.ptp(observations.position, axis=0) > _STILL
+        moved = np.ptp(observations.position, axis=0) > SAME_POSITION
         if moved.sum() != 1 or not moved["xyz".index(self.axis)]:
             return None
         nodes, count = np.unique(np.round(observations.readings.column(self.axis), 6), return_counts=True)
-        return nodes + 0.0 if _FEWEST <= len(nodes) <= _MOST and count.min() > 1 else None
+        return nodes + 0.0 if _FEWEST_NODES <= len(nodes) <= _MOST_NODES and count.min() > 1 else None
 
     def _first(self, observations: Observations) -> int:
         """The lowest degree that the instrument's datum does not take up."""

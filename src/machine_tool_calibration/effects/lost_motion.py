@@ -9,7 +9,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.backlash import Backlash
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.effects.families import ReversalEffect
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import say
 
 __all__ = ["LostMotion"]
@@ -17,7 +17,6 @@ __all__ = ["LostMotion"]
 # As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2.
 _DEGREES = 7
 _POWERS = ("the_same", "power_1", "power_2", "power_3")
-_ONE_PLACE = 1e-6  # m, within which positions are one
 
 
 def _shape(power: int) -> str:
@@ -44,7 +43,7 @@ class LostMotion(ReversalEffect):
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """As many as positions that were approached from both sides allow; a straight line at least."""
-        place = np.round(observations.readings.column(self.axis) / _ONE_PLACE)
+        place = np.round(observations.readings.column(self.axis) / SAME_POSITION)
         sign = np.sign(self.approach(observations))
         both = np.intersect1d(place[sign > 0], place[sign < 0])
         return self.coefficients[: min(_DEGREES, max(len(both) - 1, 1), len(np.unique(place)) - 1) + 1]
