@@ -41,8 +41,8 @@ DRIFT = 1e-9
 """Rate at which a reading drifts if the air warms by 1 K per hour, m/s: 3.6 um an hour, a third of a metre of steel."""
 
 # A remedy leaves less than this of what the same measurement once more would leave.
-_BETTER = 0.9
-_MOST = 3
+_WORTHWHILE = 0.9
+_MOST_REMEDIES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +166,8 @@ def _warming(session: Session) -> float:
 
 def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
     again = next((after for option, after in tried if option.kind == "again"), found.uncertainty)
-    better = sorted((t for t in tried if t[1] < _BETTER * again), key=lambda t: t[1])
-    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST])
+    better = sorted((t for t in tried if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
+    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST_REMEDIES])
     return replace(found, again=again, remedies=remedies)
 
 
