@@ -31,7 +31,7 @@ _PLANS = (
 _KINDS = ("white", "spread", "noise x 3", "gross errors")
 _FIRST_SEED = 3000
 # Slopes and bows of the setups, and gross errors, in standard uncertainties of a reading; the share of gross errors.
-_SPREAD, _GROSS, _SHARE = (0.3, 2.0), (10.0, 100.0), 0.05
+_SPREAD, _GROSS, _GROSS_SHARE = (0.3, 2.0), (10.0, 100.0), 0.05
 # An uncertainty below this, m or rad, is that of a value that the datum sets.
 _SET = 1e-12
 
@@ -69,7 +69,7 @@ def made(plan: str, kind: str, seed: int) -> Session:
     if kind == "gross errors":
         readings = session.readings
         displacement = readings.displacement.copy()
-        hit = rng.choice(len(readings), max(1, round(_SHARE * len(readings))), replace=False)
+        hit = rng.choice(len(readings), max(1, round(_GROSS_SHARE * len(readings))), replace=False)
         displacement[hit] += sigma * rng.uniform(*_GROSS, len(hit)) * rng.choice([-1.0, 1.0], len(hit))
         session = session.with_readings(replace(readings, displacement=displacement))
     return session

@@ -38,11 +38,11 @@ from machine_tool_calibration.simulation.motions import random_smooth
 from machine_tool_calibration.simulation.plan import since_first
 
 # Largest change of a reading by which an effect is tried at first, and by which it may be seen at last, m.
-_TRIED, _LARGEST = 3e-6, 1.5e-5
+_TRIED, _LARGEST_SEEN = 3e-6, 1.5e-5
 # Cosine from which signals outside the model count as the same, and up to which two are told apart.
 ALIKE, _APART = 0.9, 0.5
 # Slopes and bows between setups, and gross errors, in standard uncertainties of a reading; their share.
-_SPREAD, _GROSS, _SHARE = (0.3, 2.0), (10.0, 100.0), 0.05
+_SPREAD, _GROSS, _GROSS_SHARE = (0.3, 2.0), (10.0, 100.0), 0.05
 # Imperfect worlds: structure and walk in standard uncertainties, correlation of neighbours, degrees of freedom of the
 # noise, and what a law is off by.
 _STRUCTURE, _WALK, _MEMORY, _TAILS, _LAW = 0.5, 0.5, 0.3, 5.0, 0.1
@@ -174,7 +174,7 @@ def hidden_signals(
     for name in (name for name in names if name not in taken):
         try:
             seen = float(np.sqrt(max(inner_products(fit, [change(name, _TRIED)])[0, 0], 0.0)))
-            if _TRIED * sizes[len(out)] > _LARGEST * seen:
+            if _TRIED * sizes[len(out)] > _LARGEST_SEEN * seen:
                 continue
             signal = change(name, _TRIED * sizes[len(out)] / seen)
         except CalibrationError:
@@ -227,7 +227,7 @@ def machining(
     else:
         noisy = simulate(spec.model_copy(update=slopes)).session
         broken = noisy.readings.displacement - readings.displacement
-    hit = rng.choice(len(readings), max(1, round(_SHARE * len(readings))), replace=False)[: None if gross else 0]
+    hit = rng.choice(len(readings), max(1, round(_GROSS_SHARE * len(readings))), replace=False)[: None if gross else 0]
     broken[hit] += sigma * rng.uniform(*_GROSS, len(hit)) * rng.choice([-1.0, 1.0], len(hit))
     bad = frozenset(readings.row[hit].tolist())
     if not size:

@@ -3,7 +3,7 @@
 """Swap operators of the calculating rooms at random, and see whether the room's own tests notice.
 
     .venv/bin/python scripts/swaps.py --count 40 --seed 1              # anywhere in the rooms
-    .venv/bin/python scripts/swaps.py --at effects/thermal.py:31        # every swap of that line
+    .venv/bin/python scripts/swaps.py --at effects/warmup.py:35          # every swap of that line
     .venv/bin/python scripts/swaps.py --count 10 estimation            # in that folder or file
 
 One swap at a time is made in a copy of the sources; the checkout stays as it is. The test file of the same name runs

@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 
-_NEAR = 1e-2
+_AT_BLOCK = 1e-2
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _matched(path: Array, session: Session, mine: IntArray) -> IntArray:
     distance = np.abs(path[:, None] - position[None]).max(axis=2)
     nearest = distance.argmin(axis=1)
     step = np.linalg.norm(np.diff(path, axis=0), axis=1).min()
-    near = distance[np.arange(len(path)), nearest] < _NEAR * step
+    near = distance[np.arange(len(path)), nearest] < _AT_BLOCK * step
     place[near] = mine[nearest[near]]
     return place
 

@@ -37,7 +37,7 @@ COVERAGE = 0.9545
 HALF_WIDTHS: dict[str, float] = {"rectangular": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
 """Half width over standard deviation of the distributions that have ends."""
 
-_LARGEST = 2**62
+_LARGEST_CODE = 2**62  # of a group's keys: below what an int64 holds
 
 
 def standard_draws(distribution: str, rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
@@ -71,7 +71,7 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
     for key in keys:
         number = key.astype(np.int64) - int(key.min(initial=0)) if key.dtype.kind in "iub" else _numbers(key)
         most = int(number.max(initial=0)) + 1
-        if size * most > _LARGEST:
+        if size * most > _LARGEST_CODE:
             code = _numbers(code)
             size = int(code.max(initial=0)) + 1
         code, size = code * most + number, size * most

@@ -28,8 +28,8 @@ __all__ = ["FIELDS", "PositionErrors", "error_map_from_message", "error_map_from
 
 FIELDS = ("x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz")
 _FLOAT64 = 8  # sensor_msgs/PointField
-_SAME = 1e-9  # m: closer positions are one
-_ROUNDS = 3  # of compensation; each leaves the slope of the error, some 1e-5, of what was left
+_SAME_POSITION = 1e-9  # m: closer positions are one
+_COMPENSATION_ROUNDS = 3  # of compensation; each leaves the slope of the error, some 1e-5, of what was left
 _MOST_POINTS = 10_000_000
 
 
@@ -96,7 +96,7 @@ class PositionErrors:
         """
         wanted = np.asarray(position, dtype=float)
         corrected = np.zeros_like(wanted)
-        for turn in range(_ROUNDS):
+        for turn in range(_COMPENSATION_ROUNDS):
             # beyond the edge by no more than the correction: the error at the edge
             at = np.clip(wanted - corrected, self.lower, self.upper) if turn else wanted
             error = np.where(self.determined, self(at)[0], 0.0)
@@ -209,7 +209,7 @@ def _sum_of_axes(points: Array, values: Array, corner: Array) -> Callable[[Array
     origin = values[int(np.abs(points - corner).max(axis=1).argmin())]
     lines = []
     for j in range(3):
-        mine = np.abs(np.delete(points - corner, j, axis=1)).max(axis=1) <= _SAME
+        mine = np.abs(np.delete(points - corner, j, axis=1)).max(axis=1) <= _SAME_POSITION
         order = np.argsort(points[mine, j])
         lines.append((points[mine, j][order], values[mine][order]))
 
@@ -229,7 +229,7 @@ def _corner(points: Array) -> Array | None:
     middle = np.median(points, axis=0)  # most points have the corner's coordinate
     candidate = points[np.abs(points - middle).sum(axis=1).argmin()]
     for corner in (candidate, points.min(axis=0), points.max(axis=0)):
-        off = np.abs(points - corner) > _SAME
+        off = np.abs(points - corner) > _SAME_POSITION
         if off.sum(axis=1).max() <= 1 and not off.any(axis=1).all():
             return np.asarray(corner)
     return None
@@ -237,7 +237,7 @@ def _corner(points: Array) -> Array | None:
 
 def _single(points: Array, error: Array, uncertainty: Array) -> tuple[Array, Array]:
     """Each position once."""
-    _, first, inverse = np.unique(np.round(points / _SAME), axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(np.round(points / _SAME_POSITION), axis=0, return_index=True, return_inverse=True)
     values = np.concatenate([error, uncertainty], axis=1).astype(float)
     if len(first) == len(points):
         return points, values
@@ -256,4 +256,4 @@ def _single(points: Array, error: Array, uncertainty: Array) -> tuple[Array, Arr
 
 def _distinct(values: Array) -> Array:
     ordered = np.unique(values)
-    return np.asarray(ordered[np.diff(ordered, prepend=-np.inf) > _SAME])
+    return np.asarray(ordered[np.diff(ordered, prepend=-np.inf) > _SAME_POSITION])

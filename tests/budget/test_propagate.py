@@ -174,7 +174,7 @@ def test_draws_and_bounds(monkeypatch: pytest.MonkeyPatch, contributor: Callable
     exact = propagate(own, [line])
     monkeypatch.setattr(module, "_MOST_GROUPS", 10)
     drawn = propagate(own, [line])
-    monkeypatch.setattr(module, "_NOTHING", np.inf)
+    monkeypatch.setattr(module, "_NEGLIGIBLE_SHARE", np.inf)
     bound = propagate(own, [line])
     assert [b.lines[0].how for b in (exact, drawn, bound)] == ["steps", "draws", "bound"]
     members = exact.numbers.quantity("position_error").members

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.effects.thermal import followed
+from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DirectPlan, Drift, RotaryPlan, SimulationSpec, TrackingPlan, simulate

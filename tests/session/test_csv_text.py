@@ -114,8 +114,8 @@ HEAD = "time,setup,x,note,displacement,own"
 def read_both(path: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> list[table.Table | str]:
     path.write_bytes(text.encode())
     out: list[table.Table | str] = []
-    for many in (table._MANY, 0):
-        monkeypatch.setattr(table, "_MANY", many)
+    for many in (table._PANDAS_ROWS, 0):
+        monkeypatch.setattr(table, "_PANDAS_ROWS", many)
         try:
             out.append(table.read_table(path))
         except SessionError as error:

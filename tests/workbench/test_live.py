@@ -220,11 +220,11 @@ def test_a_large_session_is_calculated_in_another_process(
             return pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(self._work))(progress)))
 
     monkeypatch.setattr(live_feed, "Calculation", Recorded)
-    monkeypatch.setattr(live_feed, "_MANY", len(session.readings))
+    monkeypatch.setattr(live_feed, "_READINGS_APART", len(session.readings))
     tell(feed.heard, session)
     calculated(feed, 0.0)
     assert feed.map is not None and not beside
-    monkeypatch.setattr(live_feed, "_MANY", 100)
+    monkeypatch.setattr(live_feed, "_READINGS_APART", 100)
     tell(feed.heard, session, slice(0, 200), start=START + 10**12)
     calculated(feed, feed._due)
     assert len(beside) == 1 and feed.map is not None and feed.map.whose == "calculated here from 200 readings"

@@ -22,7 +22,7 @@ __all__ = ["Reached", "Until", "after_each_setup", "reached"]
 # Probabilities from which an effect counts as there, and up to which as not there.
 _THERE, _ABSENT = 0.95, 0.05
 # Share of the largest plausible size that must have been detectable for an effect that is not there.
-_SMALL = 0.1
+_DETECTABLE_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], b
             p = probabilities[one.name] = float(one.probability)
             effect = one.candidate.effect
             limits = {} if effect is None else {c.name: max(abs(c.low), abs(c.high)) for c in effect.coefficients}
-            seen = [size <= _SMALL * limits.get(name, np.inf) for name, size in one.detectable.items()]
+            seen = [size <= _DETECTABLE_SHARE * limits.get(name, np.inf) for name, size in one.detectable.items()]
             enough[one.name] = p >= _THERE or (p <= _ABSENT and bool(seen) and all(seen))
     return probabilities, all(enough.values())
 

@@ -51,7 +51,7 @@ REPEATABILITY = "repeatability of the runs"
 _MOST_GROUPS = 100
 DRAWS = 200
 # Part of the declared uncertainty below which an upper bound of what a contributor does is enough.
-_NOTHING = 0.01
+_NEGLIGIBLE_SHARE = 0.01
 # Numbers that all draws of a check may have.
 _MOST_NUMBERS = 100_000_000
 _ALIKE = 1e-9
@@ -337,7 +337,7 @@ class _Propagation:
             squares, how = float(ratio.max()) ** 2 * self.from_readings**2, "closed form"
         elif own.single and not self.points:
             squares, how = self.mapped(covariance_of(self.joint, self.split(size))), "closed form"
-        elif ratio.max() < _NOTHING:
+        elif ratio.max() < _NEGLIGIBLE_SHARE:
             squares, how = float(ratio.max()) ** 2 * self.from_readings**2, "bound"
         else:
             return None

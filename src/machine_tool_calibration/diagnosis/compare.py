@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 __all__ = ["Comparison", "JointComparison", "Overall", "compare", "residual_table"]
 
 # A reading with less than this share of itself in its residual cannot be judged.
-_SEEN = 0.02
+_LEAST_REDUNDANCY = 0.02
 # Readings that the model leaves of a part below which its scatter cannot be judged.
 _LEAST_LEFT = 0.5
 # Half the change of a reading per displacement of an axis, m/m (C: m/rad), from which the axis counts as sensed.
-_SENSED = 5e-7
+_LEAST_SENSITIVITY = 5e-7
 # Products of readings and values of a label beyond which these are not told apart.
 _MOST_COMPARED = 2e7
 _POSITIONS = ("x", "y", "z", "c")
@@ -266,7 +266,7 @@ def residual_table(fit: Fit) -> pd.DataFrame:
     readings, own, sigma = observations.readings, leverage(fit), fit.model.sigma
     ids = pd.Index(observations.session.setup_ids)
     with np.errstate(divide="ignore", invalid="ignore"):
-        studentized = np.where(1.0 - own > _SEEN, fit.residuals / sigma / np.sqrt(1.0 - own), np.nan)
+        studentized = np.where(1.0 - own > _LEAST_REDUNDANCY, fit.residuals / sigma / np.sqrt(1.0 - own), np.nan)
     out: dict[str, Any] = {
         "row": readings.row,
         "setup": pd.Categorical.from_codes(readings.setup, ids).remove_unused_categories(),
@@ -392,7 +392,7 @@ def _approaches(fit: Fit) -> pd.DataFrame:
         forward, backward = int((sign > 0).sum()), int((sign < 0).sum())
         if forward and backward:
             along = sign * sensed(fit.model.observations, axis) / 2
-            found.append((axis, forward, backward, bool(np.abs(along).max() > _SENSED)))
+            found.append((axis, forward, backward, bool(np.abs(along).max() > _LEAST_SENSITIVITY)))
             weights += [np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0)), along]
     out = pd.DataFrame(found, columns=["axis", "forward", "backward", "seen"])
     sums, seen = residual_sums(fit, np.reshape(weights, (-1, len(readings)))), out.pop("seen").astype(bool)

@@ -22,9 +22,9 @@ Added = Callable[[FittedSessions], Mapping[str, float]]
 """What a budget adds to the variance of a fit's unknowns, by name."""
 
 # How many of the best candidates are added in full, each by itself.
-_MOST = 4
+_MOST_ADDED = 4
 # Uncertainty over size of an effect's share in the readings, above which it is not stated.
-_TOLD = 0.3
+_MOST_RELATIVE_U = 0.3
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,9 @@ class Consequence:
 
 
 @single_blas()
-def consequences(diagnosis: Diagnosis, added: Added = lambda fitted: {}, most: int = _MOST) -> dict[str, Consequence]:
+def consequences(
+    diagnosis: Diagnosis, added: Added = lambda fitted: {}, most: int = _MOST_ADDED
+) -> dict[str, Consequence]:
     """What each of the best candidates would change; of those accepted, what each did change, in their order.
 
     The coefficients of accepted effects are those with all of them in the model.
@@ -92,7 +94,7 @@ def _consequence(
     old, new = Pool(before.joint).residuals, Pool(after.joint).residuals
     return Consequence(
         parameters=tuple(one.with_variance(added) for one in effect_estimates(final, [name])),
-        signal=signal if rms(uncertainty) < _TOLD * rms(signal) else None,
+        signal=signal if rms(uncertainty) < _MOST_RELATIVE_U * rms(signal) else None,
         rms_before=rms(old),
         rms_after=rms(new),
         map_change_rms=map_change(before.error_map, after.error_map),

@@ -39,7 +39,7 @@ from machine_tool_calibration.words import say
 __all__ = ["Diagnosis", "diagnose"]
 
 # Rounds of gross errors beside effects.
-_ROUNDS = 4
+_GROSS_ERROR_ROUNDS = 4
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
@@ -146,7 +146,7 @@ def diagnose(
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for gross errors", 0.0)
         added, found = _without_suspects(chosen, progress), None
-        for _ in range(_ROUNDS):
+        for _ in range(_GROSS_ERROR_ROUNDS):
             # Gross errors beside the effects at hand, then effects without these errors, until neither changes.
             kept, aside = _without_gross_errors(chosen, added)
             if found is not None and _rows(found.set_aside) == _rows(aside):

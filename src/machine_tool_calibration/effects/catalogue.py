@@ -9,8 +9,32 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from machine_tool_calibration.effects import drift, error_motion, instrument, pitch_periodic, reversal, thermal
+from machine_tool_calibration.effects.backlash import Backlash, RotaryBacklash
+from machine_tool_calibration.effects.dead_path import DeadPath
 from machine_tool_calibration.effects.effect import AxisEffect, Effect
+from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
+from machine_tool_calibration.effects.linear_drift import LinearDrift
+from machine_tool_calibration.effects.lost_motion import LostMotion
+from machine_tool_calibration.effects.mirror_misalignment import MirrorMisalignment
+from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
+from machine_tool_calibration.effects.pointer_axis_offset import PointerAxisOffset
+from machine_tool_calibration.effects.pointer_radial_error import PointerRadialError
+from machine_tool_calibration.effects.pointer_zero_offset import PointerZeroOffset
+from machine_tool_calibration.effects.probe_pretravel import ProbePretravel
+from machine_tool_calibration.effects.refractive_index import RefractiveIndex
+from machine_tool_calibration.effects.retroreflector_form import RetroreflectorForm
+from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
+from machine_tool_calibration.effects.rotary_axis_drift import RotaryAxisDrift
+from machine_tool_calibration.effects.scale import AxisScale, Scale
+from machine_tool_calibration.effects.squareness import Squareness
+from machine_tool_calibration.effects.squareness_drift import SquarenessDrift
+from machine_tool_calibration.effects.squareness_thermal import SquarenessThermal
+from machine_tool_calibration.effects.station_drift import StationDrift
+from machine_tool_calibration.effects.table_thermal_growth import TableThermalGrowth
+from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
+from machine_tool_calibration.effects.thermal_lag import ThermalLag
+from machine_tool_calibration.effects.warmup import Warmup
+from machine_tool_calibration.effects.workpiece_thermal import WorkpieceThermal
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 
@@ -22,16 +46,16 @@ ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 _MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZABC")
 # The effects in their order, with the axes or errors of axes of which there is one each.
 _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
-    (reversal.Backlash, "xyz"), (reversal.RotaryBacklash, "abc"), (reversal.LostMotion, "xyz"),
-    (reversal.Reversal, reversal.REVERSALS),
-    (thermal.ThermalExpansion, "xyz"), (thermal.ThermalLag, "xyz"), (thermal.Warmup, "xyz"),
-    (pitch_periodic.PitchPeriodic, "xyz"),
-    instrument.RefractiveIndex, instrument.DeadPath, drift.LinearDrift, drift.StationDrift,
-    instrument.MirrorMisalignment, instrument.PointerRadialError, instrument.PointerZeroOffset,
-    instrument.PointerAxisOffset, instrument.RetroreflectorForm,
-    thermal.TableThermalGrowth, drift.RotaryAxisDrift, thermal.WorkpieceThermal, instrument.ProbePretravel,
-    error_motion.Scale, (error_motion.AxisScale, "xyz"), (error_motion.ErrorMotionEffect, _MOTIONS),
-    (error_motion.Squareness, SQUARENESS), (drift.SquarenessDrift, SQUARENESS), (drift.SquarenessThermal, SQUARENESS),
+    (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"),
+    (Reversal, REVERSALS),
+    (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"),
+    (PitchPeriodic, "xyz"),
+    RefractiveIndex, DeadPath, LinearDrift, StationDrift,
+    MirrorMisalignment, PointerRadialError, PointerZeroOffset,
+    PointerAxisOffset, RetroreflectorForm,
+    TableThermalGrowth, RotaryAxisDrift, WorkpieceThermal, ProbePretravel,
+    Scale, (AxisScale, "xyz"), (ErrorMotionEffect, _MOTIONS),
+    (Squareness, SQUARENESS), (SquarenessDrift, SQUARENESS), (SquarenessThermal, SQUARENESS),
 )  # fmt: skip
 
 

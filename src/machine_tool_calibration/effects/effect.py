@@ -11,12 +11,10 @@ from typing import Any, Literal
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import Said
 
 __all__ = ["AxisEffect", "Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "table_axis"]
-
-_STILL = 1e-6  # m, below which an axis has not moved
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ class Effect(ABC):
                 return f"the column {name} was not recorded"
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"
-        if self.moves and np.ptp(observations.readings.column(self.moves.lower())) < _STILL:
+        if self.moves and np.ptp(observations.readings.column(self.moves.lower())) < SAME_POSITION:
             return f"{self.moves} did not move"
         return None
 

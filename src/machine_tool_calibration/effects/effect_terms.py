@@ -40,7 +40,7 @@ ABSORBED = 1e-7
 # Share of a column's squared norm outside model and other effects below which it repeats them.
 _REPEATED = 1e-7
 # Smallest share of the squared norm that the model leaves of any combination of an effect's columns that it tells.
-_TOLD = 1e-6
+_LEAST_SHARE_LEFT = 1e-6
 _TAKEN_UP = say("undetermined.taken_up")
 
 
@@ -129,7 +129,7 @@ def common_shape(
             inner = inner / np.outer(scale, scale)
             size = np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ (right / scale) / scale
             gains.append(float(right @ size))
-            told.append(not discrete or bool(np.linalg.eigvalsh(inner)[0] > _TOLD))
+            told.append(not discrete or bool(np.linalg.eigvalsh(inner)[0] > _LEAST_SHARE_LEFT))
             sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
         return gains, sizes, told
 

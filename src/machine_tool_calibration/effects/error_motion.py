@@ -1,31 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error motions, squareness and scales of ISO 230-1 that the chosen model leaves out."""
+"""An error motion that the chosen model leaves out: EYX(x), a polynomial (ISO 230-1)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Effect
-from machine_tool_calibration.machine.error_motions import (
-    ErrorMotion,
-    interpolation,
-    motion_field,
-    parse_motion,
-    squareness_field,
-)
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
+from machine_tool_calibration.machine.error_motions import ErrorMotion, interpolation, motion_field, parse_motion
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["AxisScale", "ErrorMotionEffect", "Scale", "Squareness", "polynomials", "sensed_lever_arms", "sensed_motion"]
+__all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]
 
 _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
 _POWERS = ("constant", "power_1", "power_2", "power_3", "power_4")
 # A single axis read again and again at so few positions shows its error at each of them.
-_FEWEST, _MOST = 4, 60
-_STILL = 1e-6  # m
+_FEWEST_NODES, _MOST_NODES = 4, 60
 _ARM = 1e-9  # m, shorter than which a lever arm is none
 _SQUARE = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
 
@@ -48,24 +41,6 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
         field = np.cross(np.eye(3)[component], arm)
     along = np.einsum("nj,nj->n", field, observations.direction)
     return np.asarray(along if turned is None else along + turned[:, component])
-
-
-class Squareness(AxisEffect):
-    """The angle between two linear axes, less a right one."""
-
-    id = "{name}"
-    title = say("effect.squareness")
-    formula = say("formula.squareness")
-    kind = "position"
-    source = "ISO 230-1"
-    tolerance = 0.0  # geometry, and no law
-    coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3, say("coefficient.right_angle")),)
-    needs = ("{axis}",)
-    chain = moves = "{AXIS}"
-
-    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """What it displaces, as far as it is sensed."""
-        return observations.sense(squareness_field(self.name, observations.position)[None])
 
 
 class ErrorMotionEffect(AxisEffect):
@@ -118,11 +93,11 @@ class ErrorMotionEffect(AxisEffect):
         direct = spec_of(observations.session).reads_machine
         if self.motion.is_rotation or not direct or observations.covered is not None:
             return None
-        moved = np.ptp(observations.position, axis=0) > _STILL
+        moved = np.ptp(observations.position, axis=0) > SAME_POSITION
         if moved.sum() != 1 or not moved["xyz".index(self.axis)]:
             return None
         nodes, count = np.unique(np.round(observations.readings.column(self.axis), 6), return_counts=True)
-        return nodes + 0.0 if _FEWEST <= len(nodes) <= _MOST and count.min() > 1 else None
+        return nodes + 0.0 if _FEWEST_NODES <= len(nodes) <= _MOST_NODES and count.min() > 1 else None
 
     def _first(self, observations: Observations) -> int:
         """The lowest degree that the instrument's datum does not take up."""
@@ -172,43 +147,3 @@ def _is_sensed(observations: Observations, field: Array) -> bool:
         return True
     seen = np.abs(observations.direction).max(axis=0) > 0
     return bool(np.abs(field[:, seen]).max(initial=0.0) >= _ARM)
-
-
-class Scale(Effect):
-    """The part or the machine was not at 20 degrees Celsius when it was made or measured."""
-
-    id = "scale"
-    title = say("effect.one_scale")
-    formula = say("formula.one_scale")
-    source = "ISO 1; linear expansion of part or machine"
-    kind = "position"
-    tolerance = 0.0  # geometry, and no law
-    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
-    covariates = ("x", "y", "z", "path", "displacement")
-    methods = ("step_diagonal", "tracking_interferometer", "probing", "direct")
-
-    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """The position, as far as it is sensed."""
-        return np.asarray(np.einsum("nj,nj->n", observations.position, observations.direction))[None]
-
-
-class AxisScale(AxisEffect):
-    """The scale of one axis: lead, encoder, or the axis was not at 20 degrees Celsius.
-
-    Only for direct deviations: elsewhere the machine's positioning is an error motion as a whole.
-    """
-
-    id = "scale_{axis}"
-    title = say("effect.scale")
-    formula = "e_{axis} = s {axis}"
-    kind = "position"
-    tolerance = 0.0  # geometry, and no law
-    source = "ISO 230-1:2012, 3.4.3, linear part of the positioning error"
-    methods = ("direct",)
-    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, say("coefficient.length_change")),)
-    needs = ("{axis}",)
-    covariates = ("{axis}", "path", "displacement")
-
-    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """The position of the axis, as far as it is sensed."""
-        return np.asarray(observations.readings.column(self.axis) * self.along(observations))[None]

@@ -42,8 +42,8 @@ __all__ = ["Expression", "FormulaEffect", "checked_definition", "formula_effect"
 
 
 _MOST_CHARACTERS = 1000
-_SHOWN = 80  # characters of a formula in a message
-_LARGEST = 1e308
+_CHARACTERS_SHOWN = 80  # characters of a formula in a message
+_LARGEST_NUMBER = 1e308  # below infinity
 _MOST_DEPTH = 250  # operations inside one another; working them out takes as many frames
 
 _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
@@ -121,7 +121,7 @@ def parse(text: str) -> Expression:
     """
     if len(text) > _MOST_CHARACTERS:
         raise ModelError(f"formula of {len(text)} characters; at most {_MOST_CHARACTERS} are read")
-    shown = repr(text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "...")
+    shown = repr(text if len(text) <= _CHARACTERS_SHOWN else text[: _CHARACTERS_SHOWN - 3] + "...")
     plain = _NAME.sub(r"\g<0>_", re.sub(r"\s", " ", text.replace("^", "**"))).strip()
     try:
         if (other := _OTHER.search(plain)) is not None:
@@ -146,7 +146,7 @@ def _depth(node: ast.AST) -> int:
 def _evaluate(node: ast.expr, values: Mapping[str, Any]) -> Any:
     """The value, of numbers or of quantities with units; SyntaxError where something of Python's is no formula."""
     match node:
-        case ast.Constant(value=int() | float() as number) if number < _LARGEST:
+        case ast.Constant(value=int() | float() as number) if number < _LARGEST_NUMBER:
             return np.float64(number)
         case ast.Name(id=name):
             return values[name[:-1]]

@@ -13,8 +13,8 @@ from machine_tool_calibration.words import say
 
 __all__ = ["PitchPeriodic"]
 
-_SHORTEST = 2e-3
-_MOST = 80
+_SHORTEST_LEAD = 2e-3  # m
+_MOST_LEADS = 80  # that are tried
 # Share of the shortest wave, and of the range, within which positions are one place: no wave differs there.
 _ONE_PLACE, _OF_RANGE = 0.05, 0.01
 # Leads of ball screws, mm, and half of them: tried one by one where so many short waves fit into the range that they
@@ -36,7 +36,7 @@ class PitchPeriodic(AxisEffect):
         Coefficient("s", "m", -5e-5, 5e-5, say("coefficient.wave_sine")),
         Coefficient("c", "m", -5e-5, 5e-5, say("coefficient.wave_cosine")),
     )
-    shapes = (Shape("lead", "m", _SHORTEST, 1.0, meaning=say("coefficient.wave_length")),)
+    shapes = (Shape("lead", "m", _SHORTEST_LEAD, 1.0, meaning=say("coefficient.wave_length")),)
     needs = ("{axis}",)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
@@ -50,18 +50,18 @@ class PitchPeriodic(AxisEffect):
         span = float(np.ptp(position))
         steps = np.diff(position)
         even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
-        shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST, float(steps.mean()))
+        shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST_LEAD, float(steps.mean()))
         direct = spec_of(observations.session).reads_machine
         fewest = _WAVES_OF_MACHINE if direct else _WAVES
         frequency = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
-        if len(frequency) > _MOST and direct:
+        if len(frequency) > _MOST_LEADS and direct:
             # Long waves without a gap, and the usual leads beyond.
             known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
-            frequency = frequency[: _MOST - len(known)]
+            frequency = frequency[: _MOST_LEADS - len(known)]
             beyond = known[(known > frequency[-1] + 0.2 / span) & (known <= 1.0 / shortest)]
             frequency = np.concatenate([frequency, beyond])
-        elif len(frequency) > _MOST:
-            frequency = np.linspace(frequency[0], frequency[-1], _MOST)
+        elif len(frequency) > _MOST_LEADS:
+            frequency = np.linspace(frequency[0], frequency[-1], _MOST_LEADS)
         return [(float(1.0 / f),) for f in frequency]
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -74,7 +74,7 @@ class PitchPeriodic(AxisEffect):
 def _places(position: Array) -> Array:
     """The first position of each place, in increasing order, m."""
     ordered = np.unique(np.round(position, 7))
-    apart = min(_ONE_PLACE * _SHORTEST, _OF_RANGE * float(np.ptp(ordered)))
+    apart = min(_ONE_PLACE * _SHORTEST_LEAD, _OF_RANGE * float(np.ptp(ordered)))
     first, out = 0, []
     while first < len(ordered):
         out.append(ordered[first])

@@ -32,7 +32,7 @@ _LATTICES = {1: (0.05, 1.47, 16), 2: (0.15, 2.5, 5), 3: (0.3, 3.0, 4), 4: (0.4, 
 # A lattice goes on while its last size has more than this share of the evidence; more steps are rounding.
 _EDGE, _MOST_STEPS = 1e-3, 40
 # Share of the likeliest sizes' evidence from which sizes count in an average.
-_SHARE = 1e-4
+_LEAST_WEIGHT = 1e-4
 
 
 def _log_prior(lattice: Array) -> Array:
@@ -183,7 +183,7 @@ LogEvidence = Callable[[tuple[float, ...], float], float]
 
 
 def size_grid(
-    gram: Gram, log_evidence: LogEvidence | None = None, share: float = _SHARE, finer: int = 1
+    gram: Gram, log_evidence: LogEvidence | None = None, share: float = _LEAST_WEIGHT, finer: int = 1
 ) -> list[tuple[tuple[float, ...], float, float]]:
     """Sizes of what does not reproduce that have a share of the evidence: combinations of one lattice for each family.
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 
-__all__ = ["Normal", "covariance_root", "solve_normal"]
+__all__ = ["LEAST_EIGENVALUE", "Normal", "covariance_root", "solve_normal"]
 
-# Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined.
-_RANK = 1e-12
+LEAST_EIGENVALUE = 1e-12
+"""Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined."""
 # Share of an unknown in what is not determined above which it is not determined itself.
-_LOOSE = 1e-6
+_OPEN_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def solve_normal(
         free = np.eye(m)
     inner = free.T @ scaled @ free
     eigenvalues, vectors = np.linalg.eigh((inner + inner.T) / 2)
-    good = eigenvalues > _RANK
+    good = eigenvalues > LEAST_EIGENVALUE
     basis = free @ vectors[:, good]
     residual = right / scale - scaled @ particular
     coefficient = (basis.T @ residual) / eigenvalues[good]
@@ -89,7 +89,7 @@ def solve_normal(
     half = basis / np.sqrt(eigenvalues[good]) / scale[:, None]
     null = free @ vectors[:, ~good]
     # Judged in units in which every unknown changes the readings alike, whatever its unit.
-    determined = np.asarray(np.linalg.norm(null, axis=1) < _LOOSE)
+    determined = np.asarray(np.linalg.norm(null, axis=1) < _OPEN_SHARE)
     null = null / scale[:, None]
     if null.shape[1]:
         null = np.linalg.qr(null / np.linalg.norm(null, axis=0))[0]

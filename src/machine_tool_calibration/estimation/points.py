@@ -27,7 +27,7 @@ from machine_tool_calibration.estimation.solve import Solution
 __all__ = ["Motion", "PointResult", "points_in_inner_datum"]
 
 # A point moves with what is not determined if it does so by more than this share.
-_LOOSE = 1e-6
+_OPEN_SHARE = 1e-6
 
 Motion = Callable[[slice | IntArray], Array]
 """From the indices of n points to (d, t, n): the displacement of each by each of t common motions."""
@@ -152,7 +152,7 @@ class _Work:
         answer = np.einsum("abn,kbn->kan", normal_inverse, pushed)
         # Beside what the point would do if the unknowns that it sees changed one by one.
         scale = np.einsum("abn,cbn->an", np.abs(normal_inverse), np.abs(seen * self.size(index)[:, None, None]))
-        return np.asarray((np.abs(answer) < _LOOSE * np.maximum(scale, np.finfo(float).tiny)).all(axis=(0, 1)))
+        return np.asarray((np.abs(answer) < _OPEN_SHARE * np.maximum(scale, np.finfo(float).tiny)).all(axis=(0, 1)))
 
     def size(self, index: IntArray) -> Array:
         """Largest change of each shared unknown among the directions that nothing fixes."""

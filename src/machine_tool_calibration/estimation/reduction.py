@@ -63,8 +63,8 @@ def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str,
 
 _THREADS = 2
 # Readings up to which it takes longer to hand chunks to threads, or to sum run by run, than to work on all at once.
-_FEW = 10_000
-_KEPT = 3 << 20
+_UNDIVIDED = 10_000
+_HEAP_BLOCK = 3 << 20  # numbers
 
 
 @cache
@@ -78,7 +78,7 @@ def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     """Threads that stay, so that the memory which they have is used again; a forked process needs its own."""
     # The C library hands freed memory back to the system beyond twice the largest block freed before; to fetch it anew
     # for every chunk took more time than the arithmetic. This block is never touched, so that it costs nothing.
-    np.empty(_KEPT)
+    np.empty(_HEAP_BLOCK)
     return ThreadPoolExecutor(threads, thread_name_prefix=f"chunks-{process}")
 
 
@@ -92,7 +92,7 @@ def single_blas() -> Iterator[None]:
 def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
     """Results of every chunk, in order, by two threads with single-threaded BLAS where there are many readings."""
     chunks = part.chunks()
-    if len(chunks) <= 2 or part.n_readings <= _FEW:
+    if len(chunks) <= 2 or part.n_readings <= _UNDIVIDED:
         return [work(*chunk) for chunk in chunks]
     with single_blas():
         return list(_pool(os.getpid(), _THREADS).map(lambda chunk: work(*chunk), chunks))
@@ -130,7 +130,7 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
     total = np.zeros((m + 1, m + 1))
     squares = np.zeros(m + 1)
     for part, own in zip(problem.parts, local, strict=True):
-        if not part.dimension and part.n_readings <= _FEW:
+        if not part.dimension and part.n_readings <= _UNDIVIDED:
             index, value = _gram_without_points(part, theta, own)
             index = np.append(index, m)
             total[np.ix_(index, index)] += value

@@ -30,14 +30,14 @@ _TUNING = 1.345
 # Residuals beyond so many times the scale count less than by Huber.
 _REACHED = 10.0
 # Reweighted solutions at one linearisation, and linearisations.
-_ROUNDS = 40
-_PLACES = 4
+_REWEIGHTINGS = 40
+_LINEARISATIONS = 4
 # The scale is at rest when it changes by less than this share; the readings are where they were linearised if no
 # prediction moved by more than this, standard uncertainties.
 _REST = 0.02
 _MOVED = 0.3
 # Least scale, in declared uncertainties: with few spare readings the median of the residuals may be next to nothing.
-_LEAST = 0.3
+_LEAST_SCALE = 0.3
 # Residuals at the nominal places beyond so many times their median get little weight from the start.
 _WILD = 20.0
 # A point is not linearised farther than this from its nominal place, m: no machine is off by a centimetre.
@@ -132,7 +132,7 @@ def robust_start(problem: Problem, unknowns: int | None = None) -> RobustStart:
     weights = [_first_weights(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
     spare = max(1.0 - unknowns / problem.n_readings, 0.1)
     residuals: list[Array] = []
-    for _ in range(_PLACES):
+    for _ in range(_LINEARISATIONS):
         frozen = [
             Reweighted(part, weight, (theta, own))
             for part, weight, own in zip(problem.parts, weights, local, strict=True)
@@ -166,7 +166,7 @@ def _at_one_place(
     """Reweight at one linearisation until the scale is at rest."""
     last = np.inf
     plain = [part.weighted(np.ones(part.n_readings)) for part in frozen]
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTINGS):
         parts = [part.weighted(weight) for part, weight in zip(frozen, weights, strict=True)]
         weighted = replace(problem, parts=parts)
         step = _step(weighted, theta, local)
@@ -174,7 +174,7 @@ def _at_one_place(
         own = list(local_steps(weighted, theta, local, step))
         residuals = [scaled_residuals(part, here, points) for part, points in zip(plain, own, strict=True)]
         size = np.abs(np.concatenate(residuals))
-        scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), _LEAST)
+        scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), _LEAST_SCALE)
         weights = [_weight(np.maximum(np.abs(r), 1e-12) / scale) for r in residuals]
         if abs(scale - last) < _REST * scale:
             break

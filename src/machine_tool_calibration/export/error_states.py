@@ -24,7 +24,7 @@ from machine_tool_calibration.session.catalogue import spec_of
 __all__ = ["ErrorStates", "displacement", "error_states"]
 
 # Displacements that differ by less are the same state; distances that do are the same place, m.
-_SAME = 1e-10
+_SAME_STATE = 1e-10
 _PLACE = 1e-7
 
 
@@ -59,7 +59,7 @@ def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Eff
             return ErrorStates(error_map, approach[readings], names)
     approach = approach * [any(f"dir_{axis}" in effect.needs for effect in acting) for axis in "xyz"]
     rows, readings = _nearest(error_map.points, np.concatenate([o.position for o in observed]), approach)
-    state = np.round(np.concatenate([added, approach], axis=1)[readings] / _SAME)
+    state = np.round(np.concatenate([added, approach], axis=1)[readings] / _SAME_STATE)
     first = np.sort(np.unique(np.column_stack([rows, state]), axis=0, return_index=True)[1])
     rows, readings = rows[first], readings[first]
     with_effects = replace(

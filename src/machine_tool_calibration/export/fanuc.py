@@ -40,7 +40,7 @@ __all__ = ["MOST_POINTS", "read", "write"]
 
 MOST_POINTS = 128
 _DATA, _REMARKS = "pitch_error.txt", "compensation.txt"
-_LARGEST, _MOST_TIMES = 7, 100
+_LARGEST_ENTRY, _LARGEST_MAGNIFICATION = 7, 100
 # Detection unit, m; first number of the data's lines.
 _UNIT, _FIRST = 1e-6, 10000
 # Half the width of a step as it is read, m.
@@ -58,7 +58,7 @@ _USE = (
     "the numbers of points begin at 0 with X; the reference point is the machine's zero",
     "try the sign out on one axis before use",
 )
-_PLACES = re.compile(r"([XYZ]): 3620=(\d+) 3621=(\d+) 3622=(\d+) 3623=(\d+) 3624=(\d+\.\d+) mm")
+_PARAMETERS = re.compile(r"([XYZ]): 3620=(\d+) 3621=(\d+) 3622=(\d+) 3623=(\d+) 3624=(\d+\.\d+) mm")
 _BRACKETS = str.maketrans("()", "[]")  # a comment ends with the first of these
 _POINT = re.compile(r"N(\d{5})P(-?\d+);")
 
@@ -108,22 +108,21 @@ def _sections(table: AxisTable) -> tuple[float, int, Array]:
 
 def _whole_numbers(table: AxisTable, total: Array) -> tuple[Array, int]:
     """Values of the sections with the smallest magnification with which they fit; a ModelError if none does."""
-    for times in range(1, _MOST_TIMES + 1):
+    for times in range(1, _LARGEST_MAGNIFICATION + 1):
         # sums are rounded, not values, so that rounding does not add up
         value = np.diff(np.round(total / (times * _UNIT)).astype(int))
-        if np.abs(value).max() <= _LARGEST:
+        if np.abs(value).max() <= _LARGEST_ENTRY:
             return value, times
     steepest = float(np.abs(np.diff(total)).max())
-    raise ModelError(
-        f"{table.name}: changes by {1e3 * steepest:.3g} mm in a section; Fanuc holds {_LARGEST * _MOST_TIMES} um"
-    )
+    most = _LARGEST_ENTRY * _LARGEST_MAGNIFICATION
+    raise ModelError(f"{table.name}: changes by {1e3 * steepest:.3g} mm in a section; Fanuc holds {most} um")
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
     """Deviations that the control takes away by such files: sums from the reference point, in steps amid sections."""
     value = {int(point) - _FIRST: int(entry) for point, entry in _POINT.findall(files[_DATA])}
     found = []
-    for axis, *entries in _PLACES.findall(files[_REMARKS].rpartition("\n\n")[2]):  # what comes before are words
+    for axis, *entries in _PARAMETERS.findall(files[_REMARKS].rpartition("\n\n")[2]):  # what comes before are words
         reference, low, high, times, interval = map(float, entries)
         points = np.arange(int(low), int(high) + 1)
         steps = times * _UNIT * np.array([value[k] for k in points.tolist()])

@@ -15,7 +15,7 @@ __all__ = ["ResidualError", "ResidualErrors", "residual_errors", "summary"]
 
 _PARTS = ("x", "y", "z")
 # Ratio up to which errors are the same: the shift and turn that are taken out differ a little before and after.
-_SAME = 1.002
+_SAME_RATIO = 1.002
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ResidualError:
     @property
     def worse(self) -> bool:
         """Whether the compensation would do harm."""
-        return self.rms_after > _SAME * self.rms_before
+        return self.rms_after > _SAME_RATIO * self.rms_before
 
 
 @dataclass(frozen=True)

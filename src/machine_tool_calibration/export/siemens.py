@@ -52,7 +52,7 @@ _RESOLUTION = "values and positions are rounded to 1 nm"
 # Steps between nodes that differ by less are equal, as a share.
 _EVEN = 1e-6
 # What an 828D holds.
-_SMALL = 200
+_NODES_OF_828D = 200
 _LINE = re.compile(r"\$(AA_ENC_COMP|AN_CEC)(_[A-Z_]+)?\[([^]]*)\]\s*=\s*(\S+)")
 
 
@@ -96,7 +96,7 @@ def _screw(table: AxisTable) -> list[str]:
 
 def _sag(k: int, table: AxisTable) -> list[str]:
     nodes, value = _evenly(table)
-    enough = "" if len(nodes) <= _SMALL else f"; an 828D holds {_SMALL}"
+    enough = "" if len(nodes) <= _NODES_OF_828D else f"; an 828D holds {_NODES_OF_828D}"
     out = [f"; {table.name}: MD18342 MM_CEC_MAX_POINTS[{k}] must be {len(nodes)} or more{enough}"]
     out += [f"$AN_CEC[{k},{n}]={1e3 * v + 0.0:.6f}" for n, v in enumerate(value)]
     entries = [("INPUT_AXIS", f"({table.axis}1)"), ("OUTPUT_AXIS", f"({table.name[1]}1)"), *_range(nodes)[:3]]

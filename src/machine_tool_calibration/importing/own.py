@@ -84,7 +84,7 @@ def _parquet(file: Path, described: str) -> _Columns:
 
 
 # Positions and angles that are one: m and rad.
-_STILL = 1e-7
+_NO_MOTION = 1e-7
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Alignment:
     @property
     def turns(self) -> bool:
         """Whether the beam turns, about the centre that is looked for; else Y moves."""
-        return bool(np.ptp(self.azimuth) > _STILL)
+        return bool(np.ptp(self.azimuth) > _NO_MOTION)
 
 
 def read_alignment(path: Path) -> Alignment:
@@ -121,12 +121,12 @@ def read_alignment(path: Path) -> Alignment:
     if not good.any() or not (np.isfinite(azimuth) & np.isfinite(place).all(axis=1)).all():
         raise SessionError(f"{file}: no readings, or an azimuth, x or y that is missing")
     found = Alignment(azimuth[good], displacement[good], place[good], groups(repeat[good]))
-    moves = bool(np.ptp(found.place, axis=0).max() > _STILL)
+    moves = bool(np.ptp(found.place, axis=0).max() > _NO_MOTION)
     if found.turns == moves:
         both = "the beam turns and the retroreflector moves" if moves else "neither beam nor retroreflector moves"
         raise SessionError(
             f"{file}: {both}; for the centre the beam turns and x and y stay, for the zero angle y alone moves"
         )
-    if moves and np.ptp(found.place[:, 0]) > _STILL:
+    if moves and np.ptp(found.place[:, 0]) > _NO_MOTION:
         raise SessionError(f"{file}: x moves; for the zero angle y alone moves")
     return found

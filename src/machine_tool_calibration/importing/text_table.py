@@ -24,7 +24,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.record import Record
-from machine_tool_calibration.session.text import read_bytes, reject_foreign_encoding
+from machine_tool_calibration.session.text import LARGEST_TABLE, read_bytes, reject_foreign_encoding
 
 __all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
 
@@ -69,7 +69,6 @@ def _past_midnight(times: Array) -> Array:
 
 # How .xlsx, .ods (zipped) and .xls files begin.
 _WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
-_LARGEST = 64 << 20  # bytes
 _LOOKED_AT = 1000  # lines, and bytes, by which the form of a table is recognised
 _MOST_COLUMNS = 1000
 _MOST_CELLS = 5_000_000
@@ -258,7 +257,7 @@ def _encoding(form: FileForm, data: bytes) -> str:
 
 
 def _lines(path: Path, form: FileForm) -> list[str]:
-    source, data = str(path), read_bytes(path, _LARGEST)
+    source, data = str(path), read_bytes(path, LARGEST_TABLE)
     if data.startswith(_WORKBOOKS):
         raise SessionError(f"{source}: a spreadsheet's workbook; save its sheet as CSV, and convert that")
     encoding = _encoding(form, data)

@@ -21,7 +21,7 @@ from machine_tool_calibration.session.description import Probing
 __all__ = ["SEARCH", "NominalTouch", "Part", "judge"]
 
 # How far beside a point's normal the axes may stand for the touch to be meant for it, m.
-_BESIDE = 1e-5
+_FARTHEST_BESIDE = 1e-5
 _FARTHEST = 0.02  # m from the surface: where a touch may begin
 SEARCH = 1e-3  # m beyond the nominal surface: so far the sphere goes at most
 _EARLY = 1e-3  # m outside of it: a trigger farther out is not of this surface
@@ -96,7 +96,7 @@ class Part:
         away = np.array([position["x"], position["y"]]) - place - self.radius * normal
         standoff = np.sum(away * normal, axis=1)
         beside = np.linalg.norm(away - standoff[:, None] * normal, axis=1)
-        found = np.flatnonzero((beside < _BESIDE) & (standoff > 0) & (standoff <= farthest))
+        found = np.flatnonzero((beside < _FARTHEST_BESIDE) & (standoff > 0) & (standoff <= farthest))
         where = f"x = {position['x']:.6g}, y = {position['y']:.6g}, c = {c:.6g}"
         if not len(found):
             raise SessionError(f"at {where} the stylus stands in front of no point of the workpiece")

@@ -17,7 +17,7 @@ from machine_tool_calibration.methods.probing.features import Features as Found
 from machine_tool_calibration.methods.probing.geometry import Circle, Element
 from machine_tool_calibration.methods.probing.map import MonteCarlo
 from machine_tool_calibration.plots.features import draw_features
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, quantity
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, ROUNDING, decimals, fixed, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Features"]
-
-# Standard uncertainty of what the datum lays down, m and rad: rounding alone.
-_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,8 +77,8 @@ class Features(Answer, Found):
             length = asked.unit == "m"
             nominal = f"{fixed(1e3 * asked.nominal, 4)} mm" if length else f"{fixed(math.degrees(asked.nominal), 4)}°"
             if row["determined"]:
-                told = "0 (datum)" if row["u"] < _NOTHING else quantity(row["deviation"], asked.unit, row["u"])
-                if drawn is not None and row["u"] >= _NOTHING:
+                told = "0 (datum)" if row["u"] < ROUNDING else quantity(row["deviation"], asked.unit, row["u"])
+                if drawn is not None and row["u"] >= ROUNDING:
                     ends = (fixed(1e6 * end, decimals(2e6 * row["u"])) for end in (row["low"], row["high"]))
                     interval = f"{' to '.join(ends)} µ{asked.unit}"
             rows.append((", ".join(asked.of), asked.what, nominal, told, interval))

@@ -16,7 +16,7 @@ from machine_tool_calibration.methods.map_comparison import BY_CHANCE
 from machine_tool_calibration.methods.map_comparison import MapComparison as Compared
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.reports.documents import picked
-from machine_tool_calibration.reports.quantities import p_value, plus_minus, quantity
+from machine_tool_calibration.reports.quantities import ROUNDING, p_value, plus_minus, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable
 from machine_tool_calibration.session.provenance import Provenance
 
@@ -26,9 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["MapComparison"]
 
 # Points of a table for people: of more, those of which the maps differ most.
-_MOST = 25
-# Motion that is rounding, m or rad.
-_NOTHING = 1e-12
+_MOST_POINTS = 25
 _COLUMNS = ("first", "second", "difference", "u", "normalised")
 
 
@@ -66,7 +64,7 @@ class MapComparison(Answer, Compared):
         moved = [
             f"{m.name} {quantity(m.value, m.unit, m.u)}"
             for m in self.motion
-            if np.isfinite(m.value) and max(abs(m.value), m.u) > _NOTHING
+            if np.isfinite(m.value) and max(abs(m.value), m.u) > ROUNDING
         ]
         if moved:
             yield f"Taken out before, as the datums differ by it: {', '.join(moved)}."
@@ -123,10 +121,10 @@ def _differences(comparison: Compared) -> TextTable:
         "± U (k = 2), without instrument and temperature; E_n is the difference over its U; "
         f"1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
     )
-    if len(order) > _MOST:
+    if len(order) > _MOST_POINTS:
         worst = np.nanmax(np.abs(comparison.normalised[order]), axis=1)
-        note += f"; the {_MOST} of {len(order)} points that differ most, all with --json"
-        order = np.sort(order[np.argsort(-worst, kind="stable")[:_MOST]])
+        note += f"; the {_MOST_POINTS} of {len(order)} points that differ most, all with --json"
+        order = np.sort(order[np.argsort(-worst, kind="stable")[:_MOST_POINTS]])
     heads = ["x, y, z / mm"]
     for j in axes:
         heads += [f"{'xyz'[j]}: 1 / µm", "2 / µm", "1 − 2 / µm", "E_n"]

@@ -32,7 +32,7 @@ _DRAWS = 200
 # Cosine between the direction that is read and the line from which it is read along it.
 _ALONG = 0.9999
 # Extent of a place, m; commanded positions that are one target, m; how far off the line a reading may be, m.
-_STILL, _SAME, _OFF = 1e-6, 1e-5, 1e-5
+_PLACE_EXTENT, _SAME_TARGET, _OFF_LINE = 1e-6, 1e-5, 1e-5
 
 
 @dataclass(frozen=True)
@@ -252,9 +252,9 @@ def _line(observations: Observations, mine: IntArray) -> Array | None:
     position, direction = observations.position[mine], observations.direction[mine]
     far = position[np.argmax(np.linalg.norm(position - position[0], axis=1))] - position[0]
     length = float(np.linalg.norm(far))
-    if length < _STILL or np.abs(direction @ far).min() < _ALONG * length:
+    if length < _PLACE_EXTENT or np.abs(direction @ far).min() < _ALONG * length:
         return None
-    line = np.where(np.abs(far) > _STILL, far, 0.0) / length
+    line = np.where(np.abs(far) > _PLACE_EXTENT, far, 0.0) / length
     line = np.abs(line) if np.count_nonzero(line) == 1 else line
     # Only what moves in steps is read off its line between two places on it.
     return line if spec_of(observations.session).states_runs or _on(position, line).all() else None
@@ -263,7 +263,7 @@ def _line(observations: Observations, mine: IntArray) -> Array | None:
 def _on(position: Array, line: Array) -> BoolArray:
     """(n,) which positions lie on the line through the first one."""
     arm = position - position[0]
-    return np.asarray(np.linalg.norm(arm - np.outer(arm @ line, line), axis=1) < _OFF)
+    return np.asarray(np.linalg.norm(arm - np.outer(arm @ line, line), axis=1) < _OFF_LINE)
 
 
 def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[Array, Array, Array]:
@@ -275,7 +275,7 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
         place = place - place.min()
     order = np.argsort(place, kind="stable")
     group = np.empty(len(place), dtype=np.int64)
-    group[order] = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME)]
+    group[order] = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME_TARGET)]
     target = (np.bincount(group, place) / np.bincount(group))[group]
     leading = int(np.argmax(np.abs(line)))
     recorded = readings.columns.get(f"dir_{'xyz'[leading]}")

@@ -40,9 +40,9 @@ BY_CHANCE = 0.0455
 DRAWS = 400
 _COVERAGE = 2.0
 # Points of two maps that are one, m; singular values that are nothing, as a share of the largest.
-_SAME = 1e-6
-_NOTHING = 1e-9
-_RANK = 1e-6
+_SAME_POINT = 1e-6
+_LEAST_SINGULAR_VALUE = 1e-9
+_ROUNDING_SHARE = 1e-6
 _MOTIONS = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "turn about z")
 
 
@@ -135,7 +135,7 @@ def compare_maps(
     a, b = first[there], second[there]
     rows = [np.asarray(root[:, there]) for root in roots]
     left, sizes, _ = np.linalg.svd(moves, full_matrices=False)
-    span = left[:, sizes > _NOTHING * sizes[0]]
+    span = left[:, sizes > _LEAST_SINGULAR_VALUE * sizes[0]]
 
     def freed(values: Array) -> Array:
         return np.asarray(values - (values @ span) @ span.T)
@@ -145,7 +145,7 @@ def compare_maps(
     # First less second, both drawn in pairs.
     both = free[0] - free[1]
     # A component of which the motion leaves nothing has rounding alone.
-    kept = np.einsum("qs,qs->q", span, span) < 1.0 - _RANK
+    kept = np.einsum("qs,qs->q", span, span) < 1.0 - _ROUNDING_SHARE
     difference = np.where(kept, difference, 0.0)
     spread = [np.where(kept, np.sqrt(np.einsum("kq,kq->q", row, row)), 0.0) for row in (*free, both)]
     values = [_placed(there, one) for one in (b + difference, b, *spread)]
@@ -179,9 +179,9 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
     """Motions with their uncertainty; those that could be exchanged for others are not determined."""
     # All six rows of the right side, of few components too, but not a square of thousands on the left.
     _, sizes, right = np.linalg.svd(moves, full_matrices=len(moves) < moves.shape[1])
-    rank = int((sizes > _NOTHING * sizes[0]).sum())
-    loose = np.linalg.norm(right[rank:], axis=0) > _RANK
-    solve = np.linalg.pinv(moves, rcond=_NOTHING)
+    rank = int((sizes > _LEAST_SINGULAR_VALUE * sizes[0]).sum())
+    loose = np.linalg.norm(right[rank:], axis=0) > _ROUNDING_SHARE
+    solve = np.linalg.pinv(moves, rcond=_LEAST_SINGULAR_VALUE)
     value, spread = solve @ difference, np.sqrt(np.einsum("mk,mk->m", solve @ rows.T, solve @ rows.T))
     out = []
     for k, name in enumerate(_MOTIONS):
@@ -199,7 +199,7 @@ def joint_p_value(difference: Array, rows: Array, draws: int | None) -> float | 
     `draws`.
     """
     _, sizes, right = np.linalg.svd(rows, full_matrices=False)
-    good = sizes > _RANK * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
+    good = sizes > _ROUNDING_SHARE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
     rank = int(good.sum())
     if rank == 0:
         return None
@@ -265,7 +265,7 @@ def common_points(first: Array, second: Array) -> tuple[IntArray, IntArray]:
     """Numbers of the points, (n, 3) m, that are in both maps, in the first one's order; each once."""
     from scipy.spatial import cKDTree
 
-    found = cKDTree(second).query(first, distance_upper_bound=_SAME)
+    found = cKDTree(second).query(first, distance_upper_bound=_SAME_POINT)
     distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     mine = np.flatnonzero(np.isfinite(distance))
     _, once = np.unique(nearest[mine], return_index=True)

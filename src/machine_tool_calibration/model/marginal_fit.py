@@ -36,11 +36,11 @@ __all__ = ["FamilySize", "MarginalFit", "marginal_fit"]
 
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
-_COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 24, 3
+_COVERED, _MOST_SIZES, _MOST_WITH_RANDOM = 0.99, 24, 3
 # Readings up to which what every model lacks is in what is published: of more, U is what grows least.
 _ENOUGH = 20_000
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
-_SEEN = 1e-3
+_LEAST_SHARE_LEFT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _averaged(
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
     dof = solution.degrees_of_freedom
-    seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
+    seen = np.diag(projected)[:-1] > _LEAST_SHARE_LEFT * squares[m:-1]
     # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
     imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
     runs = np.flatnonzero(~imperfect)
@@ -205,7 +205,7 @@ def _averaged(
         None if repeated is None else repeated.outside(~seen[runs], own),
     )
     chosen = np.argsort(-found.log_weights)
-    most = _MOST if solved.random is None else _MOST_WITH_RANDOM
+    most = _MOST_SIZES if solved.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     squares_left = float(weights @ found.squares[chosen])

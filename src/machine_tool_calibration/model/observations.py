@@ -12,12 +12,14 @@ from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Readings, Session, joined
 
-__all__ = ["Observations", "together"]
+__all__ = ["SAME_POSITION", "Observations", "together"]
 
 # Share of an axis's travel that readings cover at least where functions are scaled on the travel. With half of it, the
 # tables of a tracking interferometer beside a polynomial were ten times as uncertain as with all of it; with this
 # share, 1 %.
-_MOST = 0.8
+_COVERED_SHARE = 0.8
+SAME_POSITION = 1e-6
+"""Positions of an axis that differ by less are one: it has not moved, m."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Observations:
         low, high = (self.covered or {}).get(axis, (float(here.min()), float(here.max())))
         travel = {name.lower(): ends for name, ends in self.session.description.machine.travel.items()}
         first, last = travel.get(axis, (low, high))
-        covered = first <= low and high <= last and high - low >= _MOST * (last - first)
+        covered = first <= low and high <= last and high - low >= _COVERED_SHARE * (last - first)
         return (first, last) if covered else (low, high)
 
     def sense(self, field: Array) -> Array:

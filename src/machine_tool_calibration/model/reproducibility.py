@@ -16,7 +16,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
 from machine_tool_calibration.model.imperfection import scaled_values
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
 __all__ = ["DRIFT", "Family", "PureError", "of_repeats", "offsets_apart", "reproducibility", "with_drift"]
@@ -31,7 +31,6 @@ _ENOUGH = 20_000
 _ROUNDING = 1e-9
 # A grid: so many rows at most, with so many readings each.
 _MOST_ROWS, _IN_A_ROW = 60, 6
-_STILL = 1e-6  # m
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,7 @@ def _smooth(observations: Observations, group: IntArray) -> Array:
 def _of_direct(observations: Observations) -> Iterator[Family]:
     """Passes of a single axis; rows and columns of a grid; otherwise runs."""
     position = observations.position
-    moved = [j for j in range(3) if np.ptp(position[:, j]) > _STILL] if len(position) else []
+    moved = [j for j in range(3) if np.ptp(position[:, j]) > SAME_POSITION] if len(position) else []
     if len(moved) >= 2:
         readings = observations.readings
         run = groups(readings.setup, readings.repeat)
@@ -255,7 +254,7 @@ def _tell(place: IntArray, run: IntArray) -> bool:
 def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
     """Offsets of whole rows and columns of a grid, along and across them."""
     for j in moved:
-        row = np.unique(np.round(observations.position[:, j] / _STILL), return_inverse=True)[1].reshape(-1)
+        row = np.unique(np.round(observations.position[:, j] / SAME_POSITION), return_inverse=True)[1].reshape(-1)
         count = np.bincount(row)
         if priors.SEVERAL_RUNS <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
             yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy(), offset=False)
@@ -267,7 +266,7 @@ def _passes(observations: Observations, axis: int) -> IntArray:
     step = np.diff(position)
     again = np.r_[False, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)]
     # The way to where the next run begins is none.
-    sign = np.where((np.abs(step) > _STILL) & ~again[1:], np.sign(step), 0.0)
+    sign = np.where((np.abs(step) > SAME_POSITION) & ~again[1:], np.sign(step), 0.0)
     turned = np.zeros(len(readings), dtype=bool)
     last = 0.0
     for k, s in enumerate(sign):

@@ -24,6 +24,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
 __all__ = [
+    "OPEN_CHANGE",
     "RIGID_BODY_DATUM",
     "MachineTable",
     "axis_nodes",
@@ -133,13 +134,13 @@ def axis_nodes(positions: Array) -> Array:
 
 
 # Positions closer than this share of their range are one node.
-_SAME = 1e-3
+_SAME_NODE = 1e-3
 
 
 def distinct_nodes(positions: Array) -> Array:
     """(k,) increasing positions, those that are next to the one before left out."""
     distinct = np.unique(np.round(positions, 9)) + 0.0
-    same = max(_SAME * float(np.ptp(distinct)), 1e-9)
+    same = max(_SAME_NODE * float(np.ptp(distinct)), 1e-9)
     kept = [float(distinct[0])]
     for value in distinct[1:]:
         if value - kept[-1] > same:
@@ -278,6 +279,10 @@ def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Arra
     k, n, d = field.shape
     error = (theta @ field.reshape(k, n * d)).reshape(n, d)
     return error, np.einsum("knd,kl,lne->nde", field, covariance, field, optimize=True)
+
+
+OPEN_CHANGE = 1e-9
+"""Change with an undetermined direction of unit length from which a position error is not determined itself, m."""
 
 
 def determined_part(error: Array, covariance: Array, loose: BoolArray) -> tuple[Array, Array, Array]:

@@ -98,7 +98,7 @@ def hear_targets(node: Node, heard: Callable[[PointerCommand], None]) -> None:
     node.create_subscription(JointState, "pointer/target", target, COMMAND)
 
 
-_KEPT = 100
+_MOST_UNPAIRED = 100  # of one way; the oldest goes first
 
 
 class Pairs:
@@ -112,13 +112,13 @@ class Pairs:
         own = self._sides[side]
         own.pop(key, None)
         own[key] = content
-        if len(own) > _KEPT:
+        if len(own) > _MOST_UNPAIRED:
             del own[next(iter(own))]
         first, second = (held.get(key) for held in self._sides)
         return None if first is None or second is None else (first, second)
 
 
-_SAME = 1e-5  # m or rad: encoders show a place again within this
+_SAME_PLACE = 1e-5  # m or rad: encoders show a place again within this
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Executions:
         times = [command + from_message(point.time_from_start) for point in message.points]
         if command != self._command:
             start = places[0] if places else {}
-            is_elsewhere = any(abs(start.get(name, place) - place) > _SAME for name, place in self._place.items())
+            is_elsewhere = any(abs(start.get(name, place) - place) > _SAME_PLACE for name, place in self._place.items())
             self._epoch += not places or is_elsewhere
             self._command = command
         self._place = places[-1] if places else {}

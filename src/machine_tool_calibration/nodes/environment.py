@@ -24,7 +24,7 @@ TOPICS = {
 }
 """Message type and field of `environment/<column>`, by the session's column."""
 
-_KEPT = 100
+_SAMPLES_KEPT = 100  # of each quantity
 
 
 class EnvironmentTopics:
@@ -52,7 +52,7 @@ class EnvironmentWatch:
 
     def __init__(self, node: Node, maximum_age: float) -> None:
         self._age = nanoseconds(maximum_age)
-        self._samples: dict[str, deque[tuple[int, float]]] = {name: deque(maxlen=_KEPT) for name in TOPICS}
+        self._samples: dict[str, deque[tuple[int, float]]] = {name: deque(maxlen=_SAMPLES_KEPT) for name in TOPICS}
         for name, (kind, field) in TOPICS.items():
             node.create_subscription(kind, f"environment/{name}", partial(self._keep, name, field), SLOW)
 

@@ -71,7 +71,7 @@ class Pace:
 
 
 _TICK = 0.002  # s
-_AT_ONCE = 500  # messages, so that services are answered in between
+_MESSAGES_AT_ONCE = 500  # messages, so that services are answered in between
 _SHOW = 0.2  # s
 _ACKNOWLEDGE = Duration(seconds=2.0)
 _LEAST_DEPTH = 100
@@ -209,7 +209,7 @@ class Player(ManagedNode):
         """Send all that is due."""
         try:
             now = time.monotonic_ns()
-            for _ in range(_AT_ONCE):
+            for _ in range(_MESSAGES_AT_ONCE):
                 message = self._next
                 if message is None or not self._pace.is_due(message.log_time, now):
                     return

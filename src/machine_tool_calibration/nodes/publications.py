@@ -28,7 +28,7 @@ __all__ = ["AXIS_FIELDS", "MOST_ARROWS", "TOPICS", "arrows", "axis_cloud", "map_
 MOST_ARROWS = 2000
 _COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 AXIS_FIELDS = ("axis", "position", *_COMPONENTS, *(f"u{name[1]}" for name in _COMPONENTS))
-_LARGEST = 0.1  # length of the largest arrow, of the map's extent
+_ARROW_SHARE = 0.1  # length of the largest arrow, of the map's extent
 _STEPS = (1.0, 2.0, 5.0)
 _SURE, _UNSURE = (0.85, 0.15, 0.1), (0.55, 0.55, 0.55)
 
@@ -85,7 +85,7 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
     length = np.linalg.norm(error, axis=1)
     size = float(np.ptp(error_map.points, axis=0).max()) if len(error_map.points) else 0.0
     size = size or 0.1
-    scale = magnification or _round(_LARGEST * size / max(float(length.max(initial=0.0)), 1e-9))
+    scale = magnification or _round(_ARROW_SHARE * size / max(float(length.max(initial=0.0)), 1e-9))
     array = MarkerArray(markers=[_marker(stamp, 0, Marker.ARROW, action=Marker.DELETEALL)])
     for k, (start, vector, sure) in enumerate(
         zip(points, scale * error, length > 2 * np.linalg.norm(spread, axis=1), strict=True)

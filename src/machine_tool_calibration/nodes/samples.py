@@ -123,7 +123,7 @@ def is_steady(path: Array, tolerance: float) -> bool:
     return bool(np.ptp(means) <= tolerance)
 
 
-_MOST = 1_000_000  # samples that wait to be taken; more are dropped and said so
+_MOST_WAITING = 1_000_000  # samples that wait to be taken; more are dropped and said so
 _AGAIN = 1.0  # s between attempts to connect
 
 
@@ -141,7 +141,7 @@ class DriverSource:
     def __init__(self, driver: Driver, clock_offset: int) -> None:
         self._driver, self._offset = driver, clock_offset
         self.hardware_id: str = getattr(driver, "hardware_id", "")
-        self._samples: deque[tuple[int, float]] = deque(maxlen=_MOST)
+        self._samples: deque[tuple[int, float]] = deque(maxlen=_MOST_WAITING)
         self._reason = ""
         self._problem = "connecting"
         self._reconnections = 0

@@ -18,7 +18,7 @@ __all__ = ["SimulatedSource"]
 _IDENTITY = np.eye(3)
 _TURBULENCE = 0.5  # s: within this the air's noise hardly changes, beyond it is independent
 _RADIUS = 2e-3  # m: farther beside the beam the retroreflector does not return it
-_STILL = 1e-5  # m between two true positions: the axes stand
+_NO_MOTION = 1e-5  # m between two true positions: the axes stand
 _GRACE = 0.3  # s: so long the beam may be beside the retroreflector before it counts as lost
 _STARVED = 1_000_000_000  # ns without true positions: the signal is lost
 
@@ -165,7 +165,7 @@ class SimulatedSource:
         before = self._poses[-2] if len(self._poses) > 1 else Pose(start, last.place, last.rotation)
         if self._beside(last) > _RADIUS:
             raise NotYet("beam", "the beam is beside the retroreflector")
-        if start < before.stamp or np.linalg.norm(self._target(last) - self._target(before)) > _STILL:
+        if start < before.stamp or np.linalg.norm(self._target(last) - self._target(before)) > _NO_MOTION:
             raise NotYet("unstable", f"the axes have not stood still for {length:g} s")
         count = max((end - start) // self._step, 1)
         self.samples = start + self._step * np.arange(1, count + 1)
@@ -230,7 +230,7 @@ class SimulatedSource:
         """The pointer follows the axes while they move; a beam beside the target counts once both stand."""
         before, last = self._poses[-2 if len(self._poses) > 1 else -1], self._poses[-1]
         moved = float(np.linalg.norm(self._target(last) - self._target(before)))
-        if moved > _STILL or self._beside(last) <= _RADIUS:
+        if moved > _NO_MOTION or self._beside(last) <= _RADIUS:
             self._beside_since = None
         elif self._beside_since is None:
             self._beside_since = now

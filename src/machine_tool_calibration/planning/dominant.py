@@ -20,8 +20,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.effects.linear_drift import LinearDrift
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
@@ -41,8 +41,8 @@ DRIFT = 1e-9
 """Rate at which a reading drifts if the air warms by 1 K per hour, m/s: 3.6 um an hour, a third of a metre of steel."""
 
 # A remedy leaves less than this of what the same measurement once more would leave.
-_BETTER = 0.9
-_MOST = 3
+_WORTHWHILE = 0.9
+_MOST_REMEDIES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +166,8 @@ def _warming(session: Session) -> float:
 
 def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
     again = next((after for option, after in tried if option.kind == "again"), found.uncertainty)
-    better = sorted((t for t in tried if t[1] < _BETTER * again), key=lambda t: t[1])
-    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST])
+    better = sorted((t for t in tried if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
+    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST_REMEDIES])
     return replace(found, again=again, remedies=remedies)
 
 

@@ -47,7 +47,7 @@ POWER = 0.8
 """With which an effect of the smallest detectable size is found."""
 
 # Share of a column's squared norm that the model must leave for the effect to be seen.
-_SEEN = 1e-4
+_LEAST_SHARE_LEFT = 1e-4
 # Numbers in the columns of effects that are kept in memory at a time.
 _HELD = 8_000_000
 
@@ -161,7 +161,7 @@ def _outside(pool: Pool, candidates: Sequence[Candidate]) -> list[_Screened]:
     stacked = [block.columns for candidate in candidates for block in candidate.shapes]
     projected = pool.screen(np.concatenate(stacked), random=True)
     inner = np.diag(projected.gram)[:-1]
-    seen = np.asarray(inner > _SEEN * projected.squares[:-1])
+    seen = np.asarray(inner > _LEAST_SHARE_LEFT * projected.squares[:-1])
     ends = np.cumsum([len(columns) for columns in stacked])[:-1]
     largest = (np.abs(columns).max(axis=1) for columns in stacked)
     each = zip(np.split(inner, ends), np.split(seen, ends), largest, strict=True)

@@ -22,7 +22,7 @@ from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
 __all__ = ["Choice", "Offer", "offer"]
 
 # Setups, or targets, that are held against each other: more would take hours.
-_MOST = 1000
+_MOST_CANDIDATES = 1000
 
 
 @dataclass(frozen=True)
@@ -219,8 +219,8 @@ def _with_candidates(
                 raise SessionError(f"{where}[{number}]: the id {name!r} is taken; without one they are numbered")
             taken.add(name)
             entries.append({"id": name, **entry})
-            if len(entries) > _MOST:
-                raise SessionError(f"{where}: more than {_MOST} candidates; a coarser grid tells as much")
+            if len(entries) > _MOST_CANDIDATES:
+                raise SessionError(f"{where}: more than {_MOST_CANDIDATES} candidates; a coarser grid tells as much")
     return entries
 
 

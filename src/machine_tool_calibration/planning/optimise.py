@@ -43,17 +43,17 @@ _TIE = 1e-3
 # Of the search's first leg: a mean that lies close to the largest value and changes smoothly with all of them.
 _POWER = 8.0
 # What makes a plan better, relative: less is rounding.
-_BETTER = 1e-6
+_LEAST_GAIN = 1e-6
 # The same of a time: moves between setups are known only once these are chosen.
 _ROUNDED = 0.01
-_ROUNDS = 60
+_BOUND_ROUNDS = 60
 _NODES = 500
 # Share of the way to where the linear program's solution lies.
 _STRIDE = 0.3
 # The bound is good enough within this share of the best plan's variance.
 _CLOSE = 0.01
 # Functions whose variance is at least this share of the largest have tangents; those of the others hardly matter.
-_NEAR = 0.6
+_TANGENT_SHARE = 0.6
 _MOST_TANGENTS = 60
 
 
@@ -139,7 +139,7 @@ def search(
                     for better in exchange.improving(found, cost):
                         found = better
                         progress(f"plans tried: {len(judge.known)}", min(len(judge.known) / _PLANS, 0.99))
-                if judge.largest(found) < judge.largest(best) * (1.0 - _BETTER):
+                if judge.largest(found) < judge.largest(best) * (1.0 - _LEAST_GAIN):
                     best = found
                 if number + 1 >= _STARTS and len(judge.known) >= _PLANS:
                     break
@@ -202,7 +202,7 @@ class _Exchange:
 
     def __init__(self, offered: Offer, seconds: float) -> None:
         """The parts of a plan may take so many seconds together."""
-        self.offered, self.seconds = offered, seconds * (1.0 + _BETTER)
+        self.offered, self.seconds = offered, seconds * (1.0 + _LEAST_GAIN)
         self.always: dict[str, tuple[int, ...]] = {"setups": (), "targets": offered.always}
         self.most_setups, self.most_targets = _most(offered)
         self.repeats = sorted({*offered.choices.repeats, offered.present.repeats})
@@ -227,10 +227,10 @@ class _Exchange:
                 allowed = [move for move in moves(choice) if self.allowed(move)]
                 costs = [cost(move) for move in allowed]
                 k = int(np.argmin(costs)) if costs else -1
-                if costs and costs[k] < value * (1.0 - _BETTER):
+                if costs and costs[k] < value * (1.0 - _LEAST_GAIN):
                     choice, value = allowed[k], costs[k]
                     yield choice
-            if value >= before * (1.0 - _BETTER):
+            if value >= before * (1.0 - _LEAST_GAIN):
                 return
 
     def neighbourhoods(self, choice: Choice, *, exchanges: bool) -> Iterator[Callable[[Choice], list[Choice]]]:
@@ -332,14 +332,14 @@ def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: 
     told, shares = candidates.told, program.inside
     tangents, values = np.zeros((0, program.count)), np.zeros(0)
     lowest = 0.0
-    for number in range(_ROUNDS):
-        progress(number / _ROUNDS)
+    for number in range(_BOUND_ROUNDS):
+        progress(number / _BOUND_ROUNDS)
         variance, slope = (part[told] / scale for part in candidates.slopes(program.weights(shares)))
         if not np.isfinite(variance).all():
             return np.inf  # not even all candidates together determine it with so many repeats
         slope = program.by_shares(slope)
         near = np.argsort(-variance)[:_MOST_TANGENTS]
-        near = near[variance[near] >= _NEAR * variance[near[0]]]
+        near = near[variance[near] >= _TANGENT_SHARE * variance[near[0]]]
         tangents = np.vstack([tangents, slope[near]])
         values = np.append(values, variance[near] - slope[near] @ shares)
         value, corner = program.solved(tangents, values)

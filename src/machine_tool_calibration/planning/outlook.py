@@ -26,7 +26,7 @@ from machine_tool_calibration.session.session import Readings, Session
 __all__ = ["Outlook", "current", "outlook_of", "outlooks"]
 
 # Standard uncertainty of readings that are to say nothing of the machine, m: thousands of times that of an instrument.
-_LOOSE = 1e-3
+_SILENT_UNCERTAINTY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,10 @@ def _with(chosen: FitRequest, at: int, option: Option, angular: float) -> tuple[
     """The fit with a further measurement in one of the sessions."""
     session, old = option.session, chosen.sessions[at]
     said = session.description.standard_uncertainty
-    loose = {name: said.model_copy(update={"displacement": _LOOSE}) for name in session.setup_ids[len(old.setup_ids) :]}
+    loose = {
+        name: said.model_copy(update={"displacement": _SILENT_UNCERTAINTY})
+        for name in session.setup_ids[len(old.setup_ids) :]
+    }
     if loose:
         # Those of a perfect machine with everything where it is stated would pull the fit, and with it the geometry on
         # which the uncertainty rests: what the present readings predict is read there.

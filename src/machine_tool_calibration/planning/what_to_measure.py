@@ -145,7 +145,7 @@ def _shape(
 _HARDLY = 0.1
 # A measurement is worth proposing for an effect if it shows one this much smaller.
 _WORTH = 0.5
-_MANY = 3
+_MOST_COEFFICIENTS = 3  # of an effect for which a measurement is proposed
 
 
 def visibilities(
@@ -164,7 +164,7 @@ def visibilities(
         observations = next(o for o in every if effect.why_not(o) is None)
         coefficients = effect.coefficients_for(observations, assumed[name].shape)
         before = now.information(name)
-        if len(coefficients) > _MANY:
+        if len(coefficients) > _MOST_COEFFICIENTS:
             continue
         best: tuple[float, Option, int] | None = None
         for option, sensed in seen:
@@ -201,7 +201,7 @@ def visibilities(
 
 # Cosines closer than this, or below the other, are equally good: the quicker measurement is proposed.
 _EQUAL, _DIFFERENT = 0.05, 0.4
-_NOTHING = "none of the further measurements that were considered distinguishes them"
+_NONE_DISTINGUISHES = "none of the further measurements that were considered distinguishes them"
 
 
 @single_blas()
@@ -264,7 +264,7 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
         if all(name in sensed.place for name in group)
     ]
     found = Separation(
-        kind=None, measure=_NOTHING, effects=group,
+        kind=None, measure=_NONE_DISTINGUISHES, effects=group,
         cosine_before=before, cosine_after=before, apart_before=apart, apart_after=apart,
     )  # fmt: skip
     if not tries:

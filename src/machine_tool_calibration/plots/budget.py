@@ -23,7 +23,7 @@ __all__ = ["draw_budget"]
 # Contributors with a colour of their own, and quantities below each other.
 _MOST_COLORS, _MOST_BARS = 6, 24
 # Share below which a contributor is one of all others, and number that is shown as next to nothing.
-_LEAST_SHARE, _LEAST = 0.001, 1e-3
+_LEAST_SHARE, _LEAST_NUMBER = 0.001, 1e-3
 _HEIGHT = 0.7
 
 
@@ -57,7 +57,7 @@ def _contributions(panel: Axes, budget: Budget, one: Sum) -> None:
     shown = factor * np.nan_to_num(np.array(values))
     panel.barh(place, shown, color=colors)
     for y, value in zip(place, shown, strict=True):
-        text = f"{value:.3g}" if value >= _LEAST else f"< {_LEAST:g}"
+        text = f"{value:.3g}" if value >= _LEAST_NUMBER else f"< {_LEAST_NUMBER:g}"
         panel.annotate(text, (value, y), (3, 0), textcoords="offset points", va="center", fontsize="x-small")
     panel.set_yticks(place, names, fontsize="small")
     panel.invert_yaxis()

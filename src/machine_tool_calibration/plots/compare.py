@@ -12,6 +12,7 @@ import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import (
+    SAME_PICTURE,
     arrow_scale,
     color,
     draw_arrows,
@@ -42,8 +43,6 @@ __all__ = [
 _PANELS = 6
 # Setups that a legend names.
 _LISTED = 24
-# Correlation above which two covariates make the same picture.
-_SAME = 0.97
 
 
 def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
@@ -87,7 +86,7 @@ def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     values = {name: pd.Series(own) for name, own in comparison.covariates.items()}
     out: list[str] = []
     for name, _ in comparison.ranked:
-        if not any(abs(values[name].corr(values[other], min_periods=3)) >= _SAME for other in out):
+        if not any(abs(values[name].corr(values[other], min_periods=3)) >= SAME_PICTURE for other in out):
             out.append(name)
     return out[:most]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_compensation"]
 
 # Positions that differ by less are one, m; range of an axis that is worth a column, m.
-_SAME, _EXTENT = 1e-6, 1e-4
+_SAME_POSITION, _EXTENT = 1e-6, 1e-4
 # Share of an axis by which the marks of before and after stand apart from the position.
 _ASIDE = 0.006
 
@@ -74,8 +74,8 @@ def _draw(panel: Axes, where: Array, before: Array, after: Array) -> None:
 
 def _band(panel: Axes, where: Array, spread: Array, *, signed: bool) -> None:
     """Twice the root mean square standard uncertainty of all points at a position."""
-    place, group = np.unique(np.round(where / _SAME), return_inverse=True)
+    place, group = np.unique(np.round(where / _SAME_POSITION), return_inverse=True)
     square = np.bincount(group.ravel(), spread**2) / np.bincount(group.ravel())
     half = 2e6 * np.sqrt(square)
     low = -half if signed else 0.0 * half
-    panel.fill_between(1e3 * _SAME * place, low, half, color=BAND, alpha=0.5, lw=0, zorder=0)
+    panel.fill_between(1e3 * _SAME_POSITION * place, low, half, color=BAND, alpha=0.5, lw=0, zorder=0)

@@ -15,6 +15,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
 from machine_tool_calibration.plots.style import new_figure, save
+from machine_tool_calibration.reports.diagnosis import ROWS_SHOWN
 from machine_tool_calibration.reports.diagnosis_document import candidate_document
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import probability, quantity
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["candidate_table", "draw_diagnosis", "save_diagnosis"]
 
-# Candidates beside those found, as many as the table of the report.
-_SHOWN = 8
 _LISTED = 8
 _MEANS = 16
 _COLUMNS = (
@@ -63,7 +62,7 @@ def _title(diagnosis: Diagnosis) -> str:
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
     """Residual without and with each candidate, and the probability that it is the cause."""
-    table = candidate_table(diagnosis, changes)[: len(diagnosis.accepted) + _SHOWN]
+    table = candidate_table(diagnosis, changes)[: len(diagnosis.accepted) + ROWS_SHOWN]
     place = np.arange(len(table))[::-1]
     before, after = 1e6 * table["rms_before"].to_numpy(), 1e6 * table["rms_after"].to_numpy()
     colors = ["tab:green" if name in diagnosis.accepted else "tab:blue" for name in table["effect"]]

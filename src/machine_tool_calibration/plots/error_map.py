@@ -108,9 +108,9 @@ def _headed(squareness: Mapping[str, tuple[float, float]]) -> str:
 
 
 # Largest error as a share of the distance between neighbours.
-_SHARE = 0.6
+_ERROR_SHARE = 0.6
 # Smallest ellipse that is seen beside its point, as a share of the map.
-_SEEN = 0.014
+_SMALLEST_ELLIPSE = 0.014
 # Room that ellipses may take beside the points, as a share of the map.
 _ROOM = 0.25
 _MOST_LAYERS = 6
@@ -304,7 +304,7 @@ def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit:
 def _larger(whole: _Map, scale: float) -> float:
     """How much larger than the errors the ellipses must be drawn to be seen beside their points."""
     typical = scale * 2 * float(np.nanmedian(whole.uncertainty[:, :2])) if whole.good.any() else 0.0
-    seen = _SEEN * float(np.ptp(whole.points[:, :2], axis=0).max(initial=0.0))
+    seen = _SMALLEST_ELLIPSE * float(np.ptp(whole.points[:, :2], axis=0).max(initial=0.0))
     return 1.0 if not typical > 0 or typical >= seen else max(round_down(2 * seen / typical), 1.0)
 
 
@@ -328,4 +328,4 @@ def _magnification(layer: _Map, whole: _Map) -> float:
     spread = float(np.ptp(layer.points[:, :2], axis=0).max(initial=0.0)) / np.sqrt(max(len(layer.points), 1))
     smallest = min(even, default=spread) or 0.1
     largest = float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0))
-    return round_down(_SHARE * smallest / largest) if largest > 0 else 1.0
+    return round_down(_ERROR_SHARE * smallest / largest) if largest > 0 else 1.0

@@ -15,6 +15,7 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots.residuals import (
+    SAME_PICTURE,
     arrow_scale,
     axis_label,
     draw_arrows,
@@ -36,10 +37,9 @@ __all__ = ["draw_gallery"]
 
 # Advantage, in share of the residuals' variance, of each column on which the effect depends by its formula.
 _OWN = 0.2
-_SAME = 0.97
 _PANELS = 2
 # Bins of the running mean: enough for the period of a screw. A displacement is read where it counts so much.
-_BINS, _SENSED = 24, 0.5
+_BINS, _LEAST_SENSITIVITY = 24, 0.5
 # Size of a picture: dots per inch, and colours.
 _DPI, _HUES = 85, 96
 
@@ -129,7 +129,7 @@ def _views(injected: Injected) -> list[_View]:
     ranked: list[tuple[float, _View]] = []
     for what, axis in ((say("picture.reading"), ""), *((say("picture.displacement_of", axis=a), a) for a in "xyz")):
         along = sensed(observations, axis) if axis else np.ones(len(observations))
-        shown = np.abs(along) > _SENSED if axis else everything
+        shown = np.abs(along) > _LEAST_SENSITIVITY if axis else everything
         # A displacement only where the effect is one of this axis, and enough readings sense it.
         if axis and (axis not in own or shown.sum() < len(observations) // 8):
             continue
@@ -142,6 +142,6 @@ def _views(injected: Injected) -> list[_View]:
     ranked.sort(key=lambda entry: -entry[0])
     out: list[_View] = []
     for _, view in ranked:
-        if all(abs(np.corrcoef(values[view.name], values[other.name])[0, 1]) < _SAME for other in out):
+        if all(abs(np.corrcoef(values[view.name], values[other.name])[0, 1]) < SAME_PICTURE for other in out):
             out.append(view)
     return out[:_PANELS]

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["draw_map_comparison"]
 
 # Largest error as a share of the size of the map.
-_SHARE = 0.12
-_STILL = 1e-6  # m
+_ERROR_SHARE = 0.12
+_NO_EXTENT = 1e-6  # m
 
 
 def draw_map_comparison(comparison: MapComparison) -> Figure:
@@ -83,7 +83,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
     both = [1e3 * values[:, pick] for values in (comparison.first, comparison.second)]
     largest = 1e-3 * float(np.nanmax(np.abs(both), initial=0.0))
     extent = 1e-3 * float(np.ptp(nominal, axis=0).max())
-    scale = magnification(largest, extent, _SHARE)
+    scale = magnification(largest, extent, _ERROR_SHARE)
     panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label=say("picture.commanded"))
     drawn = [nominal]
     for k, (values, label) in enumerate(zip(both, comparison.labels, strict=True)):
@@ -103,7 +103,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> No
 
 def _profiles(panel: Axes, comparison: MapComparison, axis: int) -> None:
     moved = np.ptp(comparison.points, axis=0)
-    along = axis if moved[axis] > _STILL else int(np.argmax(moved))
+    along = axis if moved[axis] > _NO_EXTENT else int(np.argmax(moved))
     where: Array = 1e3 * comparison.points[:, along]
     order = np.argsort(where, kind="stable")
     pairs = ((comparison.first, comparison.u_first), (comparison.second, comparison.u_second))

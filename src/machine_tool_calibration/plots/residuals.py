@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "SAME_PICTURE",
     "arrow_scale",
     "axis_label",
     "color",
@@ -39,6 +40,8 @@ _WIDE = 0.3
 # The same share up to which readings lie on a line.
 _THIN = 0.01
 _DEGREES = 180.0 / np.pi
+SAME_PICTURE = 0.97
+"""Correlation from which two covariates make the same picture."""
 # Covariates for people, and the factor from SI.
 _LABELS = {
     **{name: (f"{name}, mm", 1e3) for name in "xyz"},

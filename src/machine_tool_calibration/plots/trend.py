@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 __all__ = ["draw_trend"]
 
 # Numbers that are drawn, in the order of the table, and panels beside each other.
-_MOST, _ACROSS = 12, 3
+_MOST_DRAWN, _ACROSS = 12, 3
 
 
 def draw_trend(trend: Trend) -> Figure:
     """Each number over time with U (k = 2), a colour for each instrument; what changed first, when it began shaded."""
-    shown = trend.courses[:_MOST]
+    shown = trend.courses[:_MOST_DRAWN]
     across = min(_ACROSS, len(shown))
     down = -(-len(shown) // across)
     figure = new_figure(1.0 + 3.8 * across, 1.2 + 2.4 * down, say("trend.picture", machine=trend.machine))

@@ -113,7 +113,7 @@ def brake(current: Move, time: float, limits: Mapping[str, AxisLimits]) -> Move:
     return Move(here, end, duration, duration, 2.0 / duration)
 
 
-_STILL = 1e-12  # s; two ends closer than this are one
+_SAME_TIME = 1e-12  # s; two ends closer than this are one
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Trajectory:
 
     def _at(self, time: float) -> tuple[float, Move]:
         for begin, part in reversed(self.moves):
-            if time >= begin - _STILL:
+            if time >= begin - _SAME_TIME:
                 return time - begin, part
         return time, self.moves[0][1]
 

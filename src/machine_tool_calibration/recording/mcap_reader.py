@@ -41,7 +41,7 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _IS_MESSAGE = int(Opcode.MESSAGE)  # what is compared for every message
 _REGISTRATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
-_LARGEST = 256 << 20  # bytes of a record, or of a chunk that is unpacked
+_LARGEST_RECORD = 256 << 20  # bytes of a record, or of a chunk that is unpacked
 _FOOTER = _HEAD.size + 20 + len(MAGIC)  # bytes
 _DEFINITIONS = 16 << 20  # bytes of message definitions that are kept
 
@@ -89,7 +89,7 @@ def records(
             raise UnfinishedError(
                 f"{path}: the record at byte {offset} is cut short; `mtcal recover` saves what stands before it"
             )
-        if opcode == 0 or length > _LARGEST:
+        if opcode == 0 or length > _LARGEST_RECORD:
             raise RecordingError(
                 f"{path}: damaged at byte {offset}: no record begins there; `mtcal recover` saves what stands before"
             )
@@ -126,8 +126,8 @@ def unpack(path: Path, record: RawRecord, *, cut: bool = False) -> bytes:
     where = f"{path}: the chunk at byte {record.offset}"
     chunk = _parse(path, record, Chunk.read)
     size = chunk.uncompressed_size
-    if size > _LARGEST:
-        raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST >> 20} MiB are accepted")
+    if size > _LARGEST_RECORD:
+        raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST_RECORD >> 20} MiB are accepted")
     data = bytearray()
     try:
         for piece in _pieces(where, chunk):

@@ -24,7 +24,7 @@ from machine_tool_calibration.session.csv_text import write_csv
 __all__ = ["file_name", "save_table", "save_tables", "tables"]
 
 _ROWS = 50_000  # rows that are kept in memory
-_FEW = 100  # batches of samples that are in one piece anyway
+_BATCHES = 100  # batches of samples that are in one piece anyway
 _DEPTH = 8
 
 
@@ -45,7 +45,7 @@ def tables(bag: BagReader, topic: Topic, seen: Callable[[int], object] = lambda 
     """
     flatten = {JOINT_STATE: _joint_state, NUMBERS: _numbers}.get(topic.type, _any)
     rows: list[dict[str, Any]] = []
-    few = {JOINT_STATE: _ROWS, NUMBERS: _FEW}.get(topic.type, 0)
+    few = {JOINT_STATE: _ROWS, NUMBERS: _BATCHES}.get(topic.type, 0)
     columns = _all_columns(bag, topic) if topic.messages > few else []
     for number, message in enumerate(bag.messages([topic.name]), 1):
         rows += flatten(bag, message)

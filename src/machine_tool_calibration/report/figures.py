@@ -51,7 +51,7 @@ _DPI = 150
 # Pictures of a method with a caption of their own.
 _CAPTIONS = ("error_map", "map", "stations", "arrangement", "probing")
 # Share of the drawing in space's size that the largest error takes, and points beyond which a browser is slow.
-_LENGTH, _MOST = 0.08, 20000
+_LENGTH, _MOST_POINTS = 0.08, 20000
 _GRAY = f"rgb({', '.join([str(round(255 * float(NOMINAL)))] * 3)})"
 # Panels of residuals over covariates.
 _PANELS = 4
@@ -254,7 +254,7 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
     known = np.isfinite(error).any(axis=1)
     place, error, u = place[known], np.nan_to_num(error[known]), u[known]
     size = np.linalg.norm(error, axis=1)
-    if not 2 < len(place) <= _MOST or (np.ptp(place, axis=0) > 1e-6).sum() < 2 or not size.max() > 0.0:
+    if not 2 < len(place) <= _MOST_POINTS or (np.ptp(place, axis=0) > 1e-6).sum() < 2 or not size.max() > 0.0:
         return None
     scale = round_down(_LENGTH * float(np.ptp(place, axis=0).max()) / float(size.max()))
     found = place + scale * error

@@ -33,7 +33,7 @@ _LEAST_NAMED = 1.0  # %
 # Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
 _USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")
 # Degrees of freedom above which k is 2 to three figures.
-_MANY = 1000
+_MOST_FREEDOM = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 
@@ -155,7 +155,7 @@ def _part(one: Sum, k: int) -> str:
 
 
 def _freedom(value: float) -> str:
-    text = "∞" if math.isinf(value) else f"{value:.0f}" if value <= _MANY else f"> {_MANY}"
+    text = "∞" if math.isinf(value) else f"{value:.0f}" if value <= _MOST_FREEDOM else f"> {_MOST_FREEDOM}"
     return f"{text:>6}"
 
 

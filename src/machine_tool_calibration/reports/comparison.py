@@ -145,11 +145,11 @@ def comparison_document(comparison: Comparison | JointComparison) -> dict[str, A
 
 _Row = dict[str, Any]
 _MICRO, _HOUR = 1e6, 3600.0
-_MOST = 8
+_MOST_GROUPS = 8  # of covariates in the table
 # Correlation from which two covariates changed together, so that a line over one is a line over the other.
 _TOGETHER = 0.9
 # p-value above which a line says nothing, and how many are shown all the same.
-_NOTHING, _LEAST = 0.05, 1
+_SAYS_NOTHING, _FEWEST_GROUPS = 0.05, 1
 _MOST_PARTS, _MOST_LABELS, _MOST_REGIONS = 12, 5, 3
 # Names and factors of positions for people.
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.0 / np.pi)}
@@ -290,8 +290,8 @@ def _overall(comparison: Comparison | JointComparison) -> TextTable:
 
 def _trends(comparison: Comparison) -> TextTable:
     groups = _correlated_groups(comparison)
-    clear = [group for group in groups if (group[0]["p_value"] or 0.0) < _NOTHING]
-    shown = (clear or groups[:_LEAST])[:_MOST]
+    clear = [group for group in groups if (group[0]["p_value"] or 0.0) < _SAYS_NOTHING]
+    shown = (clear or groups[:_FEWEST_GROUPS])[:_MOST_GROUPS]
     rows = [
         first | {"over": first["covariate"], "correlated": ", ".join(sorted(others, key=lambda name: name != "time"))}
         for first, others in ((first, [row["covariate"] for row in others]) for first, *others in shown)

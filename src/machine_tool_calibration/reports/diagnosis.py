@@ -18,6 +18,7 @@ from machine_tool_calibration.planning.what_to_measure import Advice, alias_grou
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import (
+    MOST_NAMED,
     duration,
     micrometres,
     probability,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.planning.what_to_measure import Conclusions
 
 __all__ = [
+    "ROWS_SHOWN",
     "Report",
     "diagnosis_parts",
     "diagnosis_report",
@@ -108,9 +110,9 @@ def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
     return {f.name: f.candidate.effect for f in diagnosis.search.findings if f.candidate.effect is not None}
 
 
-_SHOWN = 8
-_FEW = 3
-_MANY = 3
+ROWS_SHOWN = 8
+"""Candidates, or forms of the residuals, in a table for people."""
+_MOST_OTHERS = 3  # effects beside those found
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class Report:
 
 
 def diagnosis_report(
-    diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence], shown: int = _SHOWN
+    diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence], shown: int = ROWS_SHOWN
 ) -> Report:
     """The diagnosis in words and tables.
 
@@ -233,8 +235,8 @@ def _structure(diagnosis: Diagnosis) -> TextTable:
     left = diagnosis.search.left
     return table(
         say("found.structure"),
-        left[:_SHOWN],
-        say("text.more", n=len(left) - _SHOWN) if len(left) > _SHOWN else "",
+        left[:ROWS_SHOWN],
+        say("text.more", n=len(left) - ROWS_SHOWN) if len(left) > ROWS_SHOWN else "",
         covariate=lambda one: one.covariate,
         shape=lambda one: one.shape,
         p_value=lambda one: probability(one.p_value),
@@ -288,7 +290,7 @@ def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, 
     text: str
     if not seen:
         text = say("found.none_occurs")
-    elif len(sizes) <= _MANY:
+    elif len(sizes) <= MOST_NAMED:
         text = ", ".join(f"{name}: {quantity(value, known[name].unit)}" for name, value in seen.items())
     else:
         ends = range_of(min(seen.values()), max(seen.values()), first.unit)
@@ -323,7 +325,7 @@ def _brief(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTabl
     """The effects found and what may be there instead, or the most probable ones where none is sure."""
     ranked = [finding for finding in diagnosis.ranked if finding.rank]
     own = [finding for finding in ranked if finding.name in diagnosis.accepted]
-    others = [finding for finding in ranked if finding not in own][:_FEW]
+    others = [finding for finding in ranked if finding not in own][:_MOST_OTHERS]
     likely = [finding for finding in others if finding.probability > AS_GOOD]
     title = "looked_for" if not own else "found_and" if likely else "found"
     return table(

@@ -22,7 +22,7 @@ from machine_tool_calibration.residuals.pool import Pool
 __all__ = ["candidate_document", "diagnosis_document", "screened_sizes", "smallest_sizes"]
 
 # Probability from which a set of effects is told.
-_TOLD = 0.01
+_LEAST_PROBABILITY = 0.01
 # Multiple of the largest size that occurs beyond which an effect counts as not detectable.
 _BEYOND = 10.0
 
@@ -60,7 +60,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
-        "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _TOLD],
+        "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _LEAST_PROBABILITY],
         "fit": {
             "before": _fit(diagnosis.fits[0]),
             "after": _fit(diagnosis.fits[-1]),

@@ -18,7 +18,7 @@ from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.session.defects import first_defect
-from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "update_history"]
 
 HISTORY_FILE = "history.yaml"
-_LARGEST = 64 << 20
 # Of a file's name that names several sessions, bytes: file systems allow 255.
 _LONGEST_NAME, _SHORT_NAME = 200, 40
 _HEAD = "# Models tried by `mtcal improve`; `mtcal history` lists, compares and undoes them.\n"
@@ -89,7 +88,7 @@ def read_history(path: Path) -> History:
     """
     if not path.exists():
         return History()
-    document = load_yaml(read_text(path, _LARGEST), str(path))
+    document = load_yaml(read_text(path, LARGEST_TABLE), str(path))
     if not isinstance(document.value, dict):
         raise SessionError(f"{path}: is no history of models; move it away to start a new one")
     try:

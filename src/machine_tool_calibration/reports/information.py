@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
-_SMALL = 1e-3
+_LARGEST_DEVIATION = 1e-3
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}
 _ANGLES = ("a", "b", "c", "azimuth", "elevation")
 
@@ -150,7 +150,7 @@ def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
         unit, factor = "hPa", 0.01
     elif column.name == "relative_humidity":
         unit, factor = "%", 100.0
-    elif column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _SMALL:
+    elif column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _LARGEST_DEVIATION:
         unit, factor = "µm", 1e6
     low, high = (("" if value is None else f"{value * factor:.6g}") for value in (column.low, column.high))
     return named("column", column.name), low, high, unit, str(column.missing or "")

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.description import DeclaredUncertainty, StandardUncertainty
 
 __all__ = [
+    "MOST_NAMED",
     "NOT_DETERMINED",
+    "ROUNDING",
     "as_exact",
     "decimals",
     "declared_words",
@@ -46,12 +48,12 @@ __all__ = [
 # What stands where the data leaves no number.
 NOT_DETERMINED = "–"
 _MOST_PLACES = 6
-# Length that is nothing, m, however many figures the computer has of it.
-_NOTHING = 1e-12
+ROUNDING = 1e-12
+"""Length or angle that is nothing, m or rad, however many figures the computer has of it."""
 # Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
-# Coefficients of an effect beyond which only one is shown.
-_MANY = 3
+MOST_NAMED = 3
+"""Coefficients of an effect, or setups, of which each is named in a sentence; of more, one or their range."""
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.
 _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "1": ((1e-3, 1.0, ""), (0.0, 1e6, "µm/m")),
@@ -126,7 +128,7 @@ def micrometres(metres: float | None, *, signed: bool = False) -> str:
     """Length in micrometres (or angle in microradians) without the unit, for a table; a dash if it is not known."""
     if metres is None or not math.isfinite(metres):
         return NOT_DETERMINED
-    if abs(metres) < _NOTHING:
+    if abs(metres) < ROUNDING:
         return "0"
     return f"{'+' if signed and metres > 0 else ''}{rounded(1e6 * metres)}"
 
@@ -189,7 +191,7 @@ def sizes_in_words(parameters: Sequence[Estimate], none: str = NOT_DETERMINED) -
     if not parameters:
         return none
     shown = list(parameters)
-    if len(shown) > _MANY:
+    if len(shown) > MOST_NAMED:
         shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
     text = ", ".join(f"{p.name.split('.', 1)[-1]} = {quantity(p.value, p.unit, p.standard_uncertainty)}" for p in shown)
     return text if len(shown) == len(parameters) else say("text.coefficients", n=len(parameters), one=text)
@@ -226,8 +228,8 @@ def declared_words(said: StandardUncertainty) -> str:
         return say("result.of_path", size=size, slope=quantity(entry.per_length, "1")) if entry.per_length else size
 
     own = [say("result.setup_declared", name=name, size=one(entry)) for name, entry in said.setups.items()]
-    more = [say("text.more_setups", n=len(own) - _MANY)] if len(own) > _MANY else []
-    return together((one(said), *own[:_MANY], *more), "; ")
+    more = [say("text.more_setups", n=len(own) - MOST_NAMED)] if len(own) > MOST_NAMED else []
+    return together((one(said), *own[:MOST_NAMED], *more), "; ")
 
 
 def plus_minus(value: float | None, uncertainty: float | None, factor: float) -> str:

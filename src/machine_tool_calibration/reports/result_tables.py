@@ -26,8 +26,8 @@ __all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "tidy", 
 
 
 # Decimals of a place, mm or degrees, and of what has no uncertainty; U below which it has none, um or urad.
-_PLACES = 6
-_NOTHING = 1e-6
+_DECIMALS = 6
+_NO_UNCERTAINTY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -222,12 +222,12 @@ def in_shop_units(table: pd.DataFrame) -> pd.DataFrame:
     out["position"] = np.where(turned, np.degrees(table["position"]), 1e3 * table["position"])
     out["position_unit"] = table["position_unit"].replace({"rad": "deg", "m": "mm"})
     for name in (name for name in ("x", "y", "z") if name in table):
-        out[name] = (1e3 * table[name]).round(_PLACES)
+        out[name] = (1e3 * table[name]).round(_DECIMALS)
     for name in (name for name in ("a", "b", "c") if name in table):
-        out[name] = np.degrees(table[name]).round(_PLACES)
-    out["position"] = out["position"].astype(float).round(_PLACES)
+        out[name] = np.degrees(table[name]).round(_DECIMALS)
+    out["position"] = out["position"].astype(float).round(_DECIMALS)
     for k, U in enumerate(1e6 * table["U"]):
-        places = decimals(U) if U > _NOTHING else _PLACES
+        places = decimals(U) if U > _NO_UNCERTAINTY else _DECIMALS
         for name, more in (("value", 0), ("u", 1), ("U", 0)):
             out.loc[out.index[k], name] = round(1e6 * table[name].iloc[k], places + more)
     out["unit"] = "u" + table["unit"]

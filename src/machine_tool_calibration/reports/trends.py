@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["check_remarks", "check_table", "check_verdict", "entries_table", "trend_table", "trend_words"]
 
 # Figures of a hash that text shows, and changes that one line names.
-_SHORT, _MOST = 12, 3
+_SHORT, _MOST_CHANGES = 12, 3
 
 
 def entries_table(entries: Sequence[Entry]) -> TextTable:
@@ -63,12 +63,12 @@ def check_verdict(check: Check) -> str:
     # Position errors are made of the others: they are named only where none of these is found.
     moved = [one for one in check.moved if one.name != POSITION_ERROR] or list(check.moved)
     told = []
-    for one in moved[:_MOST]:
+    for one in moved[:_MOST_CHANGES]:
         size, where = quantity(one.change, one.unit, one.u), _where(one)
         key = "check.changed_at" if where else "check.changed"
         told.append(say(key, name=_name(one), size=size, **({"where": where} if where else {})))
-    if len(moved) > _MOST:
-        told.append(say("check.more", n=len(moved) - _MOST))
+    if len(moved) > _MOST_CHANGES:
+        told.append(say("check.more", n=len(moved) - _MOST_CHANGES))
     return say("check.fails", what=enumeration(told))
 
 

@@ -16,6 +16,7 @@ from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import fits, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
+    MOST_NAMED,
     p_value,
     probability,
     quantity,
@@ -40,7 +41,6 @@ __all__ = [
     "verdict_words",
 ]
 
-_MANY = 3
 # Standard uncertainties between confounded effects from which it is said how far apart they are.
 _APART = 6.0
 AS_GOOD = 0.1
@@ -211,7 +211,7 @@ def _as_good(diagnosis: Diagnosis, separation: Separation) -> bool:
 
 def _changed(change: Consequence) -> Iterator[Said]:
     """How large an effect is, and what changes with it in the model."""
-    if 0 < len(change.parameters) <= _MANY:
+    if 0 < len(change.parameters) <= MOST_NAMED:
         yield say("diagnosis.size", sizes=sizes_in_words(change.parameters))
     elif change.parameters:
         yield say("diagnosis.many_sizes", n=len(change.parameters))

@@ -35,7 +35,7 @@ LOOKED_AT = 2000
 # Scatter over the declared uncertainty below which it is rounding; share of itself in a residual that is rounding.
 _ROUNDING, _UNSEEN = 0.01, 1e-6
 # Readings whose sets are all compared, at most, and sets of as many readings that are compared: what takes 0.1 s.
-_FEW, _SETS = 24, 1000
+_MOST_READINGS, _SETS = 24, 1000
 ROUNDS = 8
 """Rounds in one model, and models made anew without what was set aside: the set stays after two or three."""
 TOGETHER, COMPARED = 800, 4e7
@@ -241,7 +241,9 @@ def groups_of_points(part: Part) -> list[IntArray]:
         return []
     point = part.point_of_reading()
     order = np.argsort(point, kind="stable")
-    return [mine for mine in np.split(order, np.flatnonzero(np.diff(point[order])) + 1) if 1 < len(mine) <= _FEW]
+    return [
+        mine for mine in np.split(order, np.flatnonzero(np.diff(point[order])) + 1) if 1 < len(mine) <= _MOST_READINGS
+    ]
 
 
 def groups_of_unknowns(part: Part, start: tuple[Array, Array], size: int) -> list[IntArray]:
@@ -263,9 +265,9 @@ def groups_of_unknowns(part: Part, start: tuple[Array, Array], size: int) -> lis
     count = sees.sum(axis=0)
     name = np.arange(part.n_readings)
     for unknown in np.argsort(count, kind="stable"):
-        if 1 < count[unknown] <= _FEW:
+        if 1 < count[unknown] <= _MOST_READINGS:
             joined = np.isin(name, name[sees[:, unknown]])
-            if joined.sum() <= _FEW:
+            if joined.sum() <= _MOST_READINGS:
                 name[joined] = name[joined][0]
     every, size_of = np.unique(name, return_counts=True)
     return [np.flatnonzero(name == one) for one in every[size_of > 1]]

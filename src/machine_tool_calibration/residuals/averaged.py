@@ -9,6 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -17,7 +18,6 @@ __all__ = ["mean_places"]
 
 # Chance from which places differ more than their repeats do.
 _DIFFER = 1e-3
-_STILL = 1e-6  # m
 
 
 def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
@@ -35,7 +35,7 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     """
     observations = fit.model.observations
     session, readings = observations.session, observations.readings
-    if not spec_of(session).reads_machine or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
+    if not spec_of(session).reads_machine or (np.ptp(observations.position, axis=0) > SAME_POSITION).sum() < 2:
         return None
     place = observations.place
     count = np.bincount(place)

@@ -14,7 +14,7 @@ from machine_tool_calibration.session.catalogue import spec_of
 __all__ = ["bins", "covariates", "rank_covariates", "sensed"]
 
 _AXES = "xyzc"
-_SENSED = 1e-6
+_LEAST_SENSITIVITY = 1e-6  # m/m (C: m/rad)
 _BINS = 8
 
 
@@ -39,7 +39,7 @@ def covariates(observations: Observations) -> dict[str, Array]:
     for axis in _AXES:
         approach = readings.columns.get(f"dir_{axis}")
         along = sensed(observations, axis)
-        if approach is not None and np.ptp(along) > _SENSED:
+        if approach is not None and np.ptp(along) > _LEAST_SENSITIVITY:
             out[f"dir_{axis} along {axis}"] = approach * along
     return {name: values for name, values in out.items() if _varies(values)}
 

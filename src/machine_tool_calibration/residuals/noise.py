@@ -16,9 +16,9 @@ __all__ = ["FEWEST_REPEATS", "Noise", "noise_of"]
 
 # Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
 FEWEST_REPEATS = 8
-_PLACES = 1500
+_MOST_PLACES = 1500
 # Share of the range of the readings below which two of them are the same but for the computer's rounding.
-_SAME = 1e-9
+_SAME_READING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def noise_of(fit: Fit) -> Noise:
     count = np.bincount(place)
     free = int((count - 1).sum())
     declared = rms(fit.model.sigma)
-    if free < FEWEST_REPEATS or len(count) > _PLACES:
+    if free < FEWEST_REPEATS or len(count) > _MOST_PLACES:
         return Noise(declared, None, free, fit.joint.p_value, None)
     spread = [family.columns() * declared for family in reproducibility(fit.model.observations)]
     # Of every place, of one reading too, so that what no model explains there does not pass for noise; where so few
@@ -83,7 +83,7 @@ def _rounded_to(fit: Fit) -> float:
     values = fit.model.observations.readings.displacement
     values = np.sort(values[np.isfinite(values)])
     steps = np.diff(values)
-    steps = steps[steps > _SAME * np.ptp(values)] if len(values) else steps
+    steps = steps[steps > _SAME_READING * np.ptp(values)] if len(values) else steps
     return float(steps.min(initial=np.inf)) if len(steps) else 0.0
 
 

@@ -22,7 +22,7 @@ from machine_tool_calibration.model.reproducibility import reproducibility
 __all__ = ["RANDOM", "Pool"]
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
-_SHOWN = 0.3
+_LEAST_SIGNAL = 0.3
 
 RANDOM = "random functions"
 """Name of the family of the model's own unknowns that are random functions."""
@@ -189,5 +189,5 @@ def _shown(columns: Array, sigma: Array) -> Array:
         sigma: (n,) what a reading must exceed, per unit of the coefficients.
     """
     _, size, readings = np.linalg.svd(columns / sigma, full_matrices=False)
-    kept = size > _SHOWN
+    kept = size > _LEAST_SIGNAL
     return np.asarray(size[kept, None] * readings[kept] * sigma)

@@ -33,7 +33,7 @@ itself does not need it.
 
 _BLOCK = 4096  # readings
 _SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
-_MOST = 10_000_000  # readings of a session
+_MOST_READINGS = 10_000_000  # readings of a session
 
 
 class Collector:
@@ -150,7 +150,7 @@ class Received:
         """
         columns = dict(zip(reading.names, reading.values, strict=True))
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
-        if not (math.isnan(index) or (0 <= index < _MOST and index == int(index))):
+        if not (math.isnan(index) or (0 <= index < _MOST_READINGS and index == int(index))):
             raise SessionError(f"{READING_INDEX} is {index:g}")
         origin, forgotten = self._origin, 0
         if math.isfinite(time):

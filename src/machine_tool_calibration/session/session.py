@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
 
 __all__ = [
+    "ENOUGH_TO_DIFFER",
     "Readings",
     "Session",
     "assemble",
@@ -172,15 +173,15 @@ def distinct_labels(names: Sequence[str]) -> list[str]:
     return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
-# Readings of which as many hardly ever come out the same again, however coarse the instrument's steps are.
-_FEW = 8
+ENOUGH_TO_DIFFER = 8
+"""Readings of which as many hardly ever come out the same, however coarse the instrument's steps are."""
 
 
 def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
     """Refuse (SessionError) a measurement that is given twice: its readings would count as independent ones."""
     named = zip(labels, (session.readings for session in sessions), strict=True)
     for (one, first), (other, second) in itertools.combinations(named, 2):
-        if len(first) >= _FEW and _are_same(first, second):
+        if len(first) >= ENOUGH_TO_DIFFER and _are_same(first, second):
             raise SessionError(f"{one} and {other} are the same readings; give each measurement once")
 
 
@@ -209,12 +210,12 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
 
 
 # Values from which hashing saves more than pandas takes to be imported.
-_MANY = 1_000_000
+_PANDAS_VALUES = 1_000_000
 
 
 def _numbered(code: IntArray) -> IntArray:
     """Number of each value, in the order in which values come first."""
-    if len(code) > _MANY:
+    if len(code) > _PANDAS_VALUES:
         import pandas as pd
 
         return np.asarray(pd.factorize(code)[0], dtype=np.int64)

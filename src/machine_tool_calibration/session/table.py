@@ -190,7 +190,7 @@ NUMERIC_COLUMNS = (
 _MISSING = ["", "nan", "NaN", "NAN", "Nan"]
 _LONGEST_LABEL = 256
 # Rows from which pandas is faster, its import included.
-_MANY = 20_000
+_PANDAS_ROWS = 20_000
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def read_table(path: Path) -> Table:
         SessionError: as `scan_csv`, or a field that is not a finite number in a column that must hold them.
     """
     layout = scan_csv(path)
-    read = _by_pandas if layout.rows > _MANY else _by_rows
+    read = _by_pandas if layout.rows > _PANDAS_ROWS else _by_rows
     numbers: dict[str, Array] = {}
     labels: dict[str, np.ndarray] = {}
     for name, column in read(path, layout):

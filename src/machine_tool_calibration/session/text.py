@@ -8,10 +8,12 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["LARGEST", "decoded", "read_bytes", "read_text", "reject_foreign_encoding"]
+__all__ = ["LARGEST", "LARGEST_TABLE", "decoded", "read_bytes", "read_text", "reject_foreign_encoding"]
 
 LARGEST = 16 << 20
 """Bytes of a description that are accepted."""
+LARGEST_TABLE = 64 << 20
+"""Bytes of a file with many points or records that are accepted."""
 
 _FOREIGN = {
     codecs.BOM_UTF32_LE: "UTF-32",

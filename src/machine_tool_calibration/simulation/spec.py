@@ -26,7 +26,7 @@ __all__ = [
 
 
 # Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.
-_LARGEST = 1e-3
+_LARGEST_ERROR = 1e-3
 # How many times its typical size an effect may have.
 _TIMES = 1e4
 
@@ -38,7 +38,7 @@ def refuse_implausible(spec: SimulationSpec) -> None:
         CalibrationError: the first of them, with what may have been meant.
     """
     for name, value in _lengths(spec):
-        if abs(value) > _LARGEST:
+        if abs(value) > _LARGEST_ERROR:
             meant = f"did you mean {value * 1e-6:.3g}, which is {value:.3g} µm?"
             raise CalibrationError(f"{name}: {value:g} m is implausible; lengths are in metres: {meant}")
     for effect in spec.effects:

@@ -33,7 +33,7 @@ SESSIONS = 5
 # Median of the square of a standard normal number.
 _MEDIAN = 0.4549
 # Positions that are one, m or rad.
-_SAME = 1e-9
+_SAME_POSITION = 1e-9
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def _common(one: Part, two: Part) -> tuple[IntArray, IntArray] | None:
     """Which values of two parts are of the same positions."""
     if one.at is None or two.at is None:
         return None if one.at is not two.at else (np.arange(1), np.arange(1))
-    near = np.abs(one.at[:, None] - two.at) < _SAME
+    near = np.abs(one.at[:, None] - two.at) < _SAME_POSITION
     first = np.flatnonzero(near.any(axis=1))
     return (first, near[first].argmax(axis=1)) if len(first) else None
 

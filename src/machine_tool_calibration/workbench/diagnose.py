@@ -42,7 +42,7 @@ _HOVER = [
 # The pattern lies over residuals in all colours of setups.
 _PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 # Effects of the bars.
-_SHOWN = 12
+_BARS = 12
 
 
 class DiagnosePage:
@@ -145,7 +145,7 @@ class DiagnosePage:
         self._words.object = f"<b>{paragraphs(report.words[:1])}</b>"
         self._more.object = paragraphs((*report.words[1:], *report.forecast))
         self._tables.object = tables((*report.tables, *report.details))
-        ranked = [finding for finding in found.ranked if finding.rank][:_SHOWN]
+        ranked = [finding for finding in found.ranked if finding.rank][:_BARS]
         names = [finding.name for finding in ranked]
         self._ranking.y_range.factors = names[::-1]
         self._bars.data = {

@@ -44,7 +44,7 @@ _GOLDEN = 0.618034  # its multiples are spread most evenly
 _SLOW = 2.0  # s; a calculation that takes longer is told of
 _LONG = 1e-3  # m; displacements beyond are shown in millimetres
 # What is told of a node beside its message.
-_TOLD = {
+_NODE_ENTRIES = {
     "procedure": ("state", "setup", "repeat"),
     "estimator": ("readings", "missing", "step"),
     "recorder": ("messages", "lost", "bag"),
@@ -381,7 +381,11 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
             mark, color, word = *_SILENT, f"silent for {silent:.0f} s"
         else:
             mark, color, word = _LEVELS[min(one.level, 2)]
-        told = [f"{key} {one.entries[key]}{_UNITS.get(key, '')}" for key in _TOLD.get(one.kind, ()) if _says(one, key)]
+        told = [
+            f"{key} {one.entries[key]}{_UNITS.get(key, '')}"
+            for key in _NODE_ENTRIES.get(one.kind, ())
+            if _says(one, key)
+        ]
         if _says(one, "ignored"):
             told.append(f"{one.entries['ignored']} messages ignored ({one.entries.get('ignored_last', '')})")
         more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""

@@ -35,8 +35,8 @@ __all__ = ["Feed", "LiveMap"]
 
 _EVERY = 3.0  # s from the end of one calculation to the next
 # Readings from which the map takes gigabytes: it is calculated in another process, which gives them back.
-_MANY = 5000
-_SHARE = 10.0  # of the time that one takes: the page is not to be kept waiting by large sessions
+_READINGS_APART = 5000
+_PAUSE_RATIO = 10.0  # of the time that one takes: the page is not to be kept waiting by large sessions
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ class Feed:
         begin, run, published = time.monotonic(), self.heard.count[0], self.heard.published.number
         try:
             asked = _session(*self.heard.session()), self._variant, self._own
-            if len(asked[0].readings) > _MANY:
+            if len(asked[0].readings) > _READINGS_APART:
                 found = Calculation(partial(_calculated, *asked)).outcome(lambda what, share: None)
             else:
                 found = LiveMap.of_session(*asked)
@@ -242,7 +242,7 @@ class Feed:
             self.why_not = f"unexpected {error!r} (a fault of mtcal itself; the terminal shows where it comes from)"
             logging.getLogger(__name__).error("a fault of the live map", exc_info=error)
         end = time.monotonic()
-        self._due = end + max(_EVERY, _SHARE * (end - begin))
+        self._due = end + max(_EVERY, _PAUSE_RATIO * (end - begin))
         self._working, self.calculating = None, (0.0, 0)
 
     def _show(self, found: LiveMap | None) -> None:

@@ -27,7 +27,7 @@ __all__ = ["quieten", "serve"]
 
 _HERE = "127.0.0.1"
 # Panel keeps a page that was closed for a while; a window's work is not needed after a lost connection's time.
-_KEPT = 60_000  # ms
+_SESSION_LIFETIME = 60_000  # ms
 _HEADERS = {
     # Scripts stand in Bokeh's page, and Panel makes functions of texts; all comes from here, and into no other's frame.
     "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
@@ -97,7 +97,7 @@ def serve(
         address=_HERE,
         title=" · ".join([*(target.absolute().name for target in targets), "mtcal workbench"]),
         prefix=token,
-        unused_session_lifetime_milliseconds=_KEPT,
+        unused_session_lifetime_milliseconds=_SESSION_LIFETIME,
         use_index=False,
         extra_patterns=PATTERNS,
         ico_path="none",

@@ -23,15 +23,15 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Block", "Point", "Table", "columns_of", "gram_of", "table"]
+__all__ = ["NUMBERS_AT_ONCE", "Block", "Point", "Table", "columns_of", "gram_of", "table"]
 
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
 _NEVER = 1e-280
 # Normal deviates beyond which all are alike.
 _FAR = 1e8
-# Numbers that are worked on at once.
-_AT_ONCE = 4e5
+NUMBERS_AT_ONCE = 4e5
+"""Numbers that are worked on at once."""
 # Eigenvalues of a block in units of its largest below which a direction is the model's.
 _ABSORBED = 1e-9
 # Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
@@ -179,7 +179,7 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
     for (size, _), every in alike.items():
         scales, count = _scales(gram, [blocks[k] for k in every])
         showing = np.flatnonzero(count)
-        step = max(int(_AT_ONCE / (len(tried) * size)), 1)
+        step = max(int(NUMBERS_AT_ONCE / (len(tried) * size)), 1)
         for rows in (showing[first : first + step] for first in range(0, len(showing), step)):
             mine = [every[row] for row in rows]
             own = scales[rows, : count[rows].max()]

@@ -21,7 +21,7 @@ from machine_tool_calibration.residuals.pool import Pool
 __all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "fitted_in"]
 
 # Directions of a candidate with less than this share of its squares are the model's.
-_RANK = 1e-6
+_LEAST_OWN_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def basis_of(inner: Array) -> Array:
     # A column with next to nothing left is not blown up.
     scale = np.sqrt(np.where(_outside(inner), squares, _largest(squares)))
     values, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
-    keep = values > _RANK
+    keep = values > _LEAST_OWN_SHARE
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
 
 
@@ -119,7 +119,7 @@ def posterior_of(marginal: Marginal, block: Block, point: Point) -> tuple[Array,
 def _outside(inner: Array) -> BoolArray:
     """(k,) whether there is more than rounding of each column outside the model, given their inner products there."""
     squares = np.diag(inner)
-    return np.asarray(squares > _RANK * _largest(squares))
+    return np.asarray(squares > _LEAST_OWN_SHARE * _largest(squares))
 
 
 def _largest(squares: Array) -> float:

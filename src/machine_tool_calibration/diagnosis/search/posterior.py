@@ -29,7 +29,7 @@ _COUNTS = 0.03
 # Best sets that are grown; pairs that are grown although neither leads by itself; members at most, and where the
 # machine itself is read, which holds many small errors side by side.
 _GROWN, _PAIRS = 6, 4
-_MOST, _MOST_SIDE_BY_SIDE = 5, 14
+_MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
 # Logarithm of the odds to the best below which a set is not worth growing.
 _HOPELESS = -7.0
 # A probability of nothing.
@@ -202,7 +202,7 @@ def search(
         # Each at the point that is best beside the other.
         for k in pair:
             work.grow({k: single.best[k]})
-    most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST, _GROWN)
+    most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST_MEMBERS, _GROWN)
     done = {frozenset[int]()}
     while True:
         ranked = sorted(work.found, key=lambda key: -work.found[key][0])

@@ -33,10 +33,10 @@ __all__ = ["Prediction", "predictions"]
 # Parts into which setups and places are divided at most.
 _PARTS = 4
 # Effects that are held against readings left out: more are not distinguished that way.
-_MOST = 6
+_MOST_EFFECTS = 6
 # Variance of the noise over that declared below which the residuals are rounding.
 _LEAST_NOISE = 1e-12
-_PLACES = say("part.places")
+_BY_PLACES = say("part.places")
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Prediction:
         gains = np.array(self.log_gains)
         if gains.min() >= -priors.CONTRADICTING:
             return bool(gains.sum() < -priors.CONTRADICTING)
-        if self.what == _PLACES:
+        if self.what == _BY_PLACES:
             return bool(gains.sum() < priors.CONTRADICTING)
         return bool(gains.sum() < -priors.CONTRADICTING or 2 * int((gains < 0).sum()) >= len(gains))
 
@@ -92,7 +92,7 @@ def predictions(
         search: at all of them.
         fit_of: fits the model, without further effects, to parts of the sessions.
     """
-    names = search.accepted[:_MOST]
+    names = search.accepted[:_MOST_EFFECTS]
     if not names:
         return {}
     found = [search.of(name) for name in names]
@@ -174,7 +174,7 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
     angles = [s.readings.columns.get("c") for s in sessions]
     place = _zones(position, angles[0] if len(sessions) == 1 else None)
     if place is not None:
-        yield _PLACES, np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
+        yield _BY_PLACES, np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
     cycles = [groups(s.readings.repeat) for s in sessions]
     if max(int(part.max(initial=0)) for part in cycles) >= 1:
         yield say("part.cycles"), [part % _PARTS for part in cycles]

@@ -12,7 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
-from machine_tool_calibration.diagnosis.search.evidence import gram_of
+from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 from machine_tool_calibration.model.imperfection import scaled_values
@@ -34,7 +34,7 @@ _ENOUGH = 40
 # most; moments that are looked at for that at first, and steps by which it is looked closer.
 _MOMENTS, _CHANGES, _LOOKED_AT, _CLOSER = 24, 6, 300, 8
 # Range of a direction's component below which it is the same for all readings.
-_SAME = 1e-6
+_SAME_DIRECTION = 1e-6
 
 # Frequencies of the periodogram for each independent one, and its largest peaks that are looked at.
 _OVERSAMPLED, _PEAKS = 4, 8
@@ -44,8 +44,8 @@ _MOST_FREQUENCIES = 20000
 _BANDS = ((2.5, 12.0), (12.0, 60.0))
 # Columns that are projected at once.
 _BATCH = 120
-# Numbers that are worked on at once; sum of squares of a wave below which it is zero at all readings.
-_AT_ONCE, _NOTHING = 4e5, 1e-12
+# Sum of squares of a wave below which it is zero at all readings.
+_NO_WAVE = 1e-12
 
 
 def structure_candidates(pool: Pool) -> list[Candidate]:
@@ -117,7 +117,11 @@ def _functions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
 
 def _of_one(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
     """Functions of one covariate, and of some of them displacements."""
-    axes = [(axis, along) for axis, along in zip("xyz", observations.direction.T, strict=True) if np.ptp(along) > _SAME]
+    axes = [
+        (axis, along)
+        for axis, along in zip("xyz", observations.direction.T, strict=True)
+        if np.ptp(along) > _SAME_DIRECTION
+    ]
     for name, values in _covariates(observations).items():
         within = scaled_values(values)
         if within is None:
@@ -160,7 +164,7 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
         sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
         along = sign * direction
         # Where the direction of approach is unknown for some readings, the last is not a number.
-        if len(np.unique(sign[sign != 0])) == 2 and np.ptp(along) >= _SAME:
+        if len(np.unique(sign[sign != 0])) == 2 and np.ptp(along) >= _SAME_DIRECTION:
             for other, scaled in _positions(observations).items():
                 both = say("shape.axes", one=named("column", f"dir_{axis}"), other=other)
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
@@ -296,7 +300,7 @@ def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) ->
     first, size = np.unique(run, return_index=True, return_counts=True)[1:]
     values = values - np.repeat(np.add.reduceat(values, first) / size, size)
     out = np.empty(len(frequency))
-    step = max(int(_AT_ONCE / len(time)), 1)
+    step = max(int(NUMBERS_AT_ONCE / len(time)), 1)
     for part in (slice(k, k + step) for k in range(0, len(frequency), step)):
         phase = 2.0 * np.pi * frequency[part, None] * time
         wave = np.empty(phase.shape, dtype=complex)
@@ -310,6 +314,6 @@ def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) ->
         along = wave @ values
         determinant = both**2 - np.abs(twice) ** 2
         explained = 2.0 * (both * np.abs(along) ** 2 - np.real(np.conj(twice) * along**2))
-        seen = determinant > _NOTHING * len(time) ** 2
+        seen = determinant > _NO_WAVE * len(time) ** 2
         out[part] = np.where(seen, explained / np.where(seen, determinant, 1.0), 0.0)
     return out

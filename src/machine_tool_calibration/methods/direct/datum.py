@@ -9,16 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.normal import LEAST_EIGENVALUE
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.words import say
 
 __all__ = ["SetupDatum", "needed_rows", "setup_columns", "setup_datum", "silent_directions"]
 
 
-# Smallest eigenvalue of the normal matrix of unit columns that still counts, as in the solver.
-_RANK = 1e-12
 # Share of a condition along what is still open below which it fixes nothing of it.
-_SHARE = 1e-5
+_FIXED_SHARE = 1e-5
 
 
 def silent_directions(columns: Array) -> tuple[Array, Array]:
@@ -27,7 +26,7 @@ def silent_directions(columns: Array) -> tuple[Array, Array]:
     scale = 1.0 / np.where(norms > 1e-13 * norms.max(initial=1e-300), norms, norms.max(initial=1.0) or 1.0)
     matrix = (columns @ columns.T) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    return np.asarray(vectors[:, values <= _RANK * len(norms)]), scale
+    return np.asarray(vectors[:, values <= LEAST_EIGENVALUE * len(norms)]), scale
 
 
 def needed_rows(open_directions: Array, rows: Sequence[Array]) -> tuple[list[int], Array]:
@@ -43,7 +42,7 @@ def needed_rows(open_directions: Array, rows: Sequence[Array]) -> tuple[list[int
             break
         seen = row @ basis
         size = float(np.linalg.norm(seen))
-        if size <= _SHARE * max(float(np.linalg.norm(row)), 1e-300):
+        if size <= _FIXED_SHARE * max(float(np.linalg.norm(row)), 1e-300):
             continue
         needed.append(index)
         # What is still open is orthogonal to what the condition sees.

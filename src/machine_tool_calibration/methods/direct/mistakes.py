@@ -23,7 +23,7 @@ __all__ = ["refuse_mistakes"]
 _WRECK = 2e-3
 # Deviations that are no larger are of a machine, however short its travel, m: read in another unit they would be those
 # of none.
-_SMALL = 2e-4
+_PLAUSIBLE_DEVIATION = 2e-4
 # Share of the positions by which readings may be off them that look like positions.
 _READ = 0.02
 # Residuals over declared uncertainty within which a fit is taken for good.
@@ -62,7 +62,7 @@ def _judgements(session: Session, build: Build, extent: float) -> Iterator[Judge
     # Single readings may be off by anything: the bulk counts.
     reading = session.readings.displacement
     spread = 1.4826 * float(np.nanmedian(np.abs(reading - np.nanmedian(reading))))
-    if spread < max(_WRECK * extent, _SMALL):
+    if spread < max(_WRECK * extent, _PLAUSIBLE_DEVIATION):
         return
     along = float(np.std(_along(session)))
     if along > 0.0:

@@ -37,6 +37,7 @@ from machine_tool_calibration.model.model import Constraint, MethodModel, NotDet
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import (
+    OPEN_CHANGE,
     MachineTable,
     determined_part,
     distinct_nodes,
@@ -54,8 +55,8 @@ __all__ = ["DirectModel", "asked_tables", "build", "build_direct", "error_map", 
 
 
 # Nodes of a table where the axis was read at more positions than it has readings to fill.
-_FEW = 21
-_MOST = 101
+_NODES_OF_MANY = 21
+_MOST_NODES = 101
 
 
 def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
@@ -65,8 +66,8 @@ def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
     spread evenly, so that every node is at a reading.
     """
     nodes = distinct_nodes(positions)
-    most = _MOST if len(positions) >= 2 * len(nodes) * unknowns_per_node else _FEW
-    return nodes if len(nodes) <= most else thinned(nodes, _FEW)
+    most = _MOST_NODES if len(positions) >= 2 * len(nodes) * unknowns_per_node else _NODES_OF_MANY
+    return nodes if len(nodes) <= most else thinned(nodes, _NODES_OF_MANY)
 
 
 def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
@@ -214,7 +215,6 @@ def _datum(
     return tuple(needed), words, fixed * scale[:, None]
 
 
-_LOOSE = 1e-9
 # Share of the sum of squares from which scatter and reversal are all of it.
 _ALL = 0.95
 # Component of a unit direction below which a reading does not sense an axis: a beam that is a little off it.
@@ -254,7 +254,8 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
-    loose = np.linalg.norm(flat.T @ fit.solution.loose_directions()[fit.places][mine], axis=1).reshape(-1, 3) > _LOOSE
+    open_ones = fit.solution.loose_directions()[fit.places][mine]
+    loose = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed)
     content: dict[str, Any] = {
         "points": points,

@@ -29,7 +29,7 @@ from machine_tool_calibration.words import say, together
 __all__ = ["Agreement", "Contradiction", "agreement"]
 
 _LEVEL = 0.01
-_ROUNDS = 3
+_MOST_CONTRADICTIONS = 3
 _DEGREE = 4
 _CLEAR = 3.0
 # Share of the best explanation's logarithm of probability above which another is named beside it.
@@ -37,9 +37,9 @@ _ALIKE = 0.7
 # Share of a logarithm of probability by which rounding may change it.
 _TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
-_NOTHING = 1e-6
+_NO_DEPENDENCE = 1e-6
 # Factor from SI to the unit that people use, and that unit.
-_SHOWN = {
+_DISPLAY_UNITS = {
     "m": (1e6, "µm"),
     "rad": (1e6, "µrad"),
     "1": (1e6, "µm/m"),
@@ -48,8 +48,8 @@ _SHOWN = {
     "rad/K": (1e6, "µrad/K"),
 }
 # Positions at which a difference is looked at, and how near to each other ranges touch, m.
-_PLACES = 21
-_SAME = 1e-6
+_POSITIONS = 21
+_RANGES_TOUCH = 1e-6
 # Share of a difference's columns outside the model below which the session's own unknowns take it up.
 _ABSORBED = 1e-6
 
@@ -101,7 +101,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     pending = list(range(len(candidates)))
     found: list[Contradiction] = []
     smallest, count = 1.0, 0
-    for round_ in range(_ROUNDS):
+    for round_ in range(_MOST_CONTRADICTIONS):
         tests = [(k, chi, rank) for k in pending for chi, rank in [scores.test(k)] if rank]
         if not tests:
             break
@@ -151,7 +151,7 @@ def _log_tail(chi_square: float, rank: int) -> float:
 
 
 def _sentence(entry: Contradiction) -> str:
-    scale, unit = _SHOWN.get(entry.unit, (1.0, entry.unit))
+    scale, unit = _DISPLAY_UNITS.get(entry.unit, (1.0, entry.unit))
     motion: str = entry.motion
     if entry.alike:
         motion = say("agreement.motion_or", motion=entry.motion, others=", ".join(entry.alike))
@@ -180,7 +180,7 @@ def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
 def _seen(term: Term) -> set[str]:
     """The machine's unknowns of a term on which a session's readings depend."""
     size = np.abs(term.columns).max(axis=1, initial=0.0)
-    return {p.name for p, s in zip(term.parameters, size, strict=True) if p.shared and s > _NOTHING * size.max()}
+    return {p.name for p, s in zip(term.parameters, size, strict=True) if p.shared and s > _NO_DEPENDENCE * size.max()}
 
 
 def _seen_of(model: MethodModel, name: str) -> set[str]:
@@ -195,11 +195,11 @@ def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | No
     ends = []
     for model in (one, other):
         columns = np.concatenate([term.columns for term in model.terms if term.name == name])
-        there = np.abs(columns).max(axis=0) > _NOTHING * np.abs(columns).max()
+        there = np.abs(columns).max(axis=0) > _NO_DEPENDENCE * np.abs(columns).max()
         at = model.observations.position[there, axis]
         ends.append((float(at.min()), float(at.max())))
     low, high = max(e[0] for e in ends), min(e[1] for e in ends)
-    return np.linspace(low, high, _PLACES) if low <= high + _SAME else None
+    return np.linspace(low, high, _POSITIONS) if low <= high + _RANGES_TOUCH else None
 
 
 def _is_motion(name: str) -> bool:

@@ -18,6 +18,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import (
+    OPEN_CHANGE,
     MachineTable,
     determined_part,
     map_field,
@@ -83,9 +84,8 @@ def squared_bend(nodes: Array, value: Array, covariance: Array) -> float:
 
 
 _MOST_POINTS = 5000
-_LOOSE = 1e-9
 # Share of a table's range by which a point may be beyond it, and displacement per unit that counts.
-_SAME = 1e-3
+_BEYOND_TABLE = 1e-3
 _MOVES = 1e-9
 
 
@@ -122,7 +122,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
         covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])
-    loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
+    loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > OPEN_CHANGE
     error, uncertainty, covariance = determined_part(error, covariance, loose | beyond)
     content |= {
         "points": points,
@@ -150,7 +150,7 @@ def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, t
             continue
         axis = parse_motion(table.name).axis
         at, low, high = points[:, "XYZ".index(axis)], float(table.nodes[0]), float(table.nodes[-1])
-        margin = _SAME * (high - low)
+        margin = _BEYOND_TABLE * (high - low)
         away = (at < low - margin) | (at > high + margin)
         moved = np.abs(map_field([replace(table, nodes=table.nodes[:1])], points)[0]) > _MOVES
         if (away[:, None] & moved).any():

@@ -47,8 +47,8 @@ __all__ = ["CommonModels", "common_models", "tables_of", "with_effects"]
 
 
 # Most nodes of a table, and about how many are taken of more.
-_MOST, _FEW = 61, 31
-_SENSED = 1e-9
+_MOST_NODES, _NODES_OF_MANY = 61, 31
+_LEAST_SENSITIVITY = 1e-9  # m per m or rad
 
 
 @dataclass(frozen=True)
@@ -150,12 +150,12 @@ def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
         return None
     own = model.observations.session.description.machine.kinematics
     term = MachineTable(own, name, nodes).term(model.observations)
-    return nodes if np.abs(term.columns).max() > _SENSED else None
+    return nodes if np.abs(term.columns).max() > _LEAST_SENSITIVITY else None
 
 
 def _union(nodes: Iterable[Array]) -> Array:
     every = distinct_nodes(np.concatenate(list(nodes)))
-    return every if len(every) <= _MOST else thinned(every, _FEW)
+    return every if len(every) <= _MOST_NODES else thinned(every, _NODES_OF_MANY)
 
 
 def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodModel:
@@ -169,7 +169,7 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
     chain = model.observations.session.description.machine.kinematics
     for table in (replace(shared, chain=chain) for shared in tables):
         term = table.term(model.observations)
-        if np.abs(term.columns).max(initial=0.0) > _SENSED:
+        if np.abs(term.columns).max(initial=0.0) > _LEAST_SENSITIVITY:
             kept.append(table)
             terms.append(term)
     translate = _translation(own, kept)

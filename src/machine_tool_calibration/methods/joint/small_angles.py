@@ -34,7 +34,7 @@ from machine_tool_calibration.words import say
 __all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
 
 # Share of the variance expected of an angle, over all its nodes, that must go before the readings determine it.
-_TOLD = 0.5
+_VARIANCE_REMOVED = 0.5
 # Probability of angular errors above which differences between sessions may have been taken for them.
 _LIKELY = 0.5
 
@@ -111,7 +111,7 @@ def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None
     variance = np.diag(fit.published.covariance)
     untold = []
     for table, prior in zip(angles, told.priors, strict=True):
-        if variance[[place[label] for label in table.labels]].sum() > _TOLD * np.trace(prior):
+        if variance[[place[label] for label in table.labels]].sum() > _VARIANCE_REMOVED * np.trace(prior):
             untold.append(NotDetermined(table.name, say("undetermined.hardly_more")))
     return StatedAngles(told.size, told.probability, tuple(untold))
 

@@ -32,7 +32,7 @@ __all__ = [
 
 
 # As the solver's: the smallest singular value of the scaled columns that still counts.
-_RANK = float(np.sqrt(1e-11))
+_LEAST_SINGULAR_VALUE = float(np.sqrt(1e-11))
 # Share in an undetermined direction below which an unknown does not take part in it.
 SHARE = 1e-6
 
@@ -105,7 +105,7 @@ def null_space(names: Sequence[str], dense: Array, point: IntArray, n_points: in
     # The point's own unknown takes up the mean of its touches: what is left are the differences between C angles.
     rest = np.linalg.qr((columns - mean[point].T).T, mode="r")
     _, values, vectors = np.linalg.svd(rest, full_matrices=True)
-    rank = int((values > _RANK * values.max(initial=1e-300)).sum())
+    rank = int((values > _LEAST_SINGULAR_VALUE * values.max(initial=1e-300)).sum())
     response = np.concatenate([np.eye(k), -mean])
     untouched = np.flatnonzero(count == 0)
     alone = np.zeros((k + n_points, len(untouched)))

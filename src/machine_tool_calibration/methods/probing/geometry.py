@@ -144,7 +144,7 @@ def plane_tables(chain: Chain, nodes: dict[str, Array], position: Array) -> tupl
 _ROUNDED = 1e-6
 _TURNED = 1e-4
 # Smallest singular value, beside the largest, with which an element is determined by its points.
-_RANK = 1e-4
+_LEAST_SINGULAR_VALUE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -283,4 +283,4 @@ def _circle(position: Array, normal: Array) -> tuple[Array, float]:
 
 def _full_rank(design: Array) -> bool:
     scaled = design / np.maximum(np.linalg.norm(design, axis=0), np.finfo(float).tiny)
-    return bool(np.linalg.svd(scaled, compute_uv=False)[-1] > _RANK)
+    return bool(np.linalg.svd(scaled, compute_uv=False)[-1] > _LEAST_SINGULAR_VALUE)

@@ -45,7 +45,7 @@ __all__ = [
 
 
 # Share in the undetermined directions below which a point does not take part in them.
-_SHARE = 1e-6
+_OPEN_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Responses:
 
 def _moves(loose: Array, scale: Array) -> BoolArray:
     """Whether each row takes part in what is not determined."""
-    return np.asarray(np.linalg.norm(loose, axis=1) >= _SHARE * np.where(scale > 0, scale, 1.0))
+    return np.asarray(np.linalg.norm(loose, axis=1) >= _OPEN_SHARE * np.where(scale > 0, scale, 1.0))
 
 
 def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
@@ -158,7 +158,7 @@ def _orthonormal(columns: Array) -> Array:
 
 
 # Change with an undetermined direction of unit length below which a value does not take part in it.
-_LOOSE = 1e-6
+_OPEN_CHANGE = 1e-6
 
 
 def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
@@ -217,7 +217,7 @@ def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[A
     field = map_field(tables, places)[:, :, :2]
     k, n, _ = field.shape
     error, covariance = position_errors(field, fit.theta[:k], fit.covariance[:k, :k])
-    loose = np.linalg.norm(field.reshape(k, -1).T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _LOOSE
+    loose = np.linalg.norm(field.reshape(k, -1).T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _OPEN_CHANGE
     error[loose] = np.nan
     covariance[loose] = np.nan
     covariance.transpose(0, 2, 1)[loose] = np.nan
@@ -241,7 +241,7 @@ FEWEST_DRAWS = 100
 """Of fewer draws the interval's ends are hardly more than the extremes."""
 
 # Draws that are made at once: their touches stay in a few megabytes.
-_AT_ONCE = 1000
+_DRAWS_AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
@@ -275,8 +275,8 @@ def monte_carlo(
     gains = _gains(fit, np.where(open_[:, None], 0.0, rows))
     rng = np.random.default_rng(seed)
     found = np.empty((len(rows), draws))
-    for first in range(0, draws, _AT_ONCE):
-        count = min(_AT_ONCE, draws - first)
+    for first in range(0, draws, _DRAWS_AT_ONCE):
+        count = min(_DRAWS_AT_ONCE, draws - first)
         part = gains.touch @ standard_draws(distribution, rng, (gains.touch.shape[1], count))
         found[:, first : first + count] = part + gains.normal @ rng.standard_normal((gains.normal.shape[1], count))
     found[open_] = np.nan

@@ -37,8 +37,8 @@ __all__ = ["SPEC"]
 # Where a part may lie beside its nominal place, m and share of its radius; where most touches are at their points to
 # this, by how much the others may be beside theirs, m; and how much of a normal lies along an axis that the probe
 # approaches along it.
-_BESIDE, _RADII, _ALONG = 0.02, 0.2, 0.3
-_AT_POINT, _NEAR = 1e-4, 2e-3
+_PART_BESIDE, _RADII, _ALONG = 0.02, 0.2, 0.3
+_AT_POINT, _TOUCH_BESIDE = 1e-4, 2e-3
 # Share of a setup's touches with an approach against their normals from which on the normals are wrong.
 _AGAINST = 0.5
 _SAME_ANGLE = 0.01  # rad
@@ -114,7 +114,7 @@ class ProbingSpec(MethodSpec):
         readings = session.readings
         off = np.linalg.norm(readings.position()[:, :2] - _turned_part(session, "position"), axis=1)
         # Where the touches are at their points, a few that are not are at other points.
-        beside = _NEAR if np.median(off) < _AT_POINT else max(_BESIDE, _RADII * _radius(session))
+        beside = _TOUCH_BESIDE if np.median(off) < _AT_POINT else max(_PART_BESIDE, _RADII * _radius(session))
         sense = [readings.columns.get(f"dir_{axis}", np.zeros(len(readings))) for axis in "xy"]
         normal = _turned_part(session, "normal")
         along = np.where(np.abs(normal) > _ALONG, np.column_stack(sense) * np.sign(normal), 0.0)

@@ -35,7 +35,7 @@ __all__ = [
 
 ROTARY_DATUM = say("datum.rotary")
 # Share of its largest singular value below which an angle's readings say nothing of a direction.
-_RANK = 1e-5
+_LEAST_SINGULAR_VALUE = 1e-5
 _FIXED = 1e-6
 
 
@@ -52,7 +52,7 @@ def loose_motions(table: TableReadings, direction: Array, arm: Array, size: floa
     for k in range(len(table.nodes)):
         mine = rows[(table.node == k) & counted]
         values, vectors = np.linalg.eigh(mine.T @ mine)
-        null = vectors[:, values <= _RANK**2 * max(values[-1], 1e-300)]
+        null = vectors[:, values <= _LEAST_SINGULAR_VALUE**2 * max(values[-1], 1e-300)]
         out[k] = null @ null.T
     return out
 
@@ -146,7 +146,7 @@ def unseen_names(loose: Array, labels: Sequence[Sequence[str]], sigma: float) ->
 
 HELD_WITHIN = 0.01
 """Least standard uncertainty with which first estimates are trusted where the readings are silent, m."""
-_LOOSE = 1e-3
+_OPEN_SHARE = 1e-3  # of a direction that is not determined in the places
 
 
 def covered_angle(table: TableReadings) -> float:
@@ -162,7 +162,7 @@ def weak_places(model: MethodModel, names: list[str], nominal: Array, within: fl
     index = np.array([place[name] for name in names])
     spread: Array = normal.covariance[np.ix_(index, index)]
     open_ = normal.undetermined[index]
-    open_ = open_[:, np.linalg.norm(open_, axis=0) > _LOOSE]
+    open_ = open_[:, np.linalg.norm(open_, axis=0) > _OPEN_SHARE]
     # An undetermined direction is as uncertain as you like: a kilometre will do.
     values, vectors = np.linalg.eigh(spread + 1e6 * open_ @ open_.T)
     away = nominal - np.array([assembly.parameters[k].reference for k in index])

@@ -35,7 +35,7 @@ _ABSURD = 3e-5
 _TRIES = 8
 # The same for places beside the stated ones; how far beside, at most, m; and how far the fit may then go.
 _DOUBTFUL = 1e-5
-_BESIDE = 20
+_TRIES_BESIDE = 20
 _STATIONS_BESIDE = 0.15
 _TARGETS_BESIDE = 0.03
 _WIDE = 0.2
@@ -76,7 +76,7 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
     if start.misfit > _ABSURD:
         start = _from_tilted(table, stations, targets, start)
     rng = np.random.default_rng(0)
-    for _ in range(_BESIDE):
+    for _ in range(_TRIES_BESIDE):
         if start.misfit < _DOUBTFUL:
             break
         away = stations + _STATIONS_BESIDE * rng.normal(size=stations.shape)
@@ -201,11 +201,11 @@ def _weighted(
 
 # Share of the readings' range, and of the arrangement's size, that no rotary axis and no survey is wrong by; and the
 # share of the misfit that is left without a mistake that is named.
-_CONTRADICTS, _BETTER = 2e-3, 0.1
+_CONTRADICTS, _MISFIT_LEFT = 2e-3, 0.1
 # A reading is off by an error of the axis, or by less than this, m.
 _WRONG = 2e-3
 # What a survey may be off by: m, or so many of its uncertainties.
-_MISPLACED, _MANY = 0.05, 20.0
+_MISPLACED, _SURVEY_UNCERTAINTIES = 0.05, 20.0
 SURVEYED = "state the stations to a decimetre and the targets to some centimetres"
 
 
@@ -238,7 +238,7 @@ def refuse_mistakes(session: Session, start: Start) -> None:
         misplaced = _too_far(off, stations_u[used]) + _too_far(found.targets - targets, targets_u)
         return found.misfit / extent + misplaced / size
 
-    what = explanation(session, [Judgement(misfit, suppositions(session), _CONTRADICTS, _CONTRADICTS, _BETTER)])
+    what = explanation(session, [Judgement(misfit, suppositions(session), _CONTRADICTS, _CONTRADICTS, _MISFIT_LEFT)])
     if what is not None:
         with suspected():
             raise ModelError(f"{session.source}: the readings do not fit at all; they would without a mistake: {what}")
@@ -285,5 +285,5 @@ def _stated(entries: Sequence[StationSetup | Target]) -> tuple[Array, Array]:
 
 def _too_far(moved: Array, stated: Array) -> float:
     """How much further the worst place is off than a survey can be, m."""
-    allowed = np.maximum(_MISPLACED, _MANY * stated)
+    allowed = np.maximum(_MISPLACED, _SURVEY_UNCERTAINTIES * stated)
     return float(np.max(np.clip(np.linalg.norm(moved, axis=1) - allowed, 0.0, None)))

@@ -78,7 +78,7 @@ def second_order(
     )
 
 
-_SMALL = say("undetermined.only_size")
+_ONLY_SIZE = say("undetermined.only_size")
 _ZERO = say("undetermined.taken_zero")
 _RANDOM = say("datum.random_map", p=f"{NONE:g}", low=f"{1e6 * SMALLEST:g}", high=f"{1e6 * LARGEST:g}")
 
@@ -236,7 +236,7 @@ def _as_own(table: MachineTable, term: Term) -> Term:
 def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
     coarse = (replace(t, nodes=coarse_nodes(base.blocks["XYZ".index(t.name[2])])) for t in rotations)
     told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
-    left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
+    left_out = base.left_out + tuple(NotDetermined(t.name, _ONLY_SIZE) for t in rotations)
     if not told:
         return replace(base, left_out=left_out)
     spread = Spread(tuple(table for table, _ in told), tuple(_as_own(table, term) for table, term in told))
@@ -253,7 +253,7 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
 # Share of a column's norm beside such functions below which it says nothing of its own.
 _OWN_SHARE = 1e-3
 # Share of an undetermined direction in the angular errors above which it is theirs.
-_SHARE = 1e-4
+_ANGULAR_SHARE = 1e-4
 
 
 def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Term]) -> list[Term]:
@@ -325,7 +325,7 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
     loose = solve(assembly.problem).undetermined[assembly.places[0]]
     angular = loose[len(base.parameters) :]
     _, s, vt = np.linalg.svd(angular.T, full_matrices=False)
-    open_ones = vt[s > _SHARE]
+    open_ones = vt[s > _ANGULAR_SHARE]
     if not len(open_ones):
         return full
     labels = [label for table in full.angles for label in table.labels]
@@ -334,6 +334,6 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
     )
     ends = np.cumsum([len(table.labels) for table in full.angles])[:-1]
     shares = np.split(np.abs(open_ones).max(axis=0), ends)
-    sharing = [table.name for table, share in zip(full.angles, shares, strict=True) if share.max() > _SHARE]
+    sharing = [table.name for table, share in zip(full.angles, shares, strict=True) if share.max() > _ANGULAR_SHARE]
     lost = NotDetermined(f"{len(open_ones)} slopes of {', '.join(sharing)}", say("undetermined.slopes"))
     return replace(full, constraints=full.constraints + constraints, left_out=(*full.left_out, lost))

@@ -17,7 +17,7 @@ __all__ = ["Run", "across", "block_positions", "runs_of", "step_diagonal_of"]
 
 _ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
 # A reading this close to a block position, as a share of the step, was taken there.
-_NEAR = 1e-2
+_AT_BLOCK = 1e-2
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def block_positions(description: StepDiagonal, readings: Readings) -> tuple[Arra
         here = position[:, axis] if len(position) else nominal
         off = np.abs(here[:, None] - nominal[None]).min(axis=1)
         commanded = _distinct(here)
-        if off.max(initial=0.0) > _NEAR * description.step[axis] and len(commanded) <= 2 * len(nominal):
+        if off.max(initial=0.0) > _AT_BLOCK * description.step[axis] and len(commanded) <= 2 * len(nominal):
             nominal = commanded
         out.append(nominal)
     return out[0], out[1], out[2]

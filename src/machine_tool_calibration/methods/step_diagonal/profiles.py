@@ -22,7 +22,7 @@ __all__ = ["Figure", "Profiles", "eq17", "is_open"]
 # Squareness as ISO 230-1 names it: sign, then the two slopes that add up to it (component, axis).
 _SQUARENESS = {"C0Y": (-1.0, (0, 1), (1, 0)), "B0Z": (1.0, (0, 2), (2, 0)), "A0Z": (-1.0, (2, 1), (1, 2))}
 # Share of a position error that may be undetermined before it is not published.
-_LOOSE = 1e-6
+_OPEN_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def is_open(rows: Array, loose: Array) -> BoolArray:
     if not loose.size:
         return np.zeros(len(rows), dtype=bool)
     scale = max(float(np.abs(loose).max()), 1e-3)
-    return np.asarray(np.abs(rows @ loose).max(axis=1) > _LOOSE * scale)
+    return np.asarray(np.abs(rows @ loose).max(axis=1) > _OPEN_SHARE * scale)
 
 
 def eq17(blocks: Sequence[Array], error: Array, last: tuple[int, int, int] = (-1, -1, -1)) -> Array:

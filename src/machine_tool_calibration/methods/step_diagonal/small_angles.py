@@ -70,10 +70,10 @@ NONE = 0.7
 _LONG = 1.2
 _SHAPES = (*((length, share) for length in (0.1, 0.2, 0.4) for share in (0.1, 0.5)), (_LONG, 1.0))
 _MOST_NODES = 13
-_SIZES = 25
+_SIZES_TRIED = 25
 # Sizes where an effect that may be missing is weighed against angular errors: coarser, as with all that does not
 # reproduce.
-_FEW = 5
+_COARSE_SIZES = 5
 _FLOOR = 1e-6
 
 
@@ -100,8 +100,8 @@ class SmallAngles:
     @property
     def sizes(self) -> dict[float, float]:
         """Sizes that are possible, rad, with their probabilities before any reading; 0 among them."""
-        few = np.geomspace(SMALLEST, LARGEST, _FEW).tolist()
-        return {0.0: NONE} | dict.fromkeys(few, (1.0 - NONE) / _FEW)
+        few = np.geomspace(SMALLEST, LARGEST, _COARSE_SIZES).tolist()
+        return {0.0: NONE} | dict.fromkeys(few, (1.0 - NONE) / _COARSE_SIZES)
 
     def posterior(
         self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
@@ -212,12 +212,12 @@ def normal_posterior(
     gram = matrix[k:, k:] - cross.T @ shared
     right = right[k:] - without.step @ cross
 
-    sizes = np.geomspace(SMALLEST, LARGEST, _SIZES)
+    sizes = np.geomspace(SMALLEST, LARGEST, _SIZES_TRIED)
     variance = sizes**2
     places = tuple((tuple(at.tolist()), zero) for at, zero in nodes)
     covariances = [[_shapes(*place)[j][0] for place in places] for j in range(len(_SHAPES))]
     shapes = [_shaped(root, (gram + gram.T) / 2, right, variance) for root in _roots(places)]
-    logs = np.array([shape.log_likelihood for shape in shapes]) + np.log((1.0 - NONE) / (len(shapes) * _SIZES))
+    logs = np.array([shape.log_likelihood for shape in shapes]) + np.log((1.0 - NONE) / (len(shapes) * _SIZES_TRIED))
     weights = np.exp(logs - logsumexp(np.append(logs, np.log(NONE))))
 
     means, second = zip(*(s.moments(variance, w) for s, w in zip(shapes, weights, strict=True)), strict=True)

@@ -27,7 +27,7 @@ from machine_tool_calibration.words import say
 
 __all__ = ["sensed_tables", "tilt_terms"]
 
-_SENSED = 1e-6
+_LEAST_SENSITIVITY = 1e-6  # m/m
 
 
 def sensed_tables(
@@ -44,7 +44,7 @@ def sensed_tables(
             continue
         motion = parse_motion(table.name)
         axis, along = "XYZ".index(motion.axis), "XYZ".index(motion.component)
-        sees = np.abs(observations.direction[:, along]) > _SENSED
+        sees = np.abs(observations.direction[:, along]) > _LEAST_SENSITIVITY
         nodes = _visited(blocks[axis], position[sees, axis])
         moved = sees & (np.abs(position[:, axis] - blocks[axis][0]) > 0)
         if nodes.sum() < 2 or not moved.any():

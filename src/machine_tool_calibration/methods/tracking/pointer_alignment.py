@@ -24,15 +24,15 @@ __all__ = ["HIGHEST_ORDER", "Centre", "ZeroAngle", "rotation_centre", "zero_angl
 
 HIGHEST_ORDER = 6
 """Waves a turn up to which the radial error motion is looked at."""
-_NOTHING = 1e-9
+_ROUNDING = 1e-9  # rad, and of singular values as a share
 # Least angle by which the beam must turn, rad.
 _LEAST_TURN = 0.99 * np.pi
 # Decades and number of ratios of the variances of radial error motion and scatter that are looked at; least variance of
 # a reading, m^2.
-_DECADES, _RATIOS, _LEAST = 8.0, 81, 1e-30
+_DECADES, _RATIOS, _LEAST_VARIANCE = 8.0, 81, 1e-30
 # Cosine of the beam's angle to the normal of Y below which the slope hardly depends on it.
 _ALONG = 0.2
-_ROUNDS = 20
+_MOST_ITERATIONS = 20
 # Change of an angle that is none, rad.
 _DONE = 1e-13
 
@@ -93,11 +93,11 @@ def rotation_centre(
             f"the beam turns by {np.degrees(turned):.0f}° only: over less than half a turn the radial error motion of "
             "the axis cannot be told from eccentricity"
         )
-    if np.linalg.svd(fixed, compute_uv=False)[-1] < _NOTHING * len(angle):
+    if np.linalg.svd(fixed, compute_uv=False)[-1] < _ROUNDING * len(angle):
         raise ModelError("two opposite azimuths do not tell where the axis is: three or more different ones are needed")
     random = np.column_stack(waves)
     span, sizes, _ = np.linalg.svd(np.column_stack([fixed, random]), full_matrices=False)
-    span = span[:, sizes > _NOTHING * sizes[0]]
+    span = span[:, sizes > _ROUNDING * sizes[0]]
     inner = span.T @ displacement
     outside, dof = displacement - span @ inner, len(displacement) - span.shape[1]
     if dof < 1:
@@ -143,7 +143,7 @@ class _Mixed:
         dof = self.count - self.fixed.shape[1]
         variance = (float(left @ weight @ left) + self.outside) / dof
         logs = np.linalg.slogdet(weight)[1] - np.linalg.slogdet(information)[1]
-        return np.asarray(solve), variance, float(logs - dof * np.log(max(variance, _LEAST))) / 2
+        return np.asarray(solve), variance, float(logs - dof * np.log(max(variance, _LEAST_VARIANCE))) / 2
 
     def averaged(self) -> tuple[Array, Array, Array, tuple[float, float]]:
         """The fixed unknowns (p,), averaged over the ratio by its probability (flat in the random ones' size).
@@ -176,19 +176,19 @@ def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | No
     Readings of one run count from a common zero; those of one azimuth if no run is given. A ModelError says that Y
     does not move in a run, the beam runs along Y, or there are too few readings.
     """
-    same = groups(np.round(azimuth / _NOTHING).astype(np.int64))
+    same = groups(np.round(azimuth / _ROUNDING).astype(np.int64))
     run = same if run is None else groups(same, run)
     own = _constants(run)
     if np.abs(np.cos(azimuth)).min() < _ALONG:
         raise ModelError("the beam runs nearly along Y: the path hardly changes with its angle; hold it across Y")
     free = y - own @ np.linalg.lstsq(own, y, rcond=None)[0]
     dof = len(y) - own.shape[1] - 1
-    if np.abs(free).max(initial=0.0) < _NOTHING or dof < 1:
+    if np.abs(free).max(initial=0.0) < _ROUNDING or dof < 1:
         raise ModelError(
             "Y does not move, or there are too few readings: three or more places of it are needed in a run"
         )
     offset = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ITERATIONS):
         left = displacement - y * np.sin(azimuth + offset)
         left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
         column = free * np.cos(azimuth + offset)

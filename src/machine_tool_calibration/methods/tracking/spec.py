@@ -45,7 +45,7 @@ _MISSED, _ERROR = 0.02, 0.01
 # Share of a station's beams that may point elsewhere: they are commanded, but single ones are set aside like a reading.
 _SINGLE = 0.03
 # Share of an azimuth's error within which it is the same at all readings.
-_SAME = 0.1
+_SAME_ERROR = 0.1
 # Zero of all azimuths beyond which the turn of the network is no longer small: its square is a micrometre on a metre.
 _ZERO = 1.5e-3
 
@@ -132,7 +132,7 @@ class TrackingSpec(MethodSpec):
             return
         zeros = np.array([np.median(_azimuth_off(session, setup)) for setup in used])
         middle = float(np.median(zeros))
-        if abs(middle) > _ZERO and np.abs(zeros - middle).max() < _SAME * abs(middle):
+        if abs(middle) > _ZERO and np.abs(zeros - middle).max() < _SAME_ERROR * abs(middle):
             yield say("suspicion.azimuth", off=f"{1e3 * middle:.3g}")
 
 
@@ -218,6 +218,6 @@ def _zero_angle(session: Session, setup: int) -> str:
     """Whether a pointer counts its azimuth from another zero."""
     off = _azimuth_off(session, setup)
     middle = float(np.median(off))
-    if np.median(np.abs(off - middle)) > _SAME * abs(middle):
+    if np.median(np.abs(off - middle)) > _SAME_ERROR * abs(middle):
         return ""
     return f"azimuth is {middle:.3g} rad too large throughout: is it counted from +X?"

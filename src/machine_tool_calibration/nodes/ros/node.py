@@ -29,7 +29,7 @@ __all__ = ["GuardedNode", "ManagedNode"]
 Value = TypeVar("Value")
 
 _BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
-_TOLD = 200  # characters of a reason
+_REASON_LENGTH = 200  # characters of a reason
 # A service's usual queue holds 10 requests of all its clients, and each client's 10 answers, those to the other clients
 # among them: what comes in a burst beyond that is lost without a word.
 CALLS = QoSProfile(depth=1000)
@@ -340,4 +340,4 @@ def _reason(error: Exception) -> str:
     """One short line."""
     text = str(error) if isinstance(error, CalibrationError) else f"{type(error).__name__}: {error}"
     line = " ".join(text.split())
-    return line if len(line) <= _TOLD else f"{line[:_TOLD]}…"
+    return line if len(line) <= _REASON_LENGTH else f"{line[:_REASON_LENGTH]}…"

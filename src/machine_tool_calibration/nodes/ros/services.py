@@ -139,7 +139,7 @@ Outcome = TypeVar("Outcome")
 Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
 
-_KEPT = 10  # goals that have ended
+_GOALS_KEPT = 10  # goals that have ended
 
 
 class _CancelledError(CalibrationError):
@@ -183,7 +183,7 @@ class Goals:
         self._lock = threading.Lock()
         self._is_closed = False
         self._present: _Goal | None = None
-        self._goals: deque[_Goal] = deque(maxlen=_KEPT)
+        self._goals: deque[_Goal] = deque(maxlen=_GOALS_KEPT)
         self.step, self.share = "", 0.0
         self.last, self.level = "", Level.OK
         self._statuses = node.create_publisher(GoalStatusArray, "~/goals", LATCHED)

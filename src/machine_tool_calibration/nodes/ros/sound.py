@@ -20,10 +20,10 @@ from machine_tool_calibration.errors import CalibrationError
 __all__ = ["LAST_SECOND", "require_sound"]
 
 LAST_SECOND = 2_145_916_800  # 2038-01-01: a stamp's 32 bits end 18 days later, and what is commanded then must fit too
-_LARGEST = 1e15  # of any SI value in the graph: far beyond what occurs, and its square is still a number
+_LARGEST_VALUE = 1e15  # of any SI value in the graph: far beyond what occurs, and its square is still a number
 _ENTRIES = 100_000  # of one array
 _UNIT = 1e-3  # by which a quaternion's norm may miss 1
-_FEW = 50  # numbers that are looked at faster one by one
+_ONE_BY_ONE = 50  # numbers that are looked at faster one by one
 
 _Check = Callable[[Any], str]
 """What is wrong with a value, after where in it: `.stamp is no time`; empty if nothing is."""
@@ -81,17 +81,17 @@ def _check_of_field(type_: str) -> _Check | None:
 
 
 def _number(value: float) -> str:
-    return "" if -_LARGEST <= value <= _LARGEST else f" is {value:g}"
+    return "" if -_LARGEST_VALUE <= value <= _LARGEST_VALUE else f" is {value:g}"
 
 
 def _numbers(values: array[float] | np.ndarray | list[float]) -> str:
     fault = _length(values)
     if fault:
         return fault
-    if len(values) <= _FEW:
-        bad = [index for index, value in enumerate(values) if value > _LARGEST or value < -_LARGEST]
+    if len(values) <= _ONE_BY_ONE:
+        bad = [index for index, value in enumerate(values) if value > _LARGEST_VALUE or value < -_LARGEST_VALUE]
     else:
-        bad = np.flatnonzero(np.abs(np.asarray(values)) > _LARGEST).tolist()
+        bad = np.flatnonzero(np.abs(np.asarray(values)) > _LARGEST_VALUE).tolist()
     return f"[{bad[0]}] is {values[bad[0]]:g}" if bad else ""
 
 

@@ -37,7 +37,7 @@ _CLOCK = Qos(depth=1000, reliability="best_effort")
 # ns that a message waits for a tick that was sent after it, so that none before it is missing
 _OVERTAKEN = 1_000_000_000
 # ticks that are kept for messages that are still on their way
-_KEPT = 2_000
+_TICKS_KEPT = 2_000
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class Taps:
                 require_sound(message)
                 new.append((tick.sent, from_message(message.clock)))
         if new:
-            self._ticks = sorted([*self._ticks[-_KEPT:], *new])
+            self._ticks = sorted([*self._ticks[-_TICKS_KEPT:], *new])
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -41,7 +41,7 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.record import NotNegative, Positive, Record
-from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = [
@@ -50,9 +50,9 @@ __all__ = [
 ]  # fmt: skip
 
 
-_LARGEST, _SMALLEST = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
-Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
-Length = Annotated[float, Field(ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
+_LARGEST_LENGTH, _SMALLEST_LENGTH = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
+Finite = Annotated[float, Field(ge=-_LARGEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=_SMALLEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]
 Vector2 = tuple[Finite, Finite]
 
 
@@ -184,9 +184,6 @@ def _scaled(vector: tuple[float, float], unit: float) -> tuple[float, float]:
     return vector[0] * unit, vector[1] * unit
 
 
-_LARGEST_FILE = 64 << 20
-
-
 class _Flow(dict[str, Any]):
     """Written in one line."""
 
@@ -227,7 +224,7 @@ def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
     """
     if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
-    content = dict(load_yaml(read_text(file, _LARGEST_FILE), str(file)).value)
+    content = dict(load_yaml(read_text(file, LARGEST_TABLE), str(file)).value)
     content["session"] = {**content["session"], **_workpiece(points)}
     text = _dumped(content)
     parse_procedure(text, str(file))

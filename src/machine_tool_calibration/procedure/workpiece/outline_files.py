@@ -19,11 +19,10 @@ import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Segment, Straight, join
-from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 
 __all__ = ["read_csv_outline", "read_dxf_outline"]
 
-_LARGEST = 64 << 20
 _FARTHEST = 1e6  # in the unit of the file
 
 
@@ -35,7 +34,7 @@ def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
     Raises:
         SessionError: the file cannot be read, or a corner is no pair of numbers; the message names file and row.
     """
-    text = read_text(file, _LARGEST)
+    text = read_text(file, LARGEST_TABLE)
     semicolons = ";" in next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
     try:
         table = pd.read_csv(

@@ -57,7 +57,7 @@ SENSES = (
     (0.5, "displacement looks like twice the change of path"),
 )
 # Exchanges are tried among so many setups, targets or points.
-_MOST = 8
+_MOST_EXCHANGED = 8
 _SLIPPED = (1, -1, 2, -2)  # rows
 
 
@@ -142,7 +142,7 @@ def exchanged(session: Session, kind: str, among: Sequence[str]) -> Iterator[Sup
     """Two setups exchanged, or two names in the column `kind`; among the first few of the names that may be."""
     readings = session.readings
     labels = readings.setup if kind == "setup" else readings.labels[kind]
-    for pair in itertools.combinations(among[:_MOST], 2):
+    for pair in itertools.combinations(among[:_MOST_EXCHANGED], 2):
         one, other = map(session.setup_ids.index, pair) if kind == "setup" else pair
         new = np.where(labels == one, other, np.where(labels == other, one, labels))
         changed: dict[str, Any] = {"setup": new} if kind == "setup" else {"labels": {**readings.labels, kind: new}}
@@ -164,7 +164,7 @@ def turned_round(session: Session, what: str) -> Supposition:
 
 _FEWEST = 3  # readings: fewer are single whatever their share
 # Share of a setup's readings that may be left, and of those that contradict, where a mistake explains them: the ends.
-_LEFT, _BETTER = 0.06, 0.2
+_LEFT, _CONTRADICTING_LEFT = 0.06, 0.2
 # What a column may have been multiplied by.
 _TIMES = ((2.0, "doubled"), (0.5, "halved"), (-1.0, "of the opposite sign"))
 
@@ -192,7 +192,7 @@ def _refuse(session: Session, place: Place, expected: Expected) -> None:
         return float(np.mean(np.any([held.bad for held in expected(other)], axis=0)))
 
     some = session.with_readings(session.readings.select(np.arange(min(len(session.readings), _ROWS))))
-    slip = explanation(some, [Judgement(misfit, _slips(some), 0.0, _LEFT, _BETTER)])
+    slip = explanation(some, [Judgement(misfit, _slips(some), 0.0, _LEFT, _CONTRADICTING_LEFT)])
     # Few that contradict are gross errors, unless all of them come from one slip.
     for held in every:
         if _contradicted(session, held) or (slip and held.bad.any()):

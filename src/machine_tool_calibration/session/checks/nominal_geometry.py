@@ -50,7 +50,7 @@ def wrapped(angle: Array) -> Array:
 
 
 _FITS = 0.1  # of what is predicted
-_BETTER = 0.2  # of the misfit as it is
+_MISFIT_LEFT = 0.2  # of the misfit as it is
 
 Off = Callable[[Session], Array]
 """Of a session, (n,) how far each reading is off, in shares of what is predicted."""
@@ -62,7 +62,7 @@ def judged_by_worst(off: Off, suppositions: Iterable[Supposition], by: str = "se
     def misfit(session: Session) -> float:
         return float(np.nanmax(_by_group(session, off, by)[1], initial=0.0))
 
-    return Judgement(misfit, suppositions, absurd=_FITS, good=_FITS, better=_BETTER)
+    return Judgement(misfit, suppositions, absurd=_FITS, good=_FITS, better=_MISFIT_LEFT)
 
 
 def badly_exchanged(session: Session, off: Off, kind: str) -> Iterator[Supposition]:

@@ -20,7 +20,7 @@ __all__ = ["Misplaced", "allowed", "has_stations", "misplaced", "off_stated", "r
 
 # A place may be off by so many of its stated standard uncertainties, but at least by this, and by that where none is
 # stated, m: beyond, another place is meant. Beyond the former and so many of its own, it is said.
-_STATED, _LEAST, _UNSTATED = 10.0, 0.01, 0.1
+_STATED, _LEAST_OFF, _UNSTATED = 10.0, 0.01, 0.1
 _KNOWN = 5.0
 # Readings of a rotary axis place stations and targets by themselves, however wrong they are stated, as far as this, m.
 _FOUND = 0.15
@@ -57,7 +57,7 @@ def allowed(session: Session, stated: float | None) -> float:
     """By how much a place of that stated standard uncertainty may be off, m."""
     if spec_of(session).turns_one_axis:
         return max(_STATED * (stated or 0.0), _FOUND)
-    return _UNSTATED if stated is None else max(_STATED * stated, _LEAST)
+    return _UNSTATED if stated is None else max(_STATED * stated, _LEAST_OFF)
 
 
 def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]:

@@ -9,14 +9,14 @@ import numpy as np
 
 from machine_tool_calibration.session import DESCRIPTION_FILE
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
 from machine_tool_calibration.words import say, together
 
 __all__ = ["suspicions"]
 
-_FEW = 8  # readings: the chance that as many differ so little is below 1e-7
-_STILL = 0.1  # share of a reading's standard uncertainty that the readings of a session differ by
-_BESIDE = 0.1  # share of the travel by which a probed part may reach beyond it
+_FEWEST_MOVES = 8  # moves beside directions of approach: fewer may be against them by chance
+_HARDLY_DIFFER = 0.1  # share of a reading's standard uncertainty that readings differ by: of eight by chance below 1e-7
+_BEYOND_TRAVEL = 0.1  # share of the travel by which a probed part may reach beyond it
 _COARSE = 3.46  # a step of so many standard uncertainties is as uncertain by itself
 _WHOLE = 1e-6  # of a step: rounding
 _OPPOSITE = 0.9  # share of the moves against which an approach was, where signs are exchanged
@@ -37,14 +37,14 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
 def _still(session: Session) -> Iterator[str]:
     readings = session.readings.displacement[np.isfinite(session.readings.displacement)]
-    if len(readings) < _FEW:
+    if len(readings) < ENOUGH_TO_DIFFER:
         return
     spread, sigma = float(np.ptp(readings)), session.sigma
     if not readings.any():
         yield say("suspicion.all_zero", n=len(readings))
     elif spread == 0.0:
         yield say("suspicion.all_same", n=len(readings), value=f"{readings[0]:g}")
-    elif spread < _STILL * sigma:
+    elif spread < _HARDLY_DIFFER * sigma:
         yield say("suspicion.hardly_differ", n=len(readings), spread=f"{spread:.2g}", sigma=f"{sigma:.2g}")
 
 
@@ -53,7 +53,7 @@ def _rounded(session: Session) -> Iterator[str]:
     readings = session.readings.displacement[np.isfinite(session.readings.displacement)]
     for step in (10.0**k for k in range(-3, -9, -1)):
         whole = np.abs(readings / step - np.round(readings / step)) < _WHOLE
-        if step > _COARSE * session.sigma and len(readings) >= _FEW and np.ptp(readings) and whole.all():
+        if step > _COARSE * session.sigma and len(readings) >= ENOUGH_TO_DIFFER and np.ptp(readings) and whole.all():
             yield say("suspicion.rounded", step=f"{step:g}", sigma=f"{session.sigma:.2g}")
             return
 
@@ -63,7 +63,7 @@ def _beside(session: Session) -> Iterator[str]:
         values = session.readings.columns.get(name.lower())
         if values is None:
             continue
-        over = _BESIDE * (high - low)
+        over = _BEYOND_TRAVEL * (high - low)
         off = np.flatnonzero((values < low - over) | (values > high + over))
         if len(off):
             unit = "m" if name.lower() in "xyz" else "rad"
@@ -88,7 +88,7 @@ def _approached(session: Session) -> Iterator[str]:
         move, sense = np.sign(np.round(np.diff(columns[name]), 9)), columns[f"dir_{name}"][1:]
         opposite, n = int(np.sum(sense == -move)), int(np.sum((move != 0.0) & (sense != 0.0)))
         # From one side alone many machines approach whichever way they come.
-        if n >= _FEW and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
+        if n >= _FEWEST_MOVES and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
             yield say("suspicion.approach", column=name, n=opposite, count=n)
 
 

@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Place, StationSetup
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
@@ -23,12 +23,11 @@ _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
-_LEAST = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
+_LEAST_VALUE = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
 _TEMPERATURES = tuple(f"temperature_{where}" for where in ("air", "x", "y", "z", "table", "work"))
 # Degrees Celsius: no workshop is as hot, and at most that in Fahrenheit.
 _HOT, _HOTTEST = 48.0, 120.0
-_FEW = 8  # readings along a path: more are not all the same
 _DEGREES = "these look like degrees; angles are in radians"
 _LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 1970, in any unit
 
@@ -120,7 +119,7 @@ def _displacement(session: Session, place: Place) -> None:
             )
         return
     known = values[np.isfinite(values)]
-    if len(known) > _FEW and not np.ptp(known):
+    if len(known) > ENOUGH_TO_DIFFER and not np.ptp(known):
         raise SessionError(f"{place.readings}: all {len(known)} readings are {known[0]:g} m: was the instrument read?")
     row = int(np.nanargmax(np.abs(values)))
     reach = abs(values[row])
@@ -146,7 +145,7 @@ def _environment(session: Session, place: Place) -> None:
     for name, value, where in _largest(session, place, session.readings.columns):
         lowest = int(np.nanargmin(columns[name]))
         low, there = float(columns[name][lowest]), place.row(session.readings.row[lowest])
-        if low < _LEAST.get(name, -273.15 if name.startswith("temperature_") else -np.inf):
+        if low < _LEAST_VALUE.get(name, -273.15 if name.startswith("temperature_") else -np.inf):
             raise SessionError(f"{there}: {name} is {low:g}: a value that is missing is an empty field")
         if name.startswith("temperature_") and abs(value) > 150.0:
             raise SessionError(f"{where}: {name} is {value:g} degrees Celsius; these look like kelvin")

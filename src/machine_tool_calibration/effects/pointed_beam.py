@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A beam that is pointed at a retroreflector from a station: where there is one, and its angles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["POINTED_INSTRUMENTS", "POINTED_METHODS", "azimuth", "cosine_of_elevation", "is_open_loop"]
+
+POINTED_INSTRUMENTS = ("tracking_interferometer", "laser_tracker")
+POINTED_METHODS = ("tracking_interferometer", "rotary_axis")
+
+
+def azimuth(direction: Array) -> Array:
+    """(n,) of directions (n, 3) in the machine frame, rad."""
+    return np.asarray(np.arctan2(direction[:, 1], direction[:, 0]))
+
+
+def cosine_of_elevation(observations: Observations) -> Array:
+    """(n,) cosine of the beam's elevation."""
+    return np.asarray(np.hypot(observations.direction[:, 0], observations.direction[:, 1]))
+
+
+def is_open_loop(observations: Observations) -> bool:
+    """Whether the beam stays on the commanded direction."""
+    return getattr(observations.session.description, "pointing", "tracking") == "open_loop"

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Thermal expansion of an axis's scale: e_x = (T - 20) (k x - q) (ISO 230-3, ISO 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.words import say
+
+__all__ = ["REFERENCE_TEMPERATURE", "ThermalExpansion"]
+
+# ISO 1: the temperature at which lengths are stated, degrees Celsius.
+REFERENCE_TEMPERATURE = 20.0
+
+
+class ThermalExpansion(AxisEffect):
+    """The scale of a linear axis grows with its temperature, from the point where it is fixed (ISO 230-3).
+
+    A scale or screw that is fixed at p0 grows away from there: e = k (T - 20) (position - p0). The product of the two
+    unknowns would be nonlinear, and p0 is no number where nothing grows; so what is fitted and published is k and
+    q = k p0, a shift of the whole axis with the temperature. Fixed at the axis's zero, q is zero. Where the
+    temperature stayed as it was, or the method's own unknowns hold every shift of the axis, q is not determined, and k
+    stands alone.
+    """
+
+    id = "thermal_expansion_{axis}"
+    title = say("effect.thermal")
+    formula = say("formula.thermal")
+    kind = "position"
+    source = "ISO 230-3; reference temperature of ISO 1"
+    coefficients = (
+        Coefficient("k", "1/K", -2e-4, 2e-4, say("coefficient.expansion")),
+        Coefficient("q", "m/K", -5e-5, 5e-5, say("coefficient.expansion_fixed")),
+    )
+    needs: tuple[str, ...] = ("{axis}", "temperature_{axis}")
+
+    def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
+        """(n,) of the structure, degrees Celsius: that of the axis's sensor."""
+        return observations.readings.column(f"temperature_{self.axis}")
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Position times excess temperature, and minus the excess temperature, along the axis."""
+        excess = self.temperature(observations, shape) - REFERENCE_TEMPERATURE
+        along = self.along(observations)
+        return np.asarray([excess * observations.readings.column(self.axis) * along, -excess * along])
