@@ -169,7 +169,7 @@ def few_draws() -> Iterator[None]:
 @pytest.fixture
 def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is published takes all to reproduce and the model for exact, for what is known in closed form then."""
-    monkeypatch.setattr("machine_tool_calibration.model.marginal_fit.reproducibility", lambda observations: ())
+    monkeypatch.setattr("machine_tool_calibration.model.marginal_fit.with_drift", lambda observations: ())
     monkeypatch.setattr(
         "machine_tool_calibration.model.marginal_fit.imperfection", lambda observations: np.zeros((0, 1))
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.reproducibility import offsets_apart, reproducibility
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.reproducibility import DRIFT, offsets_apart, reproducibility, with_drift
 from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 HEAD = """format: mtcal-session/1
 method: direct
@@ -68,3 +71,20 @@ def test_offsets_that_show_have_a_size_of_their_own() -> None:
     found, was = offsets_apart(family, offset, seen)
     assert found.tolist() == [0, 0, 0, 0, 3, 1, 3, 1, 2]
     assert was.tolist() == [0, 1, 2, 1]
+
+
+def test_what_many_runs_share_is_a_drift_and_no_spread_of_theirs() -> None:
+    """Runs of a step diagonal, through which everything warms up: its map is as far off as that of least squares."""
+    session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=5)).session
+    model = build_model(session)[0]
+    assert [family.name for family in with_drift(model.observations)] == ["run", DRIFT]
+    # Four mountings do not tell a drift from slopes of their own, nor does what is read directly.
+    for plan in ("tracking_2d", "probing_cross", "iso230_2"):
+        few = build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=5)).session)[0]
+        assert DRIFT not in [family.name for family in with_drift(few.observations)]
+    time = session.readings.columns["time"]
+    warming = 100.0 * session.sigma * (1.0 - np.exp(-time / 1500.0)) * model.observations.direction[:, 2]
+    readings = replace(session.readings, displacement=session.readings.displacement + warming)
+    (runs,) = fit_models([build_model(session.with_readings(readings))[0]]).marginal.sizes
+    assert runs.name == "run"
+    assert runs.size < 0.3 * session.sigma

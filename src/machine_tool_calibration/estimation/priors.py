@@ -32,6 +32,10 @@ SERIES = (1.0, 1.0, 0.7)
 spread more than it explains, so that an effect of few coefficients was more probable than it. In what is published an
 offset that shows has a size of its own."""
 
+DRIFT = (1.0, 0.7, 0.5, 0.5)
+"""The same of degrees 1 to 4 in the time of a whole session, for what all of its runs share: of twice as many runs or
+more, as fewer do not tell it from functions of their own."""
+
 SEVERAL_RUNS = 4
 """Fewest runs or passes that say something of a spread between them where the machine's deviations are read directly:
 the slopes and bows of fewer are the machine's own, unless over several axes they read enough places again."""

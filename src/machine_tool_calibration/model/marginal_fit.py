@@ -29,7 +29,7 @@ from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.random_unknowns import RandomPosterior, RandomUnknowns
-from machine_tool_calibration.model.reproducibility import Family, of_repeats, offsets_apart, reproducibility
+from machine_tool_calibration.model.reproducibility import DRIFT, Family, of_repeats, offsets_apart, with_drift
 from machine_tool_calibration.model.solved import Solved
 
 __all__ = ["FamilySize", "MarginalFit", "marginal_fit"]
@@ -107,7 +107,7 @@ def marginal_fit(solved: Solved) -> MarginalFit:
     """
     problem, solution = solved.without_expectations, solved.solution
     # Rows of a plate that differ are the part's, as far as the map is concerned.
-    families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in solved.assembly.models]
+    families = [with_drift(m.observations) for m in solved.assembly.models]
     if solved.random is None and problem.n_readings <= _ENOUGH:
         lacking = [_imperfect(m.observations) for m in solved.assembly.models]
         families = [own + further for own, further in zip(families, lacking, strict=True)]
@@ -399,7 +399,8 @@ def _sizes(
     unit = found.noise * float(np.sqrt(np.mean(sigma**2)))
     out = []
     mean_square = np.bincount(place, seen, len(names)) / len(sigma)
-    for name in dict.fromkeys(names):
+    # What is read off the session as a whole says nothing of how its runs differ.
+    for name in (name for name in dict.fromkeys(names) if name != DRIFT):
         own = [k for k, other in enumerate(names) if other == name]
         weights = np.where(np.isin(np.arange(len(names)), own), mean_square, 0.0)
         low, middle, high = (unit * size for size in found.quantiles(weights, (0.025, 0.5, 0.975)))

@@ -15,10 +15,14 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram
+from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
-__all__ = ["Family", "PureError", "of_repeats", "offsets_apart", "reproducibility"]
+__all__ = ["DRIFT", "Family", "PureError", "of_repeats", "offsets_apart", "reproducibility", "with_drift"]
+
+DRIFT = "drift"
+"""Name of the family of functions of time that all runs of a session have in common."""
 
 # Readings of a group for each degree, so that a short run is not all spread.
 _FOR_A_DEGREE = 3
@@ -151,6 +155,25 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     return tuple(family for family in families if family.shapes.any())
 
 
+def with_drift(observations: Observations) -> tuple[Family, ...]:
+    """Families of runs, mountings and passes; and of many of them what they share: one smooth function of time.
+
+    Runs that differ only because something drifts through all of them would otherwise be taken for that many random
+    functions, which move the map. Few do not tell the one from the other. Where the machine's deviations are read
+    themselves, a drift is the machine's own.
+    """
+    families = tuple(family for family in reproducibility(observations) if family.of_runs)
+    fewest = min((family.count for family in families), default=0)
+    if fewest < 2 * len(priors.DRIFT) or not observations.timed or spec_of(observations.session).reads_machine:
+        return families
+    scaled = scaled_values(observations.clock)
+    if scaled is None:
+        return families
+    weights = np.array(priors.DRIFT)[:, None]
+    shapes = np.polynomial.legendre.legvander(scaled, len(weights)).T[1:] * weights
+    return (*families, Family(DRIFT, np.zeros(len(scaled), dtype=np.int64), shapes, offset=False))
+
+
 def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:
     """What readings of the same thing tell of these families; None where too little was read again.
 
@@ -167,7 +190,7 @@ def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], nam
         mine = groups(place[some])
         count = np.bincount(mine)
         dof += int(np.sum(count - 1))
-        families = [family.columns()[:, some] for family in reproducibility(observations) if family.name in names]
+        families = [family.columns()[:, some] for family in with_drift(observations) if family.name in names]
         both = np.concatenate([*families, residual[some][None]])
         mean = np.array([np.bincount(mine, values) / count for values in both])
         both -= mean[:, mine]
