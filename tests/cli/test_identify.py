@@ -25,7 +25,7 @@ def test_for_people(verb):
     assert "tracking interferometer in 2 dimensions, pointed open loop: 288 readings in 4 setups (A, B, C, D)" in text
     assert "The model fits the readings within their declared uncertainty (p = 0.57)." in text
     assert "position error 5.10 µm RMS, 10.84 µm at most" in text
-    assert "its uncertainty U (k = 2) 0.47" in text
+    assert "its uncertainty U (k = 2) 0.48" in text
     assert "datum: no shift and no turn of all targets" in text
 
 

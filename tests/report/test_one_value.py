@@ -80,7 +80,12 @@ def session_of(kind: str) -> Session:
 
 def received(kind: str, folder: Path) -> Received:
     session_to_bag(session_of(kind), folder / "bag")
-    return Received("", [], None, (), (), session_from_bag(folder / "bag"))
+    return Received("", [], None, (), (), 0.0, lambda: 0, session_from_bag(folder / "bag"))
+
+
+def published(outcome: calculation.Outcome, topic: str) -> dict[str, Any]:
+    """The document that a node publishes."""
+    return dict(json.loads(outcome.messages[topic].data))
 
 
 def tables(found: Evaluation) -> dict[str, TextTable]:
@@ -123,7 +128,7 @@ def test_a_result_is_the_same_wherever_it_is_told(kind: str, verb: Verb, tmp_pat
     shown = models.opened([folder], None, (), lambda *_: None).models[-1]
     for other in (
         verb("identify", folder, "--json").document,
-        json.loads(calculation.identified(received(kind, tmp_path), lambda *_: None).document),
+        published(calculation.identified(received(kind, tmp_path), lambda *_: None), "error_map/result"),
         shown.fit.document(),
     ):
         assert compared(of_report, without_origin(other)) > 20
@@ -165,8 +170,8 @@ def test_a_diagnosis_is_the_same_wherever_it_is_told(
     document = verb("diagnose", folder, "--json").document
     assert document["accepted"] == ["backlash_x"]
     monkeypatch.setattr(complete, "look_for_effects", lambda *_, **__: diagnosis)
-    of_node = calculation.diagnosed(received(kind, tmp_path), lambda *_: None).content
-    assert compared(without_origin(document), without_origin(dict(of_node))) > 20
+    of_node = published(calculation.diagnosed(received(kind, tmp_path), lambda *_: None), "diagnosis/result")
+    assert compared(without_origin(document), without_origin(of_node)) > 20
     opened = models.opened([folder], None, (), lambda *_: None)
     of_workbench = models.diagnosed(opened.subject, opened.models[-1], lambda *_: None)
     report = diagnosis_report(diagnosis, then.advice, then.changes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, to_some_percent
 from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
 from machine_tool_calibration.diagnosis.search.findings import (
@@ -18,8 +18,8 @@ from machine_tool_calibration.diagnosis.search.findings import (
     finding_of,
     fitted_in,
     posterior_of,
+    without_laws,
 )
-from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, marginal_at
@@ -380,33 +380,7 @@ def _accepted(
         del left[best]
     accepted.sort(key=lambda k: -found.log_factor(k))
     signals = [_signal(columns, found, k) for k in accepted]
-    return _without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
-
-
-def _without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array]) -> tuple[str, ...]:
-    """Names of the effects, the surest first, without those by which another one differs from its law."""
-
-    def slow(k: int, j: int) -> bool:
-        """Whether one without a time constant is the slow part of one that has such."""
-        pair = effects[j].decays and not effects[k].decays
-        return pair and _of_law(pool, signals[k], signals[j], priors.SECOND_TIME_CONSTANT)
-
-    every = range(len(effects))
-    left = [k for k in every if not any(slow(k, j) for j in every)]
-    return tuple(
-        effects[k].name
-        for i, k in enumerate(left)
-        if not any(_of_law(pool, signals[k], signals[j], priors.LAW) for j in left[:i])
-    )
-
-
-def _of_law(pool: Pool, signal: Array, other: Array, most: float) -> bool:
-    """Whether a signal is what another one may differ from its law by: smooth in time as it is, and no larger."""
-    if rms(signal / pool.sigma) > most * rms(other / pool.sigma):
-        return False
-    inner = pool.screen(np.concatenate([signal[None], other[None], smooth_share(pool, other)])).gram[:-1, :-1]
-    basis = basis_of(inner[1:, 1:])
-    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > priors.ALIKE**2 * inner[0, 0])
+    return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Block, Point
+from machine_tool_calibration.diagnosis.search.laws import smooth_share
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation import priors
@@ -18,7 +19,7 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "fitted_in"]
+__all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "fitted_in", "without_laws"]
 
 # Directions of a candidate with less than this share of its squares are the model's.
 _LEAST_OWN_SHARE = 1e-6
@@ -230,3 +231,29 @@ def alias_groups(
             groups.append((head.name, *names))
         left = [f for f in left if f.name not in names]
     return tuple(groups)
+
+
+def without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array]) -> tuple[str, ...]:
+    """Names of the effects, the surest first, without those by which another one differs from its law."""
+
+    def slow(k: int, j: int) -> bool:
+        """Whether one without a time constant is the slow part of one that has such."""
+        pair = effects[j].decays and not effects[k].decays
+        return pair and _of_law(pool, signals[k], signals[j], priors.SECOND_TIME_CONSTANT)
+
+    every = range(len(effects))
+    left = [k for k in every if not any(slow(k, j) for j in every)]
+    return tuple(
+        effects[k].name
+        for i, k in enumerate(left)
+        if not any(_of_law(pool, signals[k], signals[j], priors.LAW) for j in left[:i])
+    )
+
+
+def _of_law(pool: Pool, signal: Array, other: Array, most: float) -> bool:
+    """Whether a signal is what another one may differ from its law by: smooth in time as it is, and no larger."""
+    if rms(signal / pool.sigma) > most * rms(other / pool.sigma):
+        return False
+    inner = pool.screen(np.concatenate([signal[None], other[None], smooth_share(pool, other)])).gram[:-1, :-1]
+    basis = basis_of(inner[1:, 1:])
+    return bool(np.sum((basis.T @ inner[1:, 0]) ** 2) > priors.ALIKE**2 * inner[0, 0])
