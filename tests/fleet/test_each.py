@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.fleet.each import each
+from machine_tool_calibration.fleet.each import each, in_order
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +102,9 @@ def test_what_kills_every_process_is_told_and_nothing_beside_it_is_lost(schedule
     found = {one.item: one for one in each(work, range(12), scheduler=scheduler)}
     assert found.pop(5).problem == "every process that worked on it died"
     assert {number: one.found for number, one in found.items()} == {n: n * n for n in range(12) if n != 5}
+
+
+def test_in_order_nothing_may_fail() -> None:
+    assert in_order(halved, [8, 2, 2, 4], workers=0) == [4, 1, 1, 2]
+    with pytest.raises(CalibrationError, match="3: 3 is odd"):
+        in_order(halved, [2, 3], workers=0)

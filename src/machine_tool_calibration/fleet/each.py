@@ -20,7 +20,7 @@ from machine_tool_calibration.estimation.reduction import single_blas
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Done", "each"]
+__all__ = ["Done", "each", "in_order"]
 
 # How long a scheduler may take to answer.
 _PATIENCE = "10s"
@@ -79,6 +79,31 @@ def each(
         return
     with ExitStack() as stack:
         yield from _on_dask(_client(stack, scheduler, workers), work, items)
+
+
+def in_order(
+    work: Callable[[Item], Found],
+    items: Sequence[Item],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+) -> list[Found]:
+    """What `each` gives of all items, in their order: for draws and benchmarks, where none may fail.
+
+    Raises:
+        CalibrationError: as for `each`, or the work for an item failed.
+    """
+    found: dict[int, Found] = {}
+    numbered = list(enumerate(items))
+    for one in each(partial(_numbered, work), numbered, scheduler=scheduler, workers=workers):
+        if one.found is None:
+            raise CalibrationError(f"{one.item[1]}: {one.problem}")
+        found[one.item[0]] = one.found[0]
+    return [found[k] for k in range(len(numbered))]
+
+
+def _numbered(work: Callable[[Item], Found], numbered: tuple[int, Item]) -> tuple[Found]:
+    return (work(numbered[1]),)
 
 
 def _attempt(work: Callable[[Item], Found], item: Item) -> Done[Item, Found]:
