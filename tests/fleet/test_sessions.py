@@ -31,8 +31,9 @@ def test_sessions_are_found_in_and_below_folders(measurements: Path, tmp_path: P
     assert [one.label for one in places([measurements])] == LABELS
     (alone,) = places([measurements / "mill/x"])
     assert alone.label == "x"
-    twice = places([measurements, measurements / "mill"])
-    assert len(twice) == 3 and len({one.label for one in twice}) == 3
+    assert [one.label for one in places([measurements, measurements / "mill"])] == LABELS
+    assert [one.label for one in places([measurements / "mill", measurements / "lathe"])] == LABELS
+    assert alone.told(f"{alone.path}/observations.csv: broken") == "observations.csv: broken"
     with pytest.raises(SessionError, match="no session"):
         places([tmp_path])
     with pytest.raises(SessionError, match="no such folder"):
@@ -62,14 +63,15 @@ def test_each_is_identified_as_it_is_alone_with_dask_and_without(measurements: P
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "values.parquet"), values, check_dtype=False)
 
 
-def test_folders_say_machine_and_date_where_the_session_does_not(measurements: Path) -> None:
+def test_folders_say_machine_and_date_where_the_session_does_not(measurements: Path, tmp_path: Path) -> None:
     place = places([measurements])[0]
     found = evaluated(place, FIT)
     assert (found.entry.machine, found.entry.date, found.entry.label) == ("lathe", "2026-01-05", LABELS[0])
     assert {"EXX", "B_mean_X", "volumetric"} <= {size.name for size in found.entry.sizes}
     assert json.loads(json.dumps(found.diagnosis))["verdict"] == "adequate"
+    copytree(place.path, tmp_path / "january")
     with pytest.raises(CalibrationError, match="nothing says which machine"):
-        evaluated(Place("2026-01-05", place.path), FIT)
+        evaluated(Place("january", tmp_path / "january"), FIT)
 
 
 def test_a_session_is_known_however_its_table_is_laid_out(measurements: Path, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def _enter(
     work = partial(evaluated, fit=partial(fit_one, wanted=wanted))
     for one in followed(each(work, new, workers=workers, scheduler=scheduler), len(new)):
         if one.found is None:
-            problems.append((one.item.label, one.problem))
+            problems.append((one.item.label, one.item.told(one.problem)))
             continue
         # The diagnosis first: what has an entry is finished.
         logbook.add_diagnosis(one.found.entry.sha256, one.found.diagnosis)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -38,12 +39,16 @@ class Place:
     """A session folder.
 
     Attributes:
-        label: its name among all: the path from the folder in which it was found.
+        label: its name among all: the path from the folder in which all of them are.
         path: where it is.
     """
 
     label: str
     path: Path
+
+    def told(self, problem: str) -> str:
+        """A problem of it without the path that the label stands for."""
+        return problem.replace(f"{self.path}{os.sep}", "")
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,7 @@ def places(folders: Sequence[Path]) -> list[Place]:
         SessionError: there is no such folder, or no session in one.
     """
     found: dict[Path, Place] = {}
+    root = Path(os.path.commonpath([folder.absolute() for folder in folders]))
     for folder in folders:
         if not folder.is_dir():
             raise SessionError(f"{folder}: no such folder")
@@ -87,8 +93,8 @@ def places(folders: Sequence[Path]) -> list[Place]:
         if not own:
             raise SessionError(f"{folder}: no session ({DESCRIPTION_FILE}, {OBSERVATIONS_FILE}) in it or below it")
         for path in own:
-            label = str(path.relative_to(folder)) if path != folder else folder.absolute().name
-            found.setdefault(path.resolve(), Place(label if len(folders) == 1 else str(path), path))
+            label = str(path.absolute().relative_to(root))
+            found.setdefault(path.resolve(), Place(root.name if label == "." else label, path))
     return sorted(found.values())
 
 
@@ -105,8 +111,8 @@ def identified(place: Place, fit: Fitting) -> Identified:
 def evaluated(place: Place, fit: Fitting) -> Evaluated:
     """Identify and diagnose a session.
 
-    Machine and date are those of `about` in `session.yaml`; where it does not say them, the names of the folders in
-    MACHINE/DATE.
+    Machine and date are those of `about` in `session.yaml`; what it does not say of them is taken from the names of the
+    folders where these are MACHINE/DATE.
 
     Raises:
         CalibrationError: as for `identified`, or nothing says which machine it is, or when it was measured.
@@ -114,11 +120,11 @@ def evaluated(place: Place, fit: Fitting) -> Evaluated:
     found = fit(place.path)
     session = found.measurement.sessions[0]
     about = session.description.about
-    machine = None if name_of_machine(about) else Path(place.label).parent.name or None
-    date = None
-    if not (about.get("date") or about.get("time")):
-        with suppress(ValueError):
-            date = datetime.fromisoformat(place.path.name).date().isoformat()
+    machine = date = None
+    with suppress(ValueError):
+        named = datetime.fromisoformat(place.path.name).date().isoformat()
+        date = None if about.get("date") or about.get("time") else named
+        machine = None if name_of_machine(about) else place.path.absolute().parent.name
     # What nothing says there is told before the long part begins.
     entry = entry_of(session, place.label, found.document(), (), machine=machine, date=date)
     return Evaluated(replace(entry, sizes=sizes_of(found.result)), _told(found.diagnose()))

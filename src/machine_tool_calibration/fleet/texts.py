@@ -37,7 +37,7 @@ def identified_table(done: Sequence[Done[Place, Identified]]) -> TextTable:
     """Sessions that were identified each by itself, one a row."""
     rows = []
     for one in done:
-        row = [Verbatim(one.item.label), *[""] * 5, Verbatim(one.problem)]
+        row = [Verbatim(one.item.label), *[""] * 5, Verbatim(one.item.told(one.problem))]
         if one.found is not None:
             told = one.found.document
             largest = 2.0 * float(one.found.values.loc[one.found.values["unit"] == "m", "u"].max())
