@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.fleet.each import each, in_order
+from machine_tool_calibration.fleet.each import _LOCAL, _kept, each, in_order
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +25,8 @@ def scheduler() -> Iterator[str]:
     import cloudpickle
 
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False}
-    ) as cluster:
-        yield cluster.scheduler_address
+    with distributed.LocalCluster(n_workers=2, **_LOCAL) as cluster:
+        yield _kept(cluster).scheduler_address
     cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
 
 
@@ -102,6 +100,20 @@ def test_what_kills_every_process_is_told_and_nothing_beside_it_is_lost(schedule
     found = {one.item: one for one in each(work, range(12), scheduler=scheduler)}
     assert found.pop(5).problem == "every process that worked on it died"
     assert {number: one.found for number, one in found.items()} == {n: n * n for n in range(12) if n != 5}
+
+
+@pytest.mark.timeout(300)
+def test_processes_that_are_gone_for_good_are_replaced() -> None:
+    """Dask's own watch gives up where one dies while it is being started: without the replacement this would wait."""
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "200ms"}),
+        distributed.LocalCluster(n_workers=1, **_LOCAL) as cluster,
+    ):
+        _kept(cluster)
+        (watch,) = cluster.workers.values()
+        cluster.sync(watch.close)
+        assert in_order(abs, [-1, -2], scheduler=cluster.scheduler_address) == [1, 2]
 
 
 def test_in_order_nothing_may_fail() -> None:

@@ -18,12 +18,14 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 __all__ = ["Done", "each", "in_order"]
 
 # How long a scheduler may take to answer.
 _PATIENCE = "10s"
+# Seconds between two looks whether processes of this machine are gone for good.
+_LOOK = 2.0
 # Of processes of this machine. What dies is told in the answer, and not in lines between those of the progress.
 _LOCAL: dict[str, Any] = {
     "threads_per_worker": 1,
@@ -126,10 +128,23 @@ def _client(stack: ExitStack, scheduler: str | None, workers: int | None) -> Cli
             "(or --workers 0: one after the other, without it)"
         ) from None
     try:
-        place = scheduler or stack.enter_context(LocalCluster(n_workers=workers, **_LOCAL))
+        place = scheduler or _kept(stack.enter_context(LocalCluster(n_workers=workers, **_LOCAL)))
         return stack.enter_context(Client(place, timeout=_PATIENCE))
     except (OSError, ValueError) as error:
         raise CalibrationError(f"{scheduler or 'Dask'}: no scheduler answers: {_line(error)}") from None
+
+
+def _kept(cluster: LocalCluster) -> LocalCluster:
+    """With as many processes as it has now: what watches over one gives up where it dies while it is being started."""
+    count = len(cluster.workers)
+
+    def keep() -> None:
+        if cluster.status.name == "running":
+            cluster.scale(count)
+            cluster.loop.call_later(_LOOK, keep)
+
+    cluster.loop.add_callback(keep)
+    return cluster
 
 
 def _on_dask(client: Client, work: Callable[[Item], Found], items: Sequence[Item]) -> Iterator[Done[Item, Found]]:
