@@ -50,7 +50,7 @@ def flaws(story: str, month: int, jump: int) -> tuple[FlawSpec, ...]:
         "backlash": 1.5e-6,
         "jump": 8e-6 * (month >= jump),
         "growth": 3e-7 * max(month - jump + 3, 0),
-        "drift": 1e-9,
+        "drift": 1e-8,
     }
     return (FlawSpec(id=STORIES[story], size=size[story]),) if size.get(story) else ()
 

@@ -22,6 +22,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Done", "each", "in_order"]
 
+# Without these a session takes a quarter more time: for a profiler that looks at the stack every 10 ms, and to fetch
+# memory anew that was handed back to the system after every array, by a threshold of Dask's or an arena of a thread.
+_SWIFT = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.nanny.pre-spawn-environ": {
+        "MALLOC_ARENA_MAX": 1, "OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1,
+    },
+}  # fmt: skip
 # How long a scheduler may take to answer.
 _PATIENCE = "10s"
 # Seconds between two looks whether processes of this machine are gone for good.
@@ -121,6 +129,7 @@ def _attempt(work: Callable[[Item], Found], item: Item) -> Done[Item, Found]:
 def _client(stack: ExitStack, scheduler: str | None, workers: int | None) -> Client:
     """Of the scheduler, or of processes that end with the stack."""
     try:
+        import dask
         from distributed import Client, LocalCluster
     except ImportError:
         raise CalibrationError(
@@ -128,6 +137,8 @@ def _client(stack: ExitStack, scheduler: str | None, workers: int | None) -> Cli
             "(or --workers 0: one after the other, without it)"
         ) from None
     try:
+        if not scheduler:
+            stack.enter_context(dask.config.set(_SWIFT))
         place = scheduler or _kept(stack.enter_context(LocalCluster(n_workers=workers, **_LOCAL)))
         return stack.enter_context(Client(place, timeout=_PATIENCE))
     except (OSError, ValueError) as error:
