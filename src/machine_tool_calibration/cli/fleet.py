@@ -69,11 +69,11 @@ def command(
     logbook = Logbook(book)
     entries = logbook.entries() if book.exists() or not folders else ()
     found = judged(entries, logbook.diagnoses(), limits=kept, largest_u=most, problems=problems, added=added)
-    tell(Fleet.of(found), as_json)
+    written = []
     if output is not None:
-        note_written(
-            [write_page(found, book, output / "fleet.html", spoken), *write_tables(machine_tables(found), output)]
-        )
+        written = [write_page(found, book, output / "fleet.html", spoken), *write_tables(machine_tables(found), output)]
+    tell(Fleet.of(found), as_json)
+    note_written(written)
 
 
 def _enter(

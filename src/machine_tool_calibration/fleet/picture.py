@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_fleet"]
 
-# Effects that have a row of their own, and machines beyond which only those that need attention are named.
+# Effects that have a row of their own, and machines that have room for their names.
 _EFFECTS, _NAMED = 12, 60
 _LOOKS = {cause: (COLORS[k], MARKERS[k]) for cause, k in zip(CAUSES, (1, 4, 3, 0), strict=True)} | {
     "none": ("0.6", ".")
@@ -34,8 +34,12 @@ def draw_fleet(fleet: Machines) -> Figure:
     for panel in below:
         _draw_effects(panel, fleet, effects)
     last = below[0] if below else above
-    named = [k for k, one in enumerate(fleet.machines) if one.causes or len(fleet.machines) <= _NAMED][:_NAMED]
-    last.set_xticks(named, [fleet.machines[k].name for k in named], rotation=90, fontsize="x-small")
+    if len(fleet.machines) <= _NAMED:
+        names = [one.name for one in fleet.machines]
+        last.set_xticks(range(len(names)), names, rotation=90, fontsize="x-small")
+    else:
+        last.set_xticks([])
+        last.set_xlabel(say("fleet.axis"), fontsize="small")
     last.set_xlim(-0.7, len(fleet.machines) - 0.3)
     return figure
 
