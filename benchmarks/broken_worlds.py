@@ -27,7 +27,6 @@ import time
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import pairwise
@@ -39,6 +38,7 @@ import threadpoolctl
 from worlds import ALIKE, ROWS, UNLISTED, Row, Values, World, gain, least_squares
 
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
+from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.refits import declared
@@ -289,7 +289,8 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=6, help="sessions of each row; plans and effects take turns")
     parser.add_argument("--first-seed", type=int, default=0, help="number of the first session of each row")
     parser.add_argument("--folder", nargs="*", type=Path, help="session folders with truth.json, instead of rows")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="processes of this machine; 0: none, without Dask")
+    parser.add_argument("--scheduler", help="of a Dask cluster, instead of processes of this machine")
     parser.add_argument("--output", type=Path, help="the tables, Markdown")
     parser.add_argument("--details", type=Path, help="a line for each session, CSV")
     parser.add_argument("--plot", type=Path, help="the reliability diagram, PNG")
@@ -299,8 +300,7 @@ def main() -> None:
     if asked.folder is not None:
         folders = sorted(path for path in asked.folder if (path / "truth.json").exists())
         work = [(re.sub(r"[_-]?\d+$", "", path.name), k, str(path)) for k, path in enumerate(folders)]
-    with ProcessPoolExecutor(asked.workers) as pool:
-        outcomes = list(pool.map(run, work))
+    outcomes = in_order(run, work, workers=asked.workers, scheduler=asked.scheduler)
     text = f"{table(outcomes)}\n\n{reliability(outcomes, asked.plot)}\n"
     print(text)
     if asked.output:

@@ -11,7 +11,6 @@ with slopes and bows of the setups, with a declared uncertainty three times too 
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import threadpoolctl
 
+from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.session import Session
@@ -119,13 +119,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=40)
     parser.add_argument("--plans", nargs="*", default=list(_PLANS))
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="processes of this machine; 0: none, without Dask")
+    parser.add_argument("--scheduler", help="of a Dask cluster, instead of processes of this machine")
     parser.add_argument("--output", type=Path)
     asked = parser.parse_args()
     seeds = range(_FIRST_SEED, _FIRST_SEED + asked.sessions)
     cases = list(product(asked.plans, _KINDS, seeds))
-    with ProcessPoolExecutor(asked.workers) as pool:
-        found = dict(zip(cases, pool.map(normalised, cases, chunksize=4), strict=True))
+    values = in_order(normalised, cases, workers=asked.workers, scheduler=asked.scheduler)
+    found = dict(zip(cases, values, strict=True))
     rows = [
         f"| {plan} | " + " | ".join(entry([found[plan, kind, seed] for seed in seeds]) for kind in _KINDS) + " |"
         for plan in asked.plans

@@ -12,7 +12,6 @@ not count.
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 import threadpoolctl
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
@@ -83,8 +83,9 @@ def _fitted(model: StepDiagonalModel) -> Profiles:
     return model.profiles(fit_models([model]).fits[0])
 
 
-def figures(case: Case, angular: float, sessions: int) -> tuple[float, float, float]:
+def figures(item: tuple[Case, float, int]) -> tuple[float, float, float]:
     """Mean squared normalised error, its standard error, and the map's RMS error over the bound."""
+    case, angular, sessions = item
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         bound = _fitted(build(simulated(case, angular, _FIRST_SEED).session, "translations"))
         free = _turn_free(bound.blocks)
@@ -160,17 +161,17 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sessions", type=int, default=200)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="processes of this machine; 0: none, without Dask")
+    parser.add_argument("--scheduler", help="of a Dask cluster, instead of processes of this machine")
     parser.add_argument("--output", type=Path)
     asked = parser.parse_args()
     work = list(product(CASES, _ANGLES))
     found: dict[tuple[str, float], tuple[float, float, float]] = {}
-    with ProcessPoolExecutor(asked.workers) as pool:
-        waiting = [pool.submit(figures, case, angular, asked.sessions) for case, angular in work]
-        for (case, angular), one in zip(work, waiting, strict=True):
-            found[case.words, angular] = one.result()
-            mean, scatter, rms = found[case.words, angular]
-            print(f"{case.words}, {1e6 * angular:g} urad: {mean:.2f} +- {scatter:.2f}, RMS {rms:.2f}", flush=True)
+    items = [(case, angular, asked.sessions) for case, angular in work]
+    several = in_order(figures, items, workers=asked.workers, scheduler=asked.scheduler)
+    for (case, angular), one in zip(work, several, strict=True):
+        mean, scatter, rms = found[case.words, angular] = one
+        print(f"{case.words}, {1e6 * angular:g} urad: {mean:.2f} +- {scatter:.2f}, RMS {rms:.2f}", flush=True)
     text = document(found, asked.sessions)
     if asked.output is None:
         print(text)

@@ -23,8 +23,8 @@ SOURCE = ROOT / "src" / PACKAGE
 EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
 DATA = f"{PACKAGE}-{__version__}.data/data"
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator", "recorder")
-# Libraries of the page in the browser, an extra of its own.
-WORKBENCH = re.compile(r"bokeh|panel|tornado")
+# Rooms whose libraries are an extra of that name, and the modules that they alone import.
+EXTRAS = {"workbench": re.compile(r"bokeh|panel|tornado"), "fleet": re.compile(r"dask|distributed")}
 # ROS packages: exec_depend of package.xml, the extra `ros` of setup.cfg.
 ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
 # Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.
@@ -92,15 +92,15 @@ def test_every_imported_distribution_is_required() -> None:
     for module, paths in all_imported().items():
         if not ROS.fullmatch(module):
             names = {normal(name) for name in distributions.get(module, [module])}
-            extra = "workbench" if WORKBENCH.fullmatch(module) else ""
-            place = "the extra workbench" if extra else "install_requires"
+            extra = next((room for room, own in EXTRAS.items() if own.fullmatch(module)), "")
+            place = f"the extra {extra}" if extra else "install_requires"
             assert names & required(extra), f"{paths[0]} imports {module}: add it to {place} in setup.cfg"
 
 
-def test_only_the_workbench_imports_what_it_alone_needs() -> None:
-    room = SOURCE / "workbench"
-    importing = {path for name, paths in all_imported().items() if WORKBENCH.fullmatch(name) for path in paths}
-    assert not [path for path in importing if room not in path.parents]
+@pytest.mark.parametrize("room", EXTRAS)
+def test_only_its_room_imports_what_an_extra_brings(room: str) -> None:
+    importing = {path for name, paths in all_imported().items() if EXTRAS[room].fullmatch(name) for path in paths}
+    assert importing and not [path for path in importing if SOURCE / room not in path.parents]
 
 
 def test_every_ros_package_is_named_in_package_xml() -> None:

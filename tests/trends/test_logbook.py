@@ -123,3 +123,17 @@ def test_a_date_is_one_of_iso_8601() -> None:
     assert date_of("20260504", "s") == "2026-05-04" and date_of("2026-05-04 08:30", "s") == "2026-05-04T08:30:00"
     with pytest.raises(CalibrationError, match=r"s: '4\.5\.2026' is no date"):
         date_of("4.5.2026", "s")
+
+
+def test_a_diagnosis_is_kept_beside_its_entry_and_stays(measured: tuple[Session, Entry], tmp_path: Path) -> None:
+    book = Logbook(tmp_path / "mill.logbook")
+    assert book.diagnoses() == {}
+    book.add(measured[1])
+    assert book.diagnoses() == {}
+    for verdict in ("adequate", "outliers"):
+        book.add_diagnosis(measured[1].sha256, {"verdict": verdict})
+    assert book.diagnoses() == {measured[1].sha256: {"verdict": "adequate"}}
+    with sqlite3.connect(book.path) as database:
+        for change in ("UPDATE diagnoses SET document = ''", "DELETE FROM diagnoses"):
+            with pytest.raises(sqlite3.IntegrityError, match="never"):
+                database.execute(change)

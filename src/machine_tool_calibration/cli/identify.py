@@ -3,14 +3,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
-from machine_tool_calibration.cli.output import FILE, PATH, console, json_option, progress_bar, tell, writing
+from machine_tool_calibration.cli.many import fit_one, followed, workers_options
+from machine_tool_calibration.cli.output import (
+    FILE,
+    PATH,
+    console,
+    json_option,
+    note_written,
+    progress_bar,
+    tell,
+    tell_either,
+    writing,
+)
 from machine_tool_calibration.reports.documents import to_json, write_table
 
 if TYPE_CHECKING:
@@ -38,6 +51,8 @@ __all__ = ["command"]
     help="Units of --csv: m and rad, or mm and ° for places, µm and µrad for errors, rounded to what U allows.",
 )
 @click.option("--plot", is_flag=True, help="Draw pictures: into --output, or into the present folder.")
+@click.option("--each", is_flag=True, help="SESSION are folders: each session in and below them, by itself.")
+@workers_options
 @json_option
 def command(
     sessions: tuple[Path, ...],
@@ -47,6 +62,9 @@ def command(
     table: Path | None,
     units: str,
     plot: bool,
+    each: bool,
+    workers: int | None,
+    scheduler: str | None,
     as_json: bool,
 ) -> None:
     """Identify the machine's errors, each with its uncertainty.
@@ -60,7 +78,17 @@ def command(
     mtcal identify session --effect backlash_y --model rigid_body
     mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
+    mtcal identify --each measurements -o results
     """
+    if each:
+        if plot or table or wanted.keep:
+            raise click.UsageError("--each is without --plot, --csv and --keep; -o FOLDER has all values as Parquet.")
+        _identify_each(
+            sessions, partial(fit_one, wanted=wanted, keep_all=keep_all), output, as_json, workers, scheduler
+        )
+        return
+    if workers is not None or scheduler:
+        raise click.UsageError("--workers and --scheduler go with --each.")
     folder, written = output or (Path() if plot else None), list[Path]()
     with progress_bar() as progress:
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
@@ -78,6 +106,27 @@ def command(
     for path in () if as_json else written:
         console().print(f"written: {path}")
     wanted.note_unused(fit, sessions)
+
+
+def _identify_each(
+    folders: Sequence[Path],
+    fit: Callable[[Path], Fit],
+    output: Path | None,
+    as_json: bool,
+    workers: int | None,
+    scheduler: str | None,
+) -> None:
+    from machine_tool_calibration.fleet.each import each
+    from machine_tool_calibration.fleet.parquet import identified_tables, write_tables
+    from machine_tool_calibration.fleet.sessions import identified, places
+    from machine_tool_calibration.fleet.texts import identified_document, identified_table
+
+    found = places(folders)
+    work = each(partial(identified, fit=fit), found, workers=workers, scheduler=scheduler)
+    done = sorted(followed(work, len(found)), key=lambda one: one.item)
+    written = write_tables(identified_tables(done), output) if output else []
+    tell_either(identified_document(done), [identified_table(done)], as_json)
+    note_written(written)
 
 
 def _write(fit: Fit, folder: Path, *, result_file: bool) -> list[Path]:

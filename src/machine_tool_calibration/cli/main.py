@@ -37,7 +37,7 @@ ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", 
 SECTIONS = {
     "Measure": ("demo", "workpiece", "plan", "align-pointer", "run", "simulate"),
     "Identify": ("info", "identify", "report", "features", "budget", "conformity", "enough"),
-    "One machine over months": ("logbook", "check", "trend"),
+    "One machine over months, many machines": ("logbook", "check", "trend", "fleet"),
     "Find what the model lacks": ("compare", "compare-maps", "diagnose", "improve", "history", "workbench", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
 }

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.figures import Picture, library
@@ -18,7 +18,7 @@ from machine_tool_calibration.words import Words
 if TYPE_CHECKING:
     from machine_tool_calibration.report.evaluation import Evaluation
 
-__all__ = ["check_endings", "html", "save_pictures", "write_report"]
+__all__ = ["check_endings", "html", "rendered", "save_pictures", "write_report"]
 
 # Control characters, which no text needs and a terminal obeys, become the sign for one that cannot be shown.
 _UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0)} - {0x09, 0x0A, 0x0D}, "\ufffd")
@@ -68,28 +68,18 @@ def check_endings(files: Sequence[Path]) -> None:
 
 def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_paper: bool = False) -> str:
     """The page; on paper nothing in it can be turned."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader(__package__, "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.tests["picture"] = lambda block: isinstance(block, Picture)
-    environment.tests["table"] = lambda block: isinstance(block, TextTable)
-    environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
     origin = found.result.provenance
     drawings = [block.drawing for section in content for block in section.blocks if isinstance(block, Turnable)]
     interactive = bool(drawings) and not for_paper
     if for_paper:  # where nothing can be turned
         content = [own for own in content if not all(isinstance(block, Turnable) for block in own.blocks)]
     machines = [name_of_machine(one.about) for one in origin.sessions]
-    page = environment.get_template("report.html").render(
+    return rendered(
+        "report.html",
         words=words,
         sections=content,
-        origin=origin,
+        software=origin.software,
+        evaluated=origin.evaluated[:10],
         footer=words.told(origin.footer),
         machine=", ".join(dict.fromkeys(name for name in machines if name)),
         measured=", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured)),
@@ -98,7 +88,29 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         drawings=json.dumps(drawings).replace("</", "<\\/") if interactive else "",
         library=library() if interactive else "",
     )
-    return page.translate(_UNPRINTABLE)
+
+
+def rendered(template: str, *packages: str, **values: Any) -> str:
+    """A page made of a template.
+
+    Args:
+        template: its file; it may extend `report.html`.
+        packages: where it is, beside this one.
+        values: that it takes.
+    """
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package, ".") for package in (str(__package__), *packages)]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.tests["picture"] = lambda block: isinstance(block, Picture)
+    environment.tests["table"] = lambda block: isinstance(block, TextTable)
+    environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
+    return environment.get_template(template).render(**values).translate(_UNPRINTABLE)
 
 
 def save_pictures(content: Sequence[Section], folder: Path) -> list[Path]:

@@ -51,7 +51,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.words import Verbatim, Words, named, say, together
 
-__all__ = ["Section", "Turnable", "sections"]
+__all__ = ["Block", "Section", "Turnable", "in_language", "sections"]
 
 # Setups that are listed.
 _SETUPS = 20
@@ -62,6 +62,10 @@ class Turnable:
     """A drawing in space: what plotly.js takes."""
 
     drawing: dict[str, Any]
+
+
+Block = str | TextTable | Picture | Turnable
+"""What stands in a section: a sentence, a table, a picture, a drawing in space."""
 
 
 @dataclass
@@ -76,9 +80,9 @@ class Section:
 
     id: str
     title: str
-    blocks: list[str | TextTable | Picture | Turnable] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
 
-    def rows(self) -> Iterator[tuple[int, list[str | TextTable | Picture | Turnable]]]:
+    def rows(self) -> Iterator[tuple[int, list[Block]]]:
         """Blocks that follow each other, and how many of them stand side by side."""
         for beside, blocks in groupby(self.blocks, lambda one: one.beside if isinstance(one, Picture) else 1):
             same = list(blocks)
@@ -105,13 +109,13 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
     }
     out = []
     for name, blocks in parts.items():
-        section = Section(name, words(f"report.section_{name}"), [_told(block, words) for block in blocks])
+        section = Section(name, words(f"report.section_{name}"), [in_language(block, words) for block in blocks])
         if section.blocks:
             out.append(section)
     return out
 
 
-def _told(block: str | TextTable | Picture | Turnable, words: Words) -> str | TextTable | Picture | Turnable:
+def in_language(block: Block, words: Words) -> Block:
     """A block in the report's language; of a table the columns in which there is anything."""
     if isinstance(block, str):
         return words.numbers(words.told(block))

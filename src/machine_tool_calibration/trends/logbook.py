@@ -56,6 +56,16 @@ CREATE TRIGGER IF NOT EXISTS no_delete BEFORE DELETE ON entries
 PRAGMA application_id = {_APPLICATION};
 PRAGMA user_version = {_VERSION};
 """
+# A table of its own, which a logbook has from the first diagnosis on: other versions read the entries all the same.
+_DIAGNOSES = """
+CREATE TABLE IF NOT EXISTS diagnoses (
+    sha256 TEXT PRIMARY KEY, document TEXT NOT NULL, entered TEXT NOT NULL DEFAULT CURRENT_TIMESTAMP
+);
+CREATE TRIGGER IF NOT EXISTS diagnosis_kept BEFORE UPDATE ON diagnoses
+    BEGIN SELECT RAISE(ABORT, 'diagnoses are never changed'); END;
+CREATE TRIGGER IF NOT EXISTS diagnosis_stays BEFORE DELETE ON diagnoses
+    BEGIN SELECT RAISE(ABORT, 'diagnoses are never removed'); END;
+"""
 # Keys of `instrument` in `about` that say which one it is; others, such as a certificate, may change with time.
 _IDENTITY = ("name", "type", "model", "serial", "serial_number", "id")
 
@@ -213,6 +223,31 @@ class Logbook:
             places = ", ".join("?" * len(_COLUMNS))
             done = database.execute(f"INSERT INTO entries ({names}) VALUES ({places})", [*values.values()])
         return replace(entry, number=int(done.lastrowid or 0)), True
+
+    def add_diagnosis(self, sha256: str, document: Mapping[str, Any]) -> None:
+        """Keep what a diagnosis of a session says; one that is there already stays.
+
+        Args:
+            sha256: of the session's data.
+            document: in the types of JSON.
+
+        Raises:
+            CalibrationError: as for `add`.
+        """
+        text = json.dumps(document, ensure_ascii=False, allow_nan=False)
+        with self._open(make=True) as database, database:
+            database.executescript(f"BEGIN IMMEDIATE;{_DIAGNOSES}COMMIT;")
+            database.execute("INSERT OR IGNORE INTO diagnoses (sha256, document) VALUES (?, ?)", (sha256, text))
+
+    def diagnoses(self) -> dict[str, dict[str, Any]]:
+        """What diagnoses say, by the SHA-256 of their session's data; nothing where there is no logbook yet."""
+        if not self.path.exists():
+            return {}
+        with self._open() as database:
+            if not database.execute("SELECT 1 FROM sqlite_master WHERE name = 'diagnoses'").fetchone():
+                return {}
+            rows = database.execute("SELECT sha256, document FROM diagnoses").fetchall()
+        return {sha256: json.loads(document) for sha256, document in rows}
 
     def entries(self, machine: str | None = None) -> tuple[Entry, ...]:
         """Those of a machine in the order of their dates; of all machines where none is named.

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What verbs for many sessions share: where they are worked on, and how far that is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import click
+
+from machine_tool_calibration.cli.output import console, note, options
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.cli.diagnosing import Wanted
+    from machine_tool_calibration.interface.identification import Fit
+    from machine_tool_calibration.methods.fitted import FitRequest
+    from machine_tool_calibration.reports.identification import Measured
+
+__all__ = ["fit_one", "followed", "workers_options"]
+
+One = TypeVar("One")
+# Seconds between two lines where there is no terminal for a bar.
+_LINE = 30.0
+
+workers_options = options(
+    click.option(
+        "--workers",
+        type=click.IntRange(min=0),
+        help="Processes of this machine, by default one a processor; 0: one session after the other, without Dask.",
+    ),
+    click.option(
+        "--scheduler", metavar="ADDRESS", help="Of a Dask cluster that works instead, such as tcp://host:8786."
+    ),
+)
+"""`workers` and `scheduler` of `fleet.each.each`."""
+
+
+def fit_one(path: Path, wanted: Wanted, *, keep_all: bool = False) -> Fit:
+    """Identify one of many sessions; the variant of the model is for those of methods that have it.
+
+    Raises:
+        CalibrationError: as for `Wanted.fit`.
+    """
+    return wanted.fit([path], lambda what, share=None: None, partial(_chosen, wanted, keep_all))
+
+
+def _chosen(wanted: Wanted, keep_all: bool, measured: Measured) -> FitRequest:
+    from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
+
+    chosen = measured.chosen
+    elsewhere = {model for name in method_names() for model in method_spec(name).models}
+    # One that no method has is left for the refusal.
+    if wanted.model and wanted.model in elsewhere and wanted.model not in spec_of(chosen.sessions[0]).models:
+        chosen = replace(chosen, model=None)
+    return replace(chosen, keep_all=keep_all or chosen.keep_all)
+
+
+def followed(finished: Iterable[One], count: int) -> Iterator[One]:
+    """The same, with how many of `count` are finished and the time that is left, on standard error."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    screen = console(stderr=True)
+    if not screen.is_terminal:
+        yield from _lines(finished, count)
+        return
+    columns = (TextColumn("sessions"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=300.0) as shown:
+        task = shown.add_task("", total=count)
+        for one in finished:
+            yield one
+            shown.advance(task)
+
+
+def _lines(finished: Iterable[One], count: int) -> Iterator[One]:
+    from machine_tool_calibration.reports.quantities import duration
+
+    begun = said = time.monotonic()
+    for done, one in enumerate(finished, start=1):
+        yield one
+        now = time.monotonic()
+        if now - said >= _LINE and done < count:
+            said = now
+            note(f"{done} of {count} sessions, {duration((now - begun) / done * (count - done))} left")

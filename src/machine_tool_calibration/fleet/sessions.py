@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is worked out of each of many sessions: its result, and for a logbook its sizes and its diagnosis."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.interface.identification import Fit
+from machine_tool_calibration.model.result import effect_estimates
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.result_tables import tidy
+from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
+from machine_tool_calibration.session.provenance import data_hash, name_of_machine
+from machine_tool_calibration.trends.logbook import Entry, entry_of
+from machine_tool_calibration.trends.statement import sizes_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+
+__all__ = ["Evaluated", "Identified", "Place", "evaluated", "identified", "is_known", "places"]
+
+Fitting = Callable[[Path], Fit]
+"""Identifies a session by the model that was asked for."""
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """A session folder.
+
+    Attributes:
+        label: its name among all: the path from the folder in which all of them are.
+        path: where it is.
+    """
+
+    label: str
+    path: Path
+
+    def told(self, problem: str) -> str:
+        """A problem of it without the path that the label stands for."""
+        return problem.replace(f"{self.path}{os.sep}", "")
+
+
+@dataclass(frozen=True)
+class Identified:
+    """One session's result.
+
+    Attributes:
+        document: `mtcal-result/1`.
+        values: everything that was found, one value a row (`reports.result_tables.tidy`).
+    """
+
+    document: dict[str, Any]
+    values: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """One session, as a logbook keeps it.
+
+    Attributes:
+        entry: with its result and the sizes of all errors.
+        diagnosis: `verdict`, `effects` that are missing, each with its `probability` and its `parameters` beside the
+            others, `likely` ones, and how many `outliers` there are.
+    """
+
+    entry: Entry
+    diagnosis: dict[str, Any]
+
+
+def places(folders: Sequence[Path]) -> list[Place]:
+    """Session folders in folders and all below them, in the order of their labels.
+
+    Raises:
+        SessionError: there is no such folder, or no session in one.
+    """
+    found: dict[Path, Place] = {}
+    root = Path(os.path.commonpath([folder.absolute() for folder in folders]))
+    for folder in folders:
+        if not folder.is_dir():
+            raise SessionError(f"{folder}: no such folder")
+        own = sorted({file.parent for name in (DESCRIPTION_FILE, OBSERVATIONS_FILE) for file in folder.rglob(name)})
+        if not own:
+            raise SessionError(f"{folder}: no session ({DESCRIPTION_FILE}, {OBSERVATIONS_FILE}) in it or below it")
+        for path in own:
+            label = str(path.absolute().relative_to(root))
+            found.setdefault(path.resolve(), Place(root.name if label == "." else label, path))
+    return sorted(found.values())
+
+
+def identified(place: Place, fit: Fitting) -> Identified:
+    """Identify a session.
+
+    Raises:
+        CalibrationError: it cannot be read, or does not allow the model.
+    """
+    found = fit(place.path)
+    return Identified(found.document(), tidy(found.result))
+
+
+def evaluated(place: Place, fit: Fitting) -> Evaluated:
+    """Identify and diagnose a session.
+
+    Machine and date are those of `about` in `session.yaml`; what it does not say of them is taken from the names of the
+    folders where these are MACHINE/DATE.
+
+    Raises:
+        CalibrationError: as for `identified`, or nothing says which machine it is, or when it was measured.
+    """
+    found = fit(place.path)
+    session = found.measurement.sessions[0]
+    about = session.description.about
+    machine = date = None
+    with suppress(ValueError):
+        named = datetime.fromisoformat(place.path.name).date().isoformat()
+        date = None if about.get("date") or about.get("time") else named
+        machine = None if name_of_machine(about) else place.path.absolute().parent.name
+    # What nothing says there is told before the long part begins.
+    entry = entry_of(session, place.label, found.document(), (), machine=machine, date=date)
+    return Evaluated(replace(entry, sizes=sizes_of(found.result)), _told(found.diagnose()))
+
+
+def is_known(place: Place, known: frozenset[str]) -> bool:
+    """Whether a session is among those whose SHA-256 is known; not where it cannot be read."""
+    with suppress(OSError):
+        files = (place.path / name for name in (DESCRIPTION_FILE, OBSERVATIONS_FILE))
+        # As this package writes them: the sum is that of the data, and nothing needs to be read.
+        if sha256(b"".join(file.read_bytes() for file in files)).hexdigest() in known:
+            return True
+    try:
+        return data_hash(open_measurement(place.path)) in known
+    except (CalibrationError, OSError):
+        return False
+
+
+def _told(found: Diagnosis) -> dict[str, Any]:
+    return dict(
+        plain(
+            {
+                "verdict": found.verdict,
+                "effects": list(_effects(found)),
+                "likely": found.likely,
+                "outliers": len(found.gross_errors),
+            }
+        )
+    )
+
+
+def _effects(found: Diagnosis) -> Iterator[dict[str, Any]]:
+    sizes = effect_estimates(found.fits[-1], found.accepted) if found.accepted else ()
+    for name in found.accepted:
+        own = [size.document() for size in sizes if size.owner == name]
+        yield {"effect": name, "probability": found.search.of(name).probability, "parameters": own}
