@@ -12,14 +12,29 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.budget.conformity import INCOMPLETE, RULES, Conformity, Verdict, conformity, decide
+from machine_tool_calibration.budget.conformity import (
+    INCOMPLETE,
+    ONLY_IF_RIGHT,
+    RULES,
+    Conformity,
+    Verdict,
+    conformity,
+    decide,
+)
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
 from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, TrackingPlan, simulate
+from machine_tool_calibration.simulation import (
+    PRESETS,
+    DiagonalPlan,
+    FlawSpec,
+    SimulationSpec,
+    TrackingPlan,
+    simulate,
+)
 
 # Readings that scatter by next to nothing.
 QUIET = {"standard_uncertainty": {"displacement": 1e-10}}
@@ -131,6 +146,34 @@ def test_nothing_is_decided_without_a_budget(fitted: FittedSessions) -> None:
         assert {verdict.decision for verdict in found.each} <= {"undecided", "not determined"}
         assert found.each[0].why == INCOMPLETE and np.isnan(found.each[0].probability)
         assert found.decision != "pass"
+
+
+def test_nothing_is_decided_by_a_model_that_the_readings_contradict(reproducible: None) -> None:
+    """A backlash that the model lacks; with it in the model the same tolerances are kept and missed."""
+    session = simulate(
+        SimulationSpec(plan=TrackingPlan(dimension=2), effects=(FlawSpec(id="backlash_x", size=5e-6),), seed=3)
+    ).session
+    tolerances = {"volumetric": 1e-3}
+    lacking, whole = fit_sessions(session), fit_sessions(FitRequest((session,), effects=("backlash_x",)))
+    assert lacking.joint.p_value < 1e-3 < whole.joint.p_value
+    for rule in RULES:
+        found = one(judged(lacking, tolerances, rule=rule))
+        assert (found.decision, found.why) == ("undecided", ONLY_IF_RIGHT) and np.isnan(found.probability)
+    assert one(judged(whole, tolerances)).decision == "pass"
+
+
+def test_a_reversal_that_is_read_directly_is_part_of_the_result(reproducible: None) -> None:
+    """Runs of ISO 230-2: the mean of both directions does not fit them, and their uncertainty holds all the same."""
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], effects=(FlawSpec(id="backlash_x", size=5e-6),), seed=5)
+    fitted = fit_sessions(simulate(spec).session)
+    assert fitted.joint.p_value < 1e-3
+    found = judged(fitted, {"EXX": 1e-3, "A": 1e-3, "B": 1e-6})
+    assert [verdict.decision for verdict in found.each] == ["pass", "pass", "fail"]
+
+
+def test_what_is_suspicious_is_said(runs: Callable[..., Session]) -> None:
+    assert any("all 20 readings are 0" in words for words in judged(fit_sessions(runs()), {"EXX": 1.0}).suspicious)
+    assert not judged(fit_sessions(runs(np.random.default_rng(2).normal(0.0, 1e-6, 20))), {"EXX": 1.0}).suspicious
 
 
 def test_what_the_readings_show_is_not_undercut(

@@ -31,15 +31,22 @@ from machine_tool_calibration.budget.published import (
 )
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.model.goodness import only_if_right
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
 
-__all__ = ["INCOMPLETE", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
+__all__ = [
+    "INCOMPLETE", "ONLY_IF_RIGHT", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide",
+    "unit_of_figure",
+]  # fmt: skip
 
 INCOMPLETE = say("conformity.incomplete")
 """Why nothing passes or fails without a budget: the readings themselves do not show what these add."""
+ONLY_IF_RIGHT = say("conformity.only_if_right")
+"""Why nothing passes or fails by a model that the readings contradict."""
 RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
 """Decision rules (`decide`)."""
 VOLUMETRIC = "volumetric"
@@ -61,9 +68,9 @@ class Verdict:
         tolerance: largest value, or largest absolute value of what has a sign.
         value: measured; NaN where it is not determined.
         u: half the expanded uncertainty for 95.45 %.
-        probability: of conformity; NaN where it is not determined, or its uncertainty is not complete.
+        probability: of conformity; NaN where it is not determined, or its uncertainty is not complete or does not hold.
         decision: pass, fail, undecided or `not determined`.
-        why: what is not determined and why, or what its uncertainty lacks; empty otherwise.
+        why: what is not determined and why, or what its uncertainty lacks or rests on; empty otherwise.
     """
 
     name: str
@@ -86,6 +93,7 @@ class Conformity:
         level: conformance probability of the rule.
         uncertainty: `identification` or `budget`: whose uncertainties these are.
         origin: what they were made from.
+        suspicious: what is suspicious in the sessions, in words.
     """
 
     each: tuple[Verdict, ...]
@@ -93,6 +101,7 @@ class Conformity:
     level: float
     uncertainty: str
     origin: Provenance
+    suspicious: tuple[str, ...] = ()
 
     @property
     def decision(self) -> str:
@@ -157,6 +166,9 @@ def conformity(
 ) -> Conformity:
     """Hold what was identified against tolerances.
 
+    Where the readings contradict the model, nothing that rests on it passes or fails; the figures of ISO 230-2 and
+    ISO 230-6 are of the readings themselves.
+
     Args:
         fitted: the sessions.
         tolerances: by name, m or rad: an error motion (the range over its axis), a squareness (its absolute value), a
@@ -183,7 +195,9 @@ def conformity(
         if not (np.isfinite(tolerance) and tolerance > 0.0):
             raise ModelError(f"the tolerance of {name} must be positive, not {tolerance:g}")
         found += work.verdicts(name, tolerance, rule, level)
-    return Conformity(tuple(found), rule, level, "identification" if budget is None else "budget", fitted.provenance)
+    whose = "identification" if budget is None else "budget"
+    suspicious = suspicious_fits(fitted.joint.fits, fitted.joint.assembly.labels)
+    return Conformity(tuple(found), rule, level, whose, fitted.provenance, tuple(suspicious))
 
 
 class _Conformity:
@@ -196,6 +210,11 @@ class _Conformity:
         else:
             self.numbers = everything(fitted)
             self.u, self.dof = self.numbers.u, np.full(len(self.numbers.u), np.inf)
+
+    @cached_property
+    def doubtful(self) -> bool:
+        """Whether the readings speak against the model on which the uncertainties rest."""
+        return only_if_right(self.fitted.joint.p_value, self.fitted.error_map.content)
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
@@ -275,6 +294,8 @@ class _Conformity:
             u = float(high - low) / 4.0
         if self.budget is None:
             return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", INCOMPLETE)
+        if self.doubtful and figure_of(name) is None:
+            return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", ONLY_IF_RIGHT)
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
         return Verdict(name, unit, tolerance, value, u, probability, decision)
