@@ -73,12 +73,31 @@ def test_range_of_independent_values(reproducible: None, runs: Callable[..., Ses
 
 
 def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[..., Session]) -> None:
-    """Five equal values: the true range is as likely within 2.326 u, the mean range of five, as that of chance is."""
+    """Five equal values: the true range scatters about theirs as ranges of five do about their median.
+
+    Those of chance alone are 2.3 u, and as large a true one would have been seen.
+    """
     fitted = fit_sessions(runs())
-    found = of_exx(fitted, 2.326 * U)
     drawn = np.ptp(np.random.default_rng(3).normal(size=(20_000, 5)), axis=1)
-    assert found.value == pytest.approx(0.0, abs=1e-12)
-    assert found.probability == pytest.approx(np.mean(drawn <= 2.326), abs=0.05)
+    for tolerance in (0.5, 1.0, 2.326):
+        found = of_exx(fitted, tolerance * U)
+        assert found.value == pytest.approx(0.0, abs=1e-12)
+        assert found.probability == pytest.approx(np.mean(drawn - np.median(drawn) <= tolerance), abs=0.05)
+    assert found.decision == "pass"
+    assert of_exx(fitted, U).decision == "undecided"
+
+
+@pytest.mark.parametrize("seed", [2, 6, 10])
+def test_noise_alone_fails_nobody(reproducible: None, seed: int) -> None:
+    """Points that are known worse than the tolerance, of which the largest comes out at twice what it is."""
+    exact = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3, noise_factor=0.0)).session
+    sigma = exact.description.standard_uncertainty.model_copy(update={"displacement": 1e-5})
+    exact = replace(exact, description=exact.description.model_copy(update={"standard_uncertainty": sigma}))
+    true = one(judged(fit_sessions(exact), {"volumetric": 1.0})).value
+    noise = 1e-5 * np.random.default_rng(seed).normal(size=len(exact.readings))
+    moved = replace(exact.readings, displacement=exact.readings.displacement + noise)
+    found = judged(fit_sessions(exact.with_readings(moved)), {"volumetric": 1.05 * true})
+    assert one(found).value > 2.0 * true
     assert found.decision == "undecided"
 
 
