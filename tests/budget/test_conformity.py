@@ -21,6 +21,7 @@ from machine_tool_calibration.budget.conformity import (
     conformity,
     decide,
 )
+from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
 from machine_tool_calibration.errors import CalibrationError, ModelError
@@ -239,6 +240,16 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     assert [verdict.name for verdict in found.each] == ["M_X", "M_X", "B_mean_X", "A_Y"]
     assert [v.probability for v in found.each[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
     assert [v.decision for v in found.each] == ["undecided", "undecided", "pass", "not determined"]
+
+
+def test_one_number_has_one_uncertainty(reproducible: None) -> None:
+    """M of ISO 230-2 is the range of EXX."""
+    fitted = fit_sessions(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=5)).session)
+    found = conformity(
+        fitted, {"EXX": 1e-5, "M_X": 1e-5}, budget=propagate(fitted, template_of("laser_interferometer"))
+    )
+    motion, mean = found.each
+    assert motion == replace(mean, name="EXX")
 
 
 @pytest.mark.parametrize(

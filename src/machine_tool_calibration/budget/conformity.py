@@ -11,7 +11,7 @@ in the measured values and once more in the draws: each side of the tolerance is
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +56,8 @@ VOLUMETRIC = "volumetric"
 _SAMPLES, _DRAWS = 150, 10_000
 # Numbers at once, and standard uncertainties beyond which a value cannot be.
 _NUMBERS, _BEYOND = 2_000_000, 6.0
+# Part of a range by which two that are one may differ.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -259,6 +261,9 @@ class _Conformity:
     def motion(self, name: str) -> list[_Figure]:
         """Range of an error motion over its axis."""
         known, axis = self.numbers.by_name, name[2].lower()
+        mean = known.get(f"M_{name[2]}") if name[1] == name[2] else None
+        if mean is not None and name in known and self.same(mean, known[name]):
+            return [replace(self.of(mean, None), name=name)]  # one number has one uncertainty
         if name in known and known[name].at is not None and known[name].count == 1:
             return []  # at one position there is no range
         if name in known and known[name].count > 1:
@@ -271,6 +276,12 @@ class _Conformity:
             members = np.arange(profile.first + column, profile.first + profile.count, 3)
             return [_Figure(name, profile.unit, members, _RANGE, signed=False)]
         return [self.of(known[name], _ONLY)] if name in known else []
+
+    def same(self, mean: Quantity, motion: Quantity) -> bool:
+        """Whether the range of a motion is the M of ISO 230-2: one run, fitted at all of its positions."""
+        values = self.numbers.value
+        found = float(values[mean.first])
+        return bool(np.isfinite(found) and abs(np.ptp(values[motion.members]) - found) <= _SAME * found)
 
     def of(self, q: Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""
