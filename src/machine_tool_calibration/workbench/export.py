@@ -108,9 +108,9 @@ class ExportPage:
             self._left, self._keep.disabled = (form, exported, picture), False
             harm = escape(harm_words(exported))
             worse = f'<p class="error">{harm[0].upper()}{harm[1:]}.</p>' if harm else ""
-            whose = escape(self._whose(name))
+            files = f"<p>Files: {escape(', '.join(exported.files))}</p>"
             self._preview.object = (
-                f"{worse}<p>{whose}</p><p>Files: {escape(', '.join(exported.files))}</p>{tables([left_table(exported)])}"
+                f"{worse}<p>{escape(self._whose(name))}</p>{files}{tables([left_table(exported)])}"
                 f"<p>{escape(absent_words(exported))}</p>"
             )
             self._picture.object = picture
