@@ -12,14 +12,30 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.budget.conformity import INCOMPLETE, RULES, Conformity, Verdict, conformity, decide
+from machine_tool_calibration.budget.conformity import (
+    INCOMPLETE,
+    ONLY_IF_RIGHT,
+    RULES,
+    Conformity,
+    Verdict,
+    conformity,
+    decide,
+)
+from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
 from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, TrackingPlan, simulate
+from machine_tool_calibration.simulation import (
+    PRESETS,
+    DiagonalPlan,
+    FlawSpec,
+    SimulationSpec,
+    TrackingPlan,
+    simulate,
+)
 
 # Readings that scatter by next to nothing.
 QUIET = {"standard_uncertainty": {"displacement": 1e-10}}
@@ -58,12 +74,31 @@ def test_range_of_independent_values(reproducible: None, runs: Callable[..., Ses
 
 
 def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[..., Session]) -> None:
-    """Five equal values: the true range is as likely within 2.326 u, the mean range of five, as that of chance is."""
+    """Five equal values: the true range scatters about theirs as ranges of five do about their median.
+
+    Those of chance alone are 2.3 u, and as large a true one would have been seen.
+    """
     fitted = fit_sessions(runs())
-    found = of_exx(fitted, 2.326 * U)
     drawn = np.ptp(np.random.default_rng(3).normal(size=(20_000, 5)), axis=1)
-    assert found.value == pytest.approx(0.0, abs=1e-12)
-    assert found.probability == pytest.approx(np.mean(drawn <= 2.326), abs=0.05)
+    for tolerance in (0.5, 1.0, 2.326):
+        found = of_exx(fitted, tolerance * U)
+        assert found.value == pytest.approx(0.0, abs=1e-12)
+        assert found.probability == pytest.approx(np.mean(drawn - np.median(drawn) <= tolerance), abs=0.05)
+    assert found.decision == "pass"
+    assert of_exx(fitted, U).decision == "undecided"
+
+
+@pytest.mark.parametrize("seed", [2, 6, 10])
+def test_noise_alone_fails_nobody(reproducible: None, seed: int) -> None:
+    """Points that are known worse than the tolerance, of which the largest comes out at twice what it is."""
+    exact = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3, noise_factor=0.0)).session
+    sigma = exact.description.standard_uncertainty.model_copy(update={"displacement": 1e-5})
+    exact = replace(exact, description=exact.description.model_copy(update={"standard_uncertainty": sigma}))
+    true = one(judged(fit_sessions(exact), {"volumetric": 1.0})).value
+    noise = 1e-5 * np.random.default_rng(seed).normal(size=len(exact.readings))
+    moved = replace(exact.readings, displacement=exact.readings.displacement + noise)
+    found = judged(fit_sessions(exact.with_readings(moved)), {"volumetric": 1.05 * true})
+    assert one(found).value > 2.0 * true
     assert found.decision == "undecided"
 
 
@@ -133,6 +168,34 @@ def test_nothing_is_decided_without_a_budget(fitted: FittedSessions) -> None:
         assert found.decision != "pass"
 
 
+def test_nothing_is_decided_by_a_model_that_the_readings_contradict(reproducible: None) -> None:
+    """A backlash that the model lacks; with it in the model the same tolerances are kept and missed."""
+    session = simulate(
+        SimulationSpec(plan=TrackingPlan(dimension=2), effects=(FlawSpec(id="backlash_x", size=5e-6),), seed=3)
+    ).session
+    tolerances = {"volumetric": 1e-3}
+    lacking, whole = fit_sessions(session), fit_sessions(FitRequest((session,), effects=("backlash_x",)))
+    assert lacking.joint.p_value < 1e-3 < whole.joint.p_value
+    for rule in RULES:
+        found = one(judged(lacking, tolerances, rule=rule))
+        assert (found.decision, found.why) == ("undecided", ONLY_IF_RIGHT) and np.isnan(found.probability)
+    assert one(judged(whole, tolerances)).decision == "pass"
+
+
+def test_a_reversal_that_is_read_directly_is_part_of_the_result(reproducible: None) -> None:
+    """Runs of ISO 230-2: the mean of both directions does not fit them, and their uncertainty holds all the same."""
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], effects=(FlawSpec(id="backlash_x", size=5e-6),), seed=5)
+    fitted = fit_sessions(simulate(spec).session)
+    assert fitted.joint.p_value < 1e-3
+    found = judged(fitted, {"EXX": 1e-3, "A": 1e-3, "B": 1e-6})
+    assert [verdict.decision for verdict in found.each] == ["pass", "pass", "fail"]
+
+
+def test_what_is_suspicious_is_said(runs: Callable[..., Session]) -> None:
+    assert any("all 20 readings are 0" in words for words in judged(fit_sessions(runs()), {"EXX": 1.0}).suspicious)
+    assert not judged(fit_sessions(runs(np.random.default_rng(2).normal(0.0, 1e-6, 20))), {"EXX": 1.0}).suspicious
+
+
 def test_what_the_readings_show_is_not_undercut(
     runs: Callable[..., Session], contributor: Callable[..., Contributor]
 ) -> None:
@@ -177,6 +240,16 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     assert [verdict.name for verdict in found.each] == ["M_X", "M_X", "B_mean_X", "A_Y"]
     assert [v.probability for v in found.each[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
     assert [v.decision for v in found.each] == ["undecided", "undecided", "pass", "not determined"]
+
+
+def test_one_number_has_one_uncertainty(reproducible: None) -> None:
+    """M of ISO 230-2 is the range of EXX."""
+    fitted = fit_sessions(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=5)).session)
+    found = conformity(
+        fitted, {"EXX": 1e-5, "M_X": 1e-5}, budget=propagate(fitted, template_of("laser_interferometer"))
+    )
+    motion, mean = found.each
+    assert motion == replace(mean, name="EXX")
 
 
 @pytest.mark.parametrize(

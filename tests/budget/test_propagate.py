@@ -229,6 +229,43 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     assert budget.u[m] == pytest.approx(np.hypot(0.8e-6, budget.numbers.u[m]), rel=1e-6)
 
 
+def both_ways(session: Session, deviation: np.ndarray) -> FittedSessions:
+    """Two runs up and down over the five positions, with these deviations."""
+    readings = session.readings
+    sense = np.where(np.arange(20) // 5 % 2 == 0, 1.0, -1.0)
+    columns = {**readings.columns, "x": np.tile(np.concatenate([X, X[::-1]]), 2), "dir_x": sense}
+    moved = type(readings)(readings.setup, readings.repeat // 2, deviation, columns, readings.labels, readings.row)
+    return fit_sessions(session.with_readings(moved))
+
+
+def test_a_range_is_as_uncertain_whichever_end_is_the_larger(
+    runs: Callable[..., Session], contributor: Callable[..., Contributor]
+) -> None:
+    """One way or the other a length makes a range larger: the same machine seen from its other end has the same U."""
+    shape = 1e-6 * np.array([0.0, 2.0, 0.5, 1.9, 0.3])
+    scatter = 1e-8 * np.random.default_rng(3).standard_normal(20)
+    u = []
+    for sign in (1.0, -1.0):
+        deviation = sign * np.tile(np.concatenate([shape, shape[::-1]]), 2) + scatter
+        budget = propagate(both_ways(runs(), deviation), [contributor("length", "never", 4e-6)])
+        u.append([budget.lines[0].u[budget.numbers.quantity(f"{name}_X").first] for name in ("M", "E", "A_up")])
+    assert u[0] == pytest.approx(u[1], rel=0.05)
+    assert min(u[0]) > 0.3e-6
+
+
+def test_what_the_runs_scatter_is_counted_once(
+    runs: Callable[..., Session], contributor: Callable[..., Contributor]
+) -> None:
+    """Repeatability and drift from run to run are in the figures' scatter already, drawn or not."""
+    own = both_ways(runs(), 1e-6 * np.random.default_rng(3).standard_normal(20))
+    lines = [contributor("reading", "reading", 1e-6), contributor("reading", "run", 1e-6)]
+    budget = propagate(own, lines, draws=400)
+    for name in ("R_X", "A_X", "M_X"):
+        k = budget.numbers.quantity(name).first
+        assert budget.u[k] == pytest.approx(budget.numbers.u[k])
+        assert budget.drawn is not None and budget.drawn.u[k] == pytest.approx(budget.u[k], rel=0.12)
+
+
 @pytest.mark.parametrize("instrument", instruments())
 def test_budgets_to_begin_with_name_their_sources(instrument: str) -> None:
     lines = template_of(instrument)

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from machine_tool_calibration.session.folder import write_session
@@ -102,6 +104,15 @@ def test_conformity_in_words_and_for_programs(line: str, mine: str, verb: Verb) 
     assert (document["rule"], document["uncertainty"]) == ("simple", "budget")
     assert [f["decision"] for f in document["figures"]] == ["pass", "not determined", "fail"]
     assert document["figures"][1]["probability"] is None
+
+
+def test_conformity_says_what_is_suspicious(tmp_path: Path, verb: Verb) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=5)).session
+    zero = np.zeros(len(session.readings))
+    write_session(session.with_readings(replace(session.readings, displacement=zero)), tmp_path / "zero")
+    asked = ["conformity", tmp_path / "zero", "--tolerance", "EXX=5um"]
+    assert "suspicious: all 110 readings are 0" in verb(*asked).out
+    assert "all 110 readings are 0" in verb(*asked, "--json").document["suspicious"][0]
 
 
 def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, verb: Verb) -> None:

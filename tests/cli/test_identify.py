@@ -87,6 +87,20 @@ def test_a_map_in_two_directions_and_too_few_runs_are_said(verb, tmp_path):
     assert both["value"].round(2).equals(both["value"])
 
 
+def test_the_csv_holds_what_the_standards_ask_for(verb, tmp_path):
+    write_session(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=5)).session, tmp_path / "s")
+    run = verb("identify", tmp_path / "s", "--json").document["error_map"]["iso230_2"][0]
+    verb("identify", tmp_path / "s", "--csv", tmp_path / "si.csv")
+    table = pd.read_csv(tmp_path / "si.csv", comment="#").set_index("error")
+    for name in ("A", "R", "E_up", "B_mean", "M"):
+        assert tuple(table.loc[f"{name}_X", ["value", "U"]]) == pytest.approx((run[name], run[f"{name}_U"]))
+    verb("identify", tmp_path / "s", "--csv", tmp_path / "um.csv", "--units", "um")
+    rows = pd.read_csv(tmp_path / "um.csv", comment="#", dtype=str).query("determined == 'True'")
+    decimals = rows[["value", "U"]].map(lambda text: len(text.partition(".")[2]))
+    assert (decimals["value"] == decimals["U"]).all(), "trailing zeros are figures, too"
+    assert rows["value"].str.endswith("0").any()
+
+
 def test_an_effect_makes_the_model_fit(verb, backlash):
     assert "something is missing in it" in verb("identify", backlash).text
     document = verb("identify", backlash, "--effect", "backlash_y", "--json").document

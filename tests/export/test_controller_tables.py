@@ -231,9 +231,28 @@ def test_tables_that_hold_the_whole_map_leave_its_uncertainty() -> None:
     assert not harm_words(found)
 
 
+def test_now_and_left_are_of_one_definition() -> None:
+    """Tables that change nothing leave what there is now."""
+    for row in left_table(exported(BEFORE, 2e-6)).rows:
+        assert (row[1], row[3]) == (row[2], row[4])
+
+
+def test_a_larger_largest_error_is_warned_of() -> None:
+    """A point that gets worse where all others get better."""
+    worst = int(np.argmax(np.abs(BEFORE[:, 0])))
+    after = 0.5 * BEFORE
+    after[worst, 0] = 1.2 * BEFORE[worst, 0]
+    found = exported(after)
+    assert not found.worse and not found.worse_along
+    assert harm_words(found).startswith("the largest error grows: X (")
+
+
 def test_an_axis_that_gets_worse_is_named() -> None:
     found = exported(BEFORE * [0.1, 0.1, 1.01])
     assert not found.worse
-    before, after = (f"{1e6 * value:.2f} µm" for value in (found.left[2].rms_before, found.left[2].rms_after))
-    assert harm_words(found) == f"the tables make Z ({before} → {after} RMS) worse; leave it out"
+    (_, now, left, largest_now, largest_left, _) = left_table(found).rows[2]
+    assert harm_words(found) == (
+        f"the tables make the RMS error along Z ({now} µm → {left} µm) worse; leave it out; "
+        f"the largest error grows: Z ({largest_now} µm → {largest_left} µm)"
+    )
     assert "do not load" in harm_words(exported(2.0 * BEFORE))

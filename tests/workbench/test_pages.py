@@ -17,6 +17,8 @@ from bokeh.server.session import ServerSession
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.workbench.compare import ComparePage
+from machine_tool_calibration.workbench.export import ExportPage
+from machine_tool_calibration.workbench.handed_over import left
 from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import in_order
@@ -51,6 +53,15 @@ def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, docu
     assert numbers == [1, 2, 3, 4]
     assert list(page._before.options) == ["1: first model", "4: + dead_path"] == page._fall.x_range.factors
     assert "model 1" in page._table.object and "model 4" in page._table.object
+
+
+def test_an_export_says_of_which_model_it_is(state: State, document: Document) -> None:
+    page = shown(ExportPage, state)
+    assert state.model.fit.result.model_name == "free"
+    made, _, name = left(state.subject, state.model, "csv", lambda what, share: None)
+    assert made.files and name == "rigid_body"
+    assert page._whose(name).startswith("Of the model rigid_body; the one in use, free, has no tables")
+    assert page._whose("free") == "Of the model free."
 
 
 def test_compare_shows_long_readings_in_millimetres_and_hides_setups(state: State, document: Document) -> None:

@@ -5,14 +5,14 @@ The probability of conformity is that of the true value lying within the toleran
 uncertainty and nothing else (JCGM 106, 7.1: for a single value a normal distribution about it, or Student's t where a
 budget has few degrees of freedom). The largest of many values, or their range, is distributed otherwise: there the
 values are drawn with their joint uncertainty, and what is asked for is worked out of every draw. Noise makes it larger,
-once in the measured values and once more in the draws.
+in the measured values and once more in the draws: each side of the tolerance is asked by itself (`_of_many`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import special
@@ -31,15 +31,22 @@ from machine_tool_calibration.budget.published import (
 )
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
+from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.model.goodness import only_if_right
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
 
-__all__ = ["INCOMPLETE", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
+__all__ = [
+    "INCOMPLETE", "ONLY_IF_RIGHT", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide",
+    "unit_of_figure",
+]  # fmt: skip
 
 INCOMPLETE = say("conformity.incomplete")
 """Why nothing passes or fails without a budget: the readings themselves do not show what these add."""
+ONLY_IF_RIGHT = say("conformity.only_if_right")
+"""Why nothing passes or fails by a model that the readings contradict."""
 RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
 """Decision rules (`decide`)."""
 VOLUMETRIC = "volumetric"
@@ -49,6 +56,8 @@ VOLUMETRIC = "volumetric"
 _SAMPLES, _DRAWS = 150, 10_000
 # Numbers at once, and standard uncertainties beyond which a value cannot be.
 _NUMBERS, _BEYOND = 2_000_000, 6.0
+# Part of a range by which two that are one may differ.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -61,9 +70,9 @@ class Verdict:
         tolerance: largest value, or largest absolute value of what has a sign.
         value: measured; NaN where it is not determined.
         u: half the expanded uncertainty for 95.45 %.
-        probability: of conformity; NaN where it is not determined, or its uncertainty is not complete.
+        probability: of conformity; NaN where it is not determined, or its uncertainty is not complete or does not hold.
         decision: pass, fail, undecided or `not determined`.
-        why: what is not determined and why, or what its uncertainty lacks; empty otherwise.
+        why: what is not determined and why, or what its uncertainty lacks or rests on; empty otherwise.
     """
 
     name: str
@@ -86,6 +95,7 @@ class Conformity:
         level: conformance probability of the rule.
         uncertainty: `identification` or `budget`: whose uncertainties these are.
         origin: what they were made from.
+        suspicious: what is suspicious in the sessions, in words.
     """
 
     each: tuple[Verdict, ...]
@@ -93,6 +103,7 @@ class Conformity:
     level: float
     uncertainty: str
     origin: Provenance
+    suspicious: tuple[str, ...] = ()
 
     @property
     def decision(self) -> str:
@@ -102,19 +113,32 @@ class Conformity:
 
 
 @dataclass(frozen=True)
+class _Kind:
+    """How a figure is worked out of many numbers.
+
+    Attributes:
+        work_out: from (draws, k) numbers to (draws,) figures.
+        within: from (k,) numbers and a tolerance to the nearest ones that keep it.
+    """
+
+    work_out: Callable[[Array], Array]
+    within: Callable[[Array, float], Array]
+
+
+@dataclass(frozen=True)
 class _Figure:
     """Something that has a tolerance.
 
     Attributes:
         members: (k,) places in the vector of published numbers.
-        work_out: from (draws, k) numbers to (draws,) figures; None for a single number.
+        kind: how it is worked out of many; None for a single number.
         signed: whether the tolerance is for its absolute value.
     """
 
     name: str
     unit: str
     members: IntArray
-    work_out: Callable[[Array], Array] | None
+    kind: _Kind | None
     signed: bool
 
 
@@ -157,6 +181,9 @@ def conformity(
 ) -> Conformity:
     """Hold what was identified against tolerances.
 
+    Where the readings contradict the model, nothing that rests on it passes or fails; the figures of ISO 230-2 and
+    ISO 230-6 are of the readings themselves.
+
     Args:
         fitted: the sessions.
         tolerances: by name, m or rad: an error motion (the range over its axis), a squareness (its absolute value), a
@@ -183,7 +210,9 @@ def conformity(
         if not (np.isfinite(tolerance) and tolerance > 0.0):
             raise ModelError(f"the tolerance of {name} must be positive, not {tolerance:g}")
         found += work.verdicts(name, tolerance, rule, level)
-    return Conformity(tuple(found), rule, level, "identification" if budget is None else "budget", fitted.provenance)
+    whose = "identification" if budget is None else "budget"
+    suspicious = suspicious_fits(fitted.joint.fits, fitted.joint.assembly.labels)
+    return Conformity(tuple(found), rule, level, whose, fitted.provenance, tuple(suspicious))
 
 
 class _Conformity:
@@ -196,6 +225,11 @@ class _Conformity:
         else:
             self.numbers = everything(fitted)
             self.u, self.dof = self.numbers.u, np.full(len(self.numbers.u), np.inf)
+
+    @cached_property
+    def doubtful(self) -> bool:
+        """Whether the readings speak against the model on which the uncertainties rest."""
+        return only_if_right(self.fitted.joint.p_value, self.fitted.error_map.content)
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
@@ -227,22 +261,31 @@ class _Conformity:
     def motion(self, name: str) -> list[_Figure]:
         """Range of an error motion over its axis."""
         known, axis = self.numbers.by_name, name[2].lower()
+        mean = known.get(f"M_{name[2]}") if name[1] == name[2] else None
+        if mean is not None and name in known and self.same(mean, known[name]):
+            return [replace(self.of(mean, None), name=name)]  # one number has one uncertainty
         if name in known and known[name].at is not None and known[name].count == 1:
             return []  # at one position there is no range
         if name in known and known[name].count > 1:
             nodes = known[name].at if parse_motion(name).is_straightness else None
-            return [self.of(known[name], _range if nodes is None else partial(_about_line, nodes))]
+            return [self.of(known[name], _RANGE if nodes is None else _extent(nodes))]
         # A step diagonal gives straightness as its extent about the least-squares line, and positions as profiles.
         if axis in known and name[1] == name[2]:
             profile = known[axis]
             column = "xyz".index(axis)
             members = np.arange(profile.first + column, profile.first + profile.count, 3)
-            return [_Figure(name, profile.unit, members, _range, signed=False)]
-        return [self.of(known[name], _only)] if name in known else []
+            return [_Figure(name, profile.unit, members, _RANGE, signed=False)]
+        return [self.of(known[name], _ONLY)] if name in known else []
 
-    def of(self, q: Quantity, work_out: Callable[[Array], Array] | None, *, signed: bool = False) -> _Figure:
+    def same(self, mean: Quantity, motion: Quantity) -> bool:
+        """Whether the range of a motion is the M of ISO 230-2: one run, fitted at all of its positions."""
+        values = self.numbers.value
+        found = float(values[mean.first])
+        return bool(np.isfinite(found) and abs(np.ptp(values[motion.members]) - found) <= _SAME * found)
+
+    def of(self, q: Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""
-        return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), work_out, signed)
+        return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), kind, signed)
 
     def volumetric(self, q: Quantity) -> _Figure:
         """The largest length of the position error, of those points that can have it.
@@ -255,7 +298,7 @@ class _Conformity:
         # False for points with a gap, too, which are to stay.
         points = np.flatnonzero(~(length + off < np.max(length - off, initial=0.0)))
         members = q.first + (3 * points[:, None] + measured).reshape(-1)
-        return _Figure(VOLUMETRIC, q.unit, members, partial(_longest, dimension=len(measured)), signed=False)
+        return _Figure(VOLUMETRIC, q.unit, members, _largest_length(len(measured)), signed=False)
 
     def verdict(self, figure: _Figure, tolerance: float, rule: str, level: float) -> Verdict:
         """Probability and decision of one figure."""
@@ -263,18 +306,21 @@ class _Conformity:
         values, spread = self.numbers.value[members], self.u[members]
         if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
             return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
-        if figure.work_out is None:
+        if figure.kind is None:
             value, dof = float(values[0]), self.dof[members[0]]
             probability = _single(value, float(spread[0]), float(dof), tolerance, signed=figure.signed)
             u = float(coverage_factor(dof) * spread[0]) / 2.0
         else:
-            value = float(figure.work_out(values[None])[0])
-            drawn_figures = self.draws(figure, values, spread)
-            probability = _of_many(value, drawn_figures, tolerance)
-            low, high = np.percentile(drawn_figures, [2.275, 97.725])
+            value = float(figure.kind.work_out(values[None])[0])
+            as_measured = self.draws(figure, values, spread)
+            kept = self.draws(figure, figure.kind.within(values, tolerance), spread)
+            probability = _of_many(value, as_measured, kept, tolerance)
+            low, high = np.percentile(as_measured, [2.275, 97.725])
             u = float(high - low) / 4.0
         if self.budget is None:
             return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", INCOMPLETE)
+        if self.doubtful and figure_of(name) is None:
+            return Verdict(name, unit, tolerance, value, u, np.nan, "undecided", ONLY_IF_RIGHT)
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
         return Verdict(name, unit, tolerance, value, u, probability, decision)
@@ -285,7 +331,7 @@ class _Conformity:
         The samples carry the correlations; each value's own uncertainty is the one that is published. Of few degrees of
         freedom all values of a draw are off together (a multivariate t-distribution).
         """
-        assert figure.work_out is not None
+        assert figure.kind is not None
         off = self.samples[:, figure.members]
         dof = float(self.dof[figure.members[int(np.argmax(u))]])
         size = np.sqrt(np.mean(off**2, axis=0))
@@ -297,7 +343,7 @@ class _Conformity:
             z = rng.standard_normal((min(chunk, _DRAWS - first), len(root)))
             if np.isfinite(dof):
                 z /= np.sqrt(rng.chisquare(dof, len(z)) / dof)[:, None]
-            out.append(figure.work_out(values + z @ root))
+            out.append(figure.kind.work_out(values + z @ root))
         return np.concatenate(out)
 
     @cached_property
@@ -349,33 +395,56 @@ def _single(value: float, u: float, dof: float, tolerance: float, *, signed: boo
     return below(tolerance) - below(-tolerance) if signed else below(tolerance)
 
 
-def _of_many(value: float, draws: Array, tolerance: float) -> float:
+def _of_many(value: float, as_measured: Array, kept: Array, tolerance: float) -> float:
     """Probability that the largest of many values, or their range, is at most the tolerance.
 
-    Noise lifts the measured one as it lifts the draws above that (Efron and Tibshirani 1993, chapter 10), where the
-    values differ little by at least as much: the true one scatters about what was measured, or about as much below it.
-    Nothing is proved that not both prove, and between them neither is.
+    Args:
+        value: measured.
+        as_measured: draws about the values as measured.
+        kept: draws about values that just keep the tolerance.
+        tolerance: the largest that conforms.
+
+    A measured one within the tolerance was lifted by noise rather than lowered: the true one scatters about it as the
+    draws do about their median. One beyond the tolerance may be beyond it by noise alone, of so many values: it is as
+    probable as that values which keep the tolerance come out as large as that (Efron and Tibshirani 1993, chapter 16).
     """
-    middle = float(np.median(draws))
-    lifted = max(middle - value, 0.0)
-    as_measured, below = (float(np.mean(draws - middle + centre <= tolerance)) for centre in (value, value - lifted))
-    return sorted((as_measured, 0.5, below))[1]
+    if value > tolerance:
+        return min(float(np.mean(kept >= value)), 0.5)
+    return float(np.mean(as_measured - np.median(as_measured) + value <= tolerance))
 
 
 def _range(values: Array) -> Array:
     return np.asarray(np.ptp(values, axis=-1))
 
 
-def _about_line(nodes: Array, values: Array) -> Array:
+def _range_within(values: Array, tolerance: float) -> Array:
+    middle = (values.max() + values.min()) / 2.0
+    return np.asarray(np.clip(values, middle - tolerance / 2.0, middle + tolerance / 2.0))
+
+
+def _extent(nodes: Array) -> _Kind:
     """Extent of a straightness: about the least-squares line, as its slope is a squareness or an alignment."""
     columns = np.stack([np.ones(len(nodes)), nodes - nodes.mean()], axis=1)
-    return _range(values - values @ columns @ np.linalg.pinv(columns))
+    line = columns @ np.linalg.pinv(columns)
+    return _Kind(
+        lambda values: _range(values - values @ line),
+        lambda values, tolerance: _range_within(values - values @ line, tolerance),
+    )
 
 
-def _only(values: Array) -> Array:
-    return values[:, 0]
+def _largest_length(dimension: int) -> _Kind:
+    """The largest length of vectors of so many components."""
+
+    def lengths(values: Array) -> Array:
+        vectors = values.reshape(*values.shape[:-1], -1, dimension)
+        return np.asarray(np.sqrt(np.einsum("...ni,...ni->...n", vectors, vectors)))
+
+    def within(values: Array, tolerance: float) -> Array:
+        shorter = tolerance / np.maximum(lengths(values), tolerance)
+        return values * np.repeat(shorter, dimension)
+
+    return _Kind(lambda values: np.asarray(lengths(values).max(axis=-1)), within)
 
 
-def _longest(values: Array, dimension: int) -> Array:
-    vectors = values.reshape(len(values), -1, dimension)
-    return np.asarray(np.sqrt(np.einsum("sni,sni->sn", vectors, vectors)).max(axis=1))
+_RANGE = _Kind(_range, _range_within)
+_ONLY = _Kind(lambda values: values[:, 0], np.minimum)

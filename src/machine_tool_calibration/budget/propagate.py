@@ -6,6 +6,10 @@ uncertainty of it, the same fit is made of them, and what a published number cha
 of a contributor are independent, so that their contributions add in squares. Where every reading has a value of its own
 of the size for which the fit weighs it, the covariance of the fit is that sum in closed form. Second order contributors
 (across the beam, angle) shift all readings by their mean, besides, which is not zero.
+
+Figures of ISO 230-2 and ISO 230-6 are largest values and ranges of the readings, which a shift one way may change by
+more than one the other way, or a larger one by more than in proportion: they are shifted by ten equally probable
+values, and the mean square counts. What differs from reading to reading or run to run is in what the runs scatter.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import COVERAGE, Array
+from machine_tool_calibration.arrays import COVERAGE, Array, BoolArray
 from machine_tool_calibration.budget.patterns import Pattern, pattern
 from machine_tool_calibration.budget.published import (
     Numbers,
@@ -55,6 +59,9 @@ _NEGLIGIBLE_SHARE = 0.01
 # Numbers that all draws of a check may have.
 _MOST_NUMBERS = 100_000_000
 _ALIKE = 1e-9
+# Equally probable values of the standard normal distribution, of unit mean square.
+_VALUES = special.ndtri((np.arange(10) + 0.5) / 10.0)
+_VALUES /= np.sqrt(np.mean(_VALUES**2))
 
 
 @dataclass(frozen=True)
@@ -282,11 +289,14 @@ class _Propagation:
         """Of all readings, those of each session."""
         return np.split(shift, self.ends[:-1])
 
-    def values(self, shift: Array, known: Array | None = None, *, again: bool = False) -> Array:
-        """(M,) what is published when something is added to the readings."""
+    def values(
+        self, shift: Array, known: Array | None = None, *, again: bool = False, of_figures: Array | None = None
+    ) -> Array:
+        """(M,) what is published when something is added to the readings, for figures of ISO 230-2 something else."""
         parts = self.split(shift)
         mapped = numbers(self.fitted, changed(self.joint, parts, known, again=again)).value
-        return np.concatenate([mapped, iso_numbers(self.fitted, parts).value])
+        figures = iso_numbers(self.fitted, parts if of_figures is None else self.split(of_figures))
+        return np.concatenate([mapped, figures.value])
 
     def response(self, shift: Array, known: Array | None = None) -> Array:
         """(M,) change of what is published."""
@@ -311,8 +321,13 @@ class _Propagation:
         if own.curvature.any():
             squares = self.response(own.mean) ** 2
         added, how = self.spread(own)
+        added[self.iso] = np.where(self.shown(own), 0.0, added[self.iso])
         reading = float(np.sqrt(own.mean**2 + own.size**2).max(initial=0.0))
         return Line(own.contributor.name, own.contributor, reading, np.sqrt(squares + added), how)
+
+    def shown(self, own: Pattern) -> BoolArray:
+        """(iso,) which figures hold what a contributor does already, in the scatter of their runs."""
+        return np.asarray((self.repeatability[self.iso] > 0.0) & (own.contributor.varies in ("reading", "run")))
 
     def spread(self, own: Pattern) -> tuple[Array, str]:
         """(M,) variance from the independent values of a contributor, and how it was worked out."""
@@ -324,8 +339,17 @@ class _Propagation:
             return self.drawn_squares(own), "draws"
         squares = np.zeros(len(self.base))
         for g in there:
-            squares += self.response(own.signed * (own.group == g)) ** 2
+            shift = own.signed * (own.group == g)
+            change = self.response(shift) ** 2
+            if self.iso.stop > self.iso.start:
+                change[self.iso] = self.of_figures(shift)
+            squares += change
         return squares, "steps"
+
+    def of_figures(self, shift: Array) -> Array:
+        """(iso,) mean square change of the figures by a value of which this is one standard uncertainty."""
+        shifted = (iso_numbers(self.fitted, self.split(z * shift)).value for z in _VALUES)
+        return np.asarray(np.mean([(values - self.base[self.iso]) ** 2 for values in shifted], axis=0))
 
     def closed(self, own: Pattern) -> tuple[Array, str] | None:
         """The same from the covariance of the fit; None where that does not tell it."""
@@ -408,10 +432,12 @@ class _Propagation:
         out = np.empty((draws, len(base)))
         for k in range(draws):
             self.progress("Monte Carlo", k / draws)
-            shift = np.zeros(len(self.sigma))
+            shift, of_figures = np.zeros(len(self.sigma)), np.zeros(len(self.sigma))
             for own in self.patterns:
-                shift += own.change(own.contributor.draw(self.rng, own.count))
+                change = own.change(own.contributor.draw(self.rng, own.count))
+                shift += change
+                of_figures += 0.0 if self.shown(own).any() else change
             known = self.known * self.rng.standard_normal(len(self.known))
             noise = besides * self.rng.standard_normal(len(base))
-            out[k] = self.values(shift, known, again=again) - base + noise
+            out[k] = self.values(shift, known, again=again, of_figures=of_figures) - base + noise
         return Drawn(out)

@@ -37,7 +37,7 @@ __all__ = ["bad_fit", "command"]
 
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
-    from machine_tool_calibration.reports.goodness import fits
+    from machine_tool_calibration.model.goodness import fits
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
     if fits(fit.p_value) != "bad":

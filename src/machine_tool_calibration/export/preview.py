@@ -28,14 +28,21 @@ class ResidualError:
     largest_before: float  # as measured
     largest_after: float  # with the compensation
     uncertainty: float  # root mean square standard uncertainty of the measured error
-    # expected of the machine: what the files leave of the measured error, and what that is uncertain by
+    # expected of the machine now and with the files: the error, and what it is uncertain by
+    rms_now: float
     rms_left: float
-    largest_left: float  # at any point at most, with 95 %: what the files leave there, and its U (k = 2)
+    largest_now: float  # at any point at most, with 95 %: the error there, and its U (k = 2)
+    largest_left: float
 
     @property
     def worse(self) -> bool:
         """Whether the compensation would do harm."""
         return self.rms_after > _SAME_RATIO * self.rms_before
+
+    @property
+    def larger(self) -> bool:
+        """Whether the compensation would make the largest error larger."""
+        return self.largest_after > _SAME * self.largest_before
 
 
 @dataclass(frozen=True)
@@ -76,9 +83,19 @@ def _residual_error(name: str, before: Array, after: Array, spread: Array) -> Re
     def largest(values: Array) -> float:
         return float(np.abs(values).max())
 
-    left = largest(np.abs(after) + 2.0 * spread)
-    expected = float(np.hypot(rms(after), rms(spread)))
-    return ResidualError(name, rms(before), rms(after), largest(before), largest(after), rms(spread), expected, left)
+    u = rms(spread)
+    return ResidualError(
+        name,
+        rms_before=rms(before),
+        rms_after=rms(after),
+        largest_before=largest(before),
+        largest_after=largest(after),
+        uncertainty=u,
+        rms_now=float(np.hypot(rms(before), u)),
+        rms_left=float(np.hypot(rms(after), u)),
+        largest_now=largest(np.abs(before) + 2.0 * spread),
+        largest_left=largest(np.abs(after) + 2.0 * spread),
+    )
 
 
 def _without_motion(points: Array, error: Array, known: Array) -> Array:

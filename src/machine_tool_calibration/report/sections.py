@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.model.goodness import only_if_right
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -26,7 +27,7 @@ from machine_tool_calibration.report.figures import (
 from machine_tool_calibration.reports.budget import budget_parts, conformity_parts, decision_words
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.goodness import fits, negative_words
+from machine_tool_calibration.reports.goodness import negative_words
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
@@ -143,7 +144,7 @@ def _summary(found: Evaluation) -> Iterator[str | TextTable]:
     if found.conformity is not None:
         yield decision_words(found.conformity)
     yield goodness_of_fit(document)
-    if fits(document["p_value"]) == "bad" and "one_direction" not in (document["error_map"].get("scatter") or {}):
+    if only_if_right(document["p_value"], document["error_map"]):
         yield say("report.only_if_right")
     complete = "u_is_general" if found.general else "u_is_complete"
     yield say(f"report.{complete if document['uncertainty'] == 'budget' else 'u_is_incomplete'}")

@@ -13,7 +13,7 @@ from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
-from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
+from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words, table
 from machine_tool_calibration.words import named, say, together
 
 __all__ = [
@@ -266,8 +266,9 @@ def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
 
 
 def conformity_parts(found: Conformity) -> Iterator[Part]:
-    """The decision of all tolerances together, and the verdicts, one a row."""
+    """The decision of all tolerances together, what is suspicious, and the verdicts, one a row."""
     yield decision_words(found)
+    yield from suspicion_words(found.suspicious)
     yield table(
         say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %"),
         found.each,
@@ -312,6 +313,7 @@ def conformity_document(found: Conformity) -> dict[str, Any]:
         "conformance_probability": found.level,
         "uncertainty": found.uncertainty,
         "decision": found.decision,
+        "suspicious": list(found.suspicious),
         "figures": [
             {"standard_uncertainty" if key == "u" else key: value for key, value in vars(verdict).items()}
             for verdict in found.each

@@ -6,7 +6,7 @@ from __future__ import annotations
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import TextTable, table
-from machine_tool_calibration.words import say, together
+from machine_tool_calibration.words import Said, say, together
 
 __all__ = ["absent_words", "harm_words", "left_table"]
 
@@ -18,24 +18,34 @@ def left_table(found: Exported) -> TextTable:
         found.left,
         say("compensation.left_complete" if found.complete else "compensation.left"),
         direction=lambda row: row.name,
-        rms_now=lambda row: micrometres(row.rms_before),
+        rms_now=lambda row: micrometres(row.rms_now),
         rms_left=lambda row: micrometres(row.rms_left),
-        largest_now=lambda row: micrometres(row.largest_before),
+        largest_now=lambda row: micrometres(row.largest_now),
         largest_left=lambda row: micrometres(row.largest_left),
         U_rms=lambda row: micrometres(2 * row.uncertainty),
     )
 
 
 def harm_words(found: Exported) -> str:
-    """That files do harm, and where; empty if they do none."""
+    """That files do harm, and where, by the numbers of the table; empty if they do none."""
     if found.worse:
         return say("compensation.grow")
-    grown = [
-        say("compensation.grown", name=one.name.upper(), before=quantity(one.rms_before, "m"),
-            after=quantity(one.rms_after, "m"))
-        for one in found.worse_along
-    ]  # fmt: skip
-    return say("compensation.worse", n=len(grown), names=together(grown, ", ")) if grown else ""
+    grown = [_grown(one.name.upper(), one.rms_now, one.rms_left) for one in found.worse_along]
+    larger = [
+        _grown(one.name if one is found.left[-1] else one.name.upper(), one.largest_now, one.largest_left)
+        for one in found.left
+        if one.larger
+    ]
+    said = [
+        say(f"compensation.{key}", n=len(names), names=together(names, ", "))
+        for key, names in (("worse", grown), ("larger", larger))
+        if names
+    ]
+    return together(said, "; ")
+
+
+def _grown(name: str, before: float, after: float) -> Said:
+    return say("compensation.grown", name=name, before=quantity(before, "m"), after=quantity(after, "m"))
 
 
 def absent_words(found: Exported) -> str:

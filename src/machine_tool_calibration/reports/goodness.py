@@ -1,34 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a fit: whether it fits, by the levels of the p-value, and what negative coefficients mean."""
+"""What is said of a fit: how its readings scatter, and what negative coefficients mean."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any, Literal
+from typing import Any
 
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.goodness import fits
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.words import Said, say
 
-__all__ = ["Fits", "fit_words", "fits", "negative_words", "scatter_words"]
+__all__ = ["fit_words", "negative_words", "scatter_words"]
 
-Fits = Literal["bad", "nearly", "well", "too well"]
-
-# A right model with a right uncertainty is called bad once in a thousand measurements, and nearly fitting once in 20.
-_BAD, _NEARLY = 1e-3, 0.05
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
-
-
-def fits(p_value: float | None) -> Fits:
-    """How a model fits readings of that p-value; well where there is none, as nothing speaks against it."""
-    if p_value is None or p_value != p_value:
-        return "well"
-    if p_value > 1.0 - _BAD:
-        return "too well"
-    return "bad" if p_value < _BAD else "nearly" if p_value < _NEARLY else "well"
 
 
 def fit_words(reduced_chi_square: float, p_value: float) -> Said:

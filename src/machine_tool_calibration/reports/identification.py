@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
+from machine_tool_calibration.model.goodness import fits, only_if_right
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.reports.goodness import fit_words, fits, negative_words, scatter_words
+from machine_tool_calibration.reports.goodness import fit_words, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
@@ -107,7 +108,8 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             text = _rms_and_most(expanded_text(u) for u in expanded if u is not None)
             if document.get("uncertainty") != "budget":
                 text = say("result.without", text=text)
-            rows.append((say("result.uncertainty"), say("result.if_right", text=text) if _doubtful(document) else text))
+            doubtful = only_if_right(document.get("p_value"), error_map)
+            rows.append((say("result.uncertainty"), say("result.if_right", text=text) if doubtful else text))
     motions = _motions(error_map)
     if document.get("uncertainty") != "budget" and not known:
         motions = [(title, say("result.without", text=text)) for title, text in motions]
@@ -159,13 +161,6 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = say("result.lost_values", text=text, n=int((~good).sum()), count=len(good))
         out.append((title, text))
     return out
-
-
-def _doubtful(document: Mapping[str, Any]) -> bool:
-    """Whether the readings speak against the model on which the uncertainty rests."""
-    if "one_direction" in ((document.get("error_map") or {}).get("scatter") or {}):
-        return False  # only the reversal, which is part of the result, is in it beside the scatter
-    return fits(document.get("p_value")) == "bad"
 
 
 def _array(value: Any) -> np.ndarray:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from machine_tool_calibration.budget.published import DIAGONAL_FIGURES, FIGURES
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.reports.quantities import decimals
+from machine_tool_calibration.reports.quantities import decimals, fixed
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
 
@@ -184,6 +185,23 @@ def workpiece(result: Result | JointResult) -> pd.DataFrame:
     return frame[names].set_index("point")
 
 
+def _standards(result: Result | JointResult) -> pd.DataFrame:
+    """Figures of ISO 230-2 and ISO 230-6 of every run (`A_X`, `E_D_PPP`), and of ISO 230-7 (`EXC_range`)."""
+    content = result.error_map.content
+    runs = [(run, {name: name for name in FIGURES}) for run in content.get("iso230_2", ())]
+    runs += [(run, DIAGONAL_FIGURES) for run in content.get("iso230_6", {}).get("runs", ())]
+    rows = [
+        (f"{name}_{run['axis']}", run["setup"], run[figure], run.get(f"{figure}_U", np.nan) / 2.0, "m")
+        for run, figures in runs
+        for name, figure in figures.items()
+    ]
+    rows += [(f"{o['motion']}_range", None, o["value"], o["U"] / 2.0, o["unit"]) for o in content.get("iso230_7", ())]
+    found = pd.DataFrame(rows, columns=["error", "setup", "value", "u", "unit"])
+    found["determined"] = np.isfinite(found["value"]) & np.isfinite(found["u"])
+    found.loc[~found["determined"], ["value", "u"]] = np.nan
+    return found if found["setup"].nunique() > 1 else found.drop(columns="setup")
+
+
 _TIDY = ("error", "position", "position_unit", "x", "y", "z", "value", "u", "U", "unit", "determined")
 
 
@@ -193,8 +211,9 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
     Returns:
         `error`: an error motion or squareness (EXX, C0Y, …) at `position` on its axis in `position_unit`, or the
         position error `ex`, `ey`, `ez` at the place `x y z` (m), or `workpiece_error` of a probed `point` along its
-        normal; further columns as `error_map` has them. `value`, standard uncertainty `u` and expanded uncertainty `U`
-        (k = 2) in `unit`; `determined`: where False, they are NaN.
+        normal, or a figure of ISO 230 (`A_X`, `E_D_PPP`, `EXC_range`; of several runs with its `setup`); further
+        columns as `error_map` has them. `value`, standard uncertainty `u` and expanded uncertainty `U` (k = 2) in
+        `unit`; `determined`: where False, they are NaN.
     """
     places = error_map(result)
     own = [name for name in map(str, places) if name in ("axis", "target", "approach", "a", "b", "c")]
@@ -206,6 +225,7 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
     if len(part):
         kept = part[["point", "x", "y", "u", "determined"]]
         frames.append(kept.assign(error="workpiece_error", unit="m", value=part["error"]))
+    frames.append(_standards(result))
     whole = pd.concat([frame for frame in frames if len(frame)], ignore_index=True)
     whole["U"] = 2.0 * whole["u"]
     more = [name for name in whole if name not in _TIDY]
@@ -215,7 +235,7 @@ def tidy(result: Result | JointResult) -> pd.DataFrame:
 def in_shop_units(table: pd.DataFrame) -> pd.DataFrame:
     """A table of `tidy` with places in mm and degrees, errors in um and urad, rounded to what U allows.
 
-    U keeps two figures and the value as many decimals; `u` one more.
+    U keeps two figures and the value as many decimals, trailing zeros with them; `u` one more.
     """
     out = table.astype({name: object for name in ("position", "value", "u", "U")})
     turned = table["position_unit"] == "rad"
@@ -227,8 +247,9 @@ def in_shop_units(table: pd.DataFrame) -> pd.DataFrame:
         out[name] = np.degrees(table[name]).round(_DECIMALS)
     out["position"] = out["position"].astype(float).round(_DECIMALS)
     for k, U in enumerate(1e6 * table["U"]):
-        places = decimals(U) if U > _NO_UNCERTAINTY else _DECIMALS
         for name, more in (("value", 0), ("u", 1), ("U", 0)):
-            out.loc[out.index[k], name] = round(1e6 * table[name].iloc[k], places + more)
+            found = 1e6 * table[name].iloc[k]
+            exact = not U > _NO_UNCERTAINTY
+            out.loc[out.index[k], name] = round(found, _DECIMALS) if exact else fixed(found, decimals(U) + more)
     out["unit"] = "u" + table["unit"]
     return out

@@ -103,19 +103,30 @@ class ExportPage:
     def _show_left(self) -> None:
         form = self._form.value
 
-        def take(found: tuple[Exported, bytes]) -> None:
-            self._left, self._keep.disabled = (form, *found), False
-            exported, picture = found
+        def take(found: tuple[Exported, bytes, str]) -> None:
+            exported, picture, name = found
+            self._left, self._keep.disabled = (form, exported, picture), False
             harm = escape(harm_words(exported))
             worse = f'<p class="error">{harm[0].upper()}{harm[1:]}.</p>' if harm else ""
+            files = f"<p>Files: {escape(', '.join(exported.files))}</p>"
             self._preview.object = (
-                f"{worse}<p>Files: {escape(', '.join(exported.files))}</p>{tables([left_table(exported)])}"
+                f"{worse}<p>{escape(self._whose(name))}</p>{files}{tables([left_table(exported)])}"
                 f"<p>{escape(absent_words(exported))}</p>"
             )
             self._picture.object = picture
 
         work = partial(left, self._state.subject, self._state.model, form)
         self._work.run("what the controller would leave", Job(work, take))
+
+    def _whose(self, name: str) -> str:
+        """Which model the files are of, where that in use has no tables."""
+        fit = self._state.model.fit
+        effects = f" with {', '.join(fit.effects)}" if fit.effects else ""
+        own = fit.result.model_name
+        instead = (
+            "" if own == name else f"; the one in use, {own}, has no tables, and what it says is not quite the same"
+        )
+        return f"Of the model {name}{effects}{instead}."
 
     def _save_files(self) -> None:
         if self._left is not None:

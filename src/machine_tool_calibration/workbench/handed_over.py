@@ -67,8 +67,8 @@ def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]
     return [errors, readings, document]
 
 
-def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple[Exported, bytes]:
-    """A controller's files, and the picture of what they would leave (PNG).
+def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple[Exported, bytes, str]:
+    """A controller's files, the picture of what they would leave (PNG), and the name of the model that they are of.
 
     A model without tables is fitted as the one that has them, with the same effects and readings.
     """
@@ -86,4 +86,4 @@ def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple
     with TemporaryDirectory() as folder:
         picture = Path(folder) / PICTURE
         save_as(draw_compensation(found.errors, f"{form}: {source}"), picture, made.origin)
-        return found, picture.read_bytes()
+        return found, picture.read_bytes(), result.model_name

@@ -61,7 +61,7 @@ class ImprovePage:
         self._fall = new_figure("", "", "µm", x_range=FactorRange(), height=320)
         for name, color, marker, label in (
             ("residual", _BEFORE, "circle", "residual, RMS"),
-            ("tool", _AFTER, "square", "residual volumetric error (k = 2), RMS"),
+            ("tool", _AFTER, "square", "residual volumetric error by the last of these models (k = 2), RMS"),
         ):
             self._fall.line("step", name, source=self._steps, color=color, legend_label=label)
             self._fall.scatter("step", name, source=self._steps, color=color, size=7, marker=marker, legend_label=label)
