@@ -53,9 +53,9 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     """Functions of every covariate that varies, of each session for itself.
 
     Smooth functions of every one, periodic ones of angles, steps and waves in time. A function of time, a temperature,
-    the rate of the air's or a direction of approach is also tried as a displacement along each machine axis, and along all at once;
-    products of two axis positions show where the machine does not move as rigid bodies, those of a direction of
-    approach and a position where lost motion is not the same everywhere.
+    the rate of the air's or a direction of approach is also tried as a displacement along each machine axis, and along
+    all at once; products of two axis positions show where the machine does not move as rigid bodies, those of a
+    direction of approach and a position where lost motion is not the same everywhere.
     """
     out, outside = [], _Outside(pool)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
