@@ -109,7 +109,7 @@ def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
     model, spread, place, readings = problem(8, sizes)
     found = components(projected(model, spread, place, readings))
     for family, alone in enumerate(np.eye(len(sizes))):
-        values = found.quantiles(alone, np.linspace(0.0, 1.0, 101))
+        values = found.quantiles(alone, np.linspace(0.0, 1.0, 101).tolist())
         assert (np.diff(values) >= 0.0).all()
         assert values[0] == 0.0
         # As much lies below a quantile as its probability says, to the resolution of the grid.

@@ -42,7 +42,7 @@ class ResidualError:
     @property
     def larger(self) -> bool:
         """Whether the compensation would make the largest error larger."""
-        return self.largest_after > _SAME * self.largest_before
+        return self.largest_after > _SAME_RATIO * self.largest_before
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ __all__ = ["structure_candidates"]
 _DEGREE = 4
 _ORDERS = (1, 2, 3, 4, 5)
 _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
+_AIR = "temperature_air"
 _ANGLES = ("c", "azimuth", "elevation", "normal")
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
@@ -52,9 +53,9 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     """Functions of every covariate that varies, of each session for itself.
 
     Smooth functions of every one, periodic ones of angles, steps and waves in time. A function of time, a temperature,
-    its rate or a direction of approach is also tried as a displacement along each machine axis, and along all at once;
-    products of two axis positions show where the machine does not move as rigid bodies, those of a direction of
-    approach and a position where lost motion is not the same everywhere.
+    the rate of the air's or a direction of approach is also tried as a displacement along each machine axis, and along
+    all at once; products of two axis positions show where the machine does not move as rigid bodies, those of a
+    direction of approach and a position where lost motion is not the same everywhere.
     """
     out, outside = [], _Outside(pool)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
@@ -263,9 +264,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     known = covariates(observations)
     # A displacement by the direction of approach is tried with every axis; the order stands for time, if need be.
     out = {name: values for name, values in known.items() if name not in ("order", "repeat") and " along " not in name}
-    if observations.timed:
-        warming = [name for name in out if name.startswith("temperature")]
-        out |= {f"rate of {name}": _rate(observations.clock, out[name]) for name in warming}
+    if observations.timed and _AIR in out:
+        # What drives gradients in the frame; temperatures of the structure follow.
+        out[f"rate of {_AIR}"] = _rate(observations.clock, out[_AIR])
     if "path" in out:
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
         if not spec_of(observations.session).reads_deviations:
