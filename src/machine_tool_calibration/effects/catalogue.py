@@ -9,7 +9,15 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from machine_tool_calibration.effects import drift, error_motion, instrument, pitch_periodic, reversal, thermal
+from machine_tool_calibration.effects import (
+    drift,
+    error_motion,
+    instrument,
+    pitch_periodic,
+    reversal,
+    screw_growth,
+    thermal,
+)
 from machine_tool_calibration.effects.effect import AxisEffect, Effect
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
@@ -25,6 +33,7 @@ _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (reversal.Backlash, "xyz"), (reversal.RotaryBacklash, "abc"), (reversal.LostMotion, "xyz"),
     (reversal.Reversal, reversal.REVERSALS),
     (thermal.ThermalExpansion, "xyz"), (thermal.ThermalLag, "xyz"), (thermal.Warmup, "xyz"),
+    (screw_growth.ScrewGrowth, "xyz"),
     (pitch_periodic.PitchPeriodic, "xyz"),
     instrument.RefractiveIndex, instrument.DeadPath, drift.LinearDrift, drift.StationDrift,
     instrument.MirrorMisalignment, instrument.PointerRadialError, instrument.PointerZeroOffset,
