@@ -255,7 +255,8 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     loose = np.linalg.norm(flat.T @ fit.solution.loose_directions()[fit.places][mine], axis=1).reshape(-1, 3) > _LOOSE
-    error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed)
+    # Where no term and no effect moves any place, nothing was asked of its error.
+    error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed | (not field.any()))
     content: dict[str, Any] = {
         "points": points,
         "position_error": error,
