@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.planning.what_to_measure import Advice
+from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 
@@ -138,3 +141,27 @@ def test_a_frame_may_warm_up_by_tenths_of_a_millimetre(plates: ModuleType) -> No
     found = diagnose(plates.session(columns, 5e-6, "offset", (), np.zeros(n, np.int64), "top"))
     assert (found.verdict, found.accepted) == ("missing_effect", ("warmup_z",))
     assert {"dead_path", "refractive_index"} <= set(found.excluded)
+
+
+@pytest.mark.parametrize("what", ["places", "runs", "zone"])
+def test_scatter_of_places_is_said_where_their_repeats_agree_and_nothing_is_alike(what: str) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["grid_plate"].model_copy(update={"repeats": 4}), seed=3)).session
+    readings, rng = session.readings, np.random.default_rng(3)
+    x, y = readings.columns["x"], readings.columns["y"]
+    place = np.unique(np.column_stack([x, y, readings.columns["gx"]]), axis=0, return_inverse=True)[1].ravel()
+    change = {
+        "places": 6.0 * rng.normal(size=place.max() + 1)[place],
+        "runs": 6.0 * rng.normal(size=4)[readings.repeat] * (x - x.mean()) / x.std(),
+        "zone": 12.0 * ((x > 0.5 * x.max()) & (y > 0.5 * y.max())),
+    }[what]
+    columns = {name: values for name, values in readings.columns.items() if name in ("x", "y", "gx", "gy", "gz")}
+    moved = replace(readings, columns=columns, displacement=readings.displacement + session.sigma * change)
+    told = told_of(session.with_readings(moved))
+    assert ("without a pattern" in told) == (what == "places")
+    if what == "zone":
+        assert "beside each other alike" in told or "depend on" in told or "The model lacks" in told
+
+
+def told_of(session: Session) -> str:
+    found = diagnose(session)
+    return " ".join(verdict_words(found, {}, Advice()))

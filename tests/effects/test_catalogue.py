@@ -49,7 +49,7 @@ SHOWN: dict[str, tuple[str, float]] = {
         ("tracking_3d", 0.999, "squareness_thermal_B0Z pointer_axis_offset"),
         ("tracking_3d", 0.99, "refractive_index"),
         ("tracking_3d", 0.98, "lost_motion_z thermal_lag_x thermal_lag_y thermal_lag_z"),
-        ("tracking_3d", 0.97, "warmup_x warmup_y warmup_z"),
+        ("tracking_3d", 0.97, "warmup_x warmup_y warmup_z screw_growth_x screw_growth_y screw_growth_z"),
         ("tracking_3d_offset", 0.999, "reversal_ECX reversal_ECY reversal_EAZ reversal_EBZ reversal_ECZ"),
         ("step_diagonal", 0.99, "squareness_thermal_A0Z"),
         ("rotary_axis_a", 0.999, "backlash_a"),
@@ -98,6 +98,7 @@ STILL_AIR = {
 NEVER = {
     *("linear_drift", "station_drift", "pointer_radial_error", "retroreflector_form", "probe_pretravel"),
     *("squareness_drift_C0Y", "squareness_drift_B0Z", "squareness_drift_A0Z", "rotary_axis_drift"),
+    *("screw_growth_x", "screw_growth_y", "screw_growth_z"),
 }
 
 

@@ -59,7 +59,11 @@ ERROR_MOTIONS = [f"E{component}{axis}" for axis in "XYZ" for component in "XYZAB
 
 SIZES = {"pointer_zero_offset": 2e-2}
 PARAMETERS: dict[str, dict[str, Any]] = {
-    **{f"{kind}_{axis}": {"fixed_point": 0.07} for kind in ("thermal_expansion", "thermal_lag") for axis in "xyz"},
+    **{
+        f"{kind}_{axis}": {"fixed_point": 0.07}
+        for kind in ("thermal_expansion", "thermal_lag", "screw_growth")
+        for axis in "xyz"
+    },
     "table_thermal_growth": {"axial": 3.0},
     "rotary_axis_drift": {"direction": [0.6, -0.48, 0.64], "tilt": 4.0},
     **{name: {"shape": "linear"} for name in ERROR_MOTIONS},
@@ -120,7 +124,7 @@ def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float]
     size, more = chosen.size, chosen.parameters
     known: dict[str, float] = {}
     if "fixed_point" in more:
-        known = {"k": size, "q": size * more["fixed_point"]}
+        known = {"s" if name.startswith("screw_growth") else "k": size, "q": size * more["fixed_point"]}
     elif "phase" in more:
         known = {"s": size * np.cos(more["phase"]), "c": size * np.sin(more["phase"])}
     elif "weights" in more:

@@ -49,6 +49,16 @@ def test_expansion_behind_the_sensor_tells_its_time_constant() -> None:
         assert u < 0.1 * true
 
 
+def test_a_screw_that_warms_up_tells_its_growth_its_fixed_end_and_its_time_constant() -> None:
+    plan = DirectPlan(repeats=20, count=21, terms=("EXX",))
+    truth = {"tau": 1500.0, "fixed_point": -0.2}
+    values = found(session_with("screw_growth_x", plan, 4e-5, truth), "screw_growth_x")
+    for name, true in (("s", 4e-5), ("q", -8e-6), ("tau", 1500.0)):
+        value, u = values[name]
+        assert abs(value - true) < 4 * u, name
+        assert u < 0.3 * abs(true), name
+
+
 def test_what_follows_between_readings_is_the_solution_of_its_equation() -> None:
     """Straight pieces between readings, against a wave whose answer is known; in whatever order the readings come."""
     drift = Drift(20.5, ((1.0, 4000.0, 0.3),), 2e-4)

@@ -181,6 +181,20 @@ def test_ends_by_itself_and_counts(tmp_path: Path) -> None:
     }
 
 
+def test_as_fast_as_possible_waits_for_whoever_comes_a_little_later(tmp_path: Path, play) -> None:
+    operator = play(ticks(tmp_path / "bag"), rate=0.0)
+    heard = Heard(operator)
+    assert operator.wait(lambda: len(heard.values) == 20, PATIENCE)
+    assert heard.values == [float(k) for k in range(20)]
+
+
+def test_where_nobody_listens_it_is_said(tmp_path: Path) -> None:
+    with mtcal(str(ticks(tmp_path / "bag")), "/joint_states", "--fast") as process:
+        answer, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    assert "20 messages sent, finished; nobody listened" in " ".join(answer.split())
+
+
 def test_wrong_requests_are_one_line(tmp_path: Path) -> None:
     bag = str(ticks(tmp_path / "bag"))
     started = [

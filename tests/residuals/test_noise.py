@@ -11,11 +11,12 @@ import pytest
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.residuals.noise import noise_of
+from machine_tool_calibration.residuals.places import alike_beside_p
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 
-def fitted(plan: str, off: float) -> Fit:
-    """A session in which every place is off by an amount of its own, in standard uncertainties."""
+def fitted(plan: str, off: float, *, zone: bool = False) -> Fit:
+    """A session in which every place is off by an amount of its own, or all of a zone, in standard uncertainties."""
     chosen = PRESETS[plan]
     if chosen.method == "tracking_interferometer":
         # Every second run backwards would approach a place from the other side: no repeat.
@@ -24,6 +25,9 @@ def fitted(plan: str, off: float) -> Fit:
     place = build_model(session)[0].observations.place
     change = off * session.sigma * np.random.default_rng(3).normal(size=place.max() + 1)
     readings = session.readings
+    if zone:
+        x, y = readings.columns["x"], readings.columns["y"]
+        change, place = off * session.sigma * np.arange(2), ((x > 0.5 * x.max()) & (y > 0.5 * y.max())).astype(int)
     moved = session.with_readings(replace(readings, displacement=readings.displacement + change[place]))
     return fit_models([build_model(moved)[0]]).fits[0]
 
@@ -47,3 +51,18 @@ def test_repeats_that_agree_to_the_last_digit_scatter_by_what_rounding_takes() -
     rounded = replace(session.readings, displacement=digit * np.round(mean[place] / digit))
     fit = fit_models([build_model(session.with_readings(rounded))[0]]).fits[0]
     assert noise_of(fit).from_repeats == pytest.approx(digit / np.sqrt(12.0), rel=1e-6)
+
+
+def test_places_beside_each_other_are_alike_where_a_zone_is_off_and_not_where_each_is_by_itself() -> None:
+    alone, zone = (alike_beside_p(fitted("grid_plate", 6.0, zone=zone)) for zone in (False, True))
+    assert alone is not None and alone > 1e-3
+    assert zone is not None and zone < 1e-6
+
+
+def test_repeats_as_they_were_read_hold_what_runs_differ_by() -> None:
+    session = fitted("iso230_2", 0.0).model.observations.session
+    run = 10.0 * session.sigma * session.readings.repeat
+    moved = session.with_readings(replace(session.readings, displacement=session.readings.displacement + run))
+    noise = noise_of(fit_models([build_model(moved)[0]]).fits[0])
+    assert noise.from_repeats == pytest.approx(noise.declared, rel=0.3)
+    assert noise.as_read is not None and noise.as_read > 5.0 * noise.declared

@@ -18,7 +18,9 @@ __all__ = ["command"]
 @click.argument("bag", type=PATH)
 @click.argument("topics", nargs=-1)
 @click.option("--rate", "-r", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Times as fast.")
-@click.option("--fast", is_flag=True, help="As fast as the subscribers take it.")
+@click.option(
+    "--fast", is_flag=True, help="As fast as the subscribers take it; waits some seconds for the first of them."
+)
 @click.option("--offset", type=click.FloatRange(min=0), default=0.0, help="Where in the bag to begin, s.")
 @click.option("--loop", "-l", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option("--paused", "-p", is_flag=True, help="Wait for the service player/resume.")
@@ -72,6 +74,7 @@ def command(
         parameters["topics"] = list(topics)
     player = run_here(Player, parameters, remap)
     document = {"format": "mtcal-played/1", "bag": bag, "messages": player.sent, "state": player.state}
-    tell_either(document, [f"{bag}: {player.sent} messages sent, {player.state}"], as_json)
+    heard = "" if player.heard else "; nobody listened"
+    tell_either(document, [f"{bag}: {player.sent} messages sent, {player.state}{heard}"], as_json)
     if player.trouble:
         raise CalibrationError(player.trouble)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from types import MappingProxyType
 
 import numpy as np
 import threadpoolctl
@@ -27,7 +28,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, 
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.refits import changed, declared
-from machine_tool_calibration.model.result import ErrorMap, map_change, map_rms
+from machine_tool_calibration.model.result import ErrorMap, effect_estimates, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise
@@ -40,6 +41,8 @@ __all__ = ["Diagnosis", "diagnose"]
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
+# Standard uncertainties from which a size stands out.
+_SURE = 2.0
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
@@ -240,7 +243,8 @@ def _search(
     )
     noise = search.noise[0]
     if repeated is not None:
-        noise = replace(noise, from_repeats=repeated.from_repeats, repeats=repeated.repeats)
+        said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
+        noise = replace(noise, **said)
     fitted, refused = _added(search, predicted, first, fit_with)
     found = Diagnosis(
         chosen=chosen,
@@ -298,10 +302,14 @@ def _added(
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
+    unsized: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
-    """The first model and one after every effect that can be added, and why the other probable ones cannot."""
-    fitted, accepted, refused = [first], list[str](), dict[str, str]()
-    for name in search.accepted:
+    """The first model and one after every effect that can be added, and why the other probable ones cannot.
+
+    What has a time constant, and no size any more beside a further effect, was that one: it is in `unsized`.
+    """
+    fitted, accepted, refused = [first], list[str](), dict(unsized)
+    for name in (name for name in search.accepted if name not in unsized):
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
         if not search.of(name).plausible:
             refused[name] = say("undetermined.no_such_size")
@@ -313,9 +321,13 @@ def _added(
                 _settled(wider.joint)
                 _explains(fitted[-1].joint, wider.joint)
                 _hold(fitted[-1].error_map, wider.error_map)
+                late = [n for n in (*accepted, name) if search.of(n).candidate.decays and not _sized(wider.joint, n)]
             except ModelError as error:
                 refused[name] = str(error)
                 continue
+            if late:
+                gone = {n: say("undetermined.no_size_beside") for n in late}
+                return _added(search, predicted, first, fit_with, {**unsized, **gone})
             fitted.append(wider)
             accepted.append(name)
     return tuple(fitted), refused
@@ -376,6 +388,15 @@ def _explains(before: JointFit, after: JointFit) -> None:
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
     if gain < priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0):
         raise ModelError("the model explains the readings as well without it")
+
+
+def _sized(fit: JointFit, name: str) -> bool:
+    """Whether a size of an effect with a time constant stands out of its uncertainty.
+
+    Where none does, its freedom describes something else, in one place or at one moment.
+    """
+    sizes = [e for e in effect_estimates(fit, [name]) if e.unit != "s"]
+    return not sizes or any(abs(e.value) >= _SURE * e.standard_uncertainty for e in sizes)
 
 
 def _hold(before: ErrorMap, after: ErrorMap) -> None:

@@ -26,6 +26,7 @@ from machine_tool_calibration.effects.retroreflector_form import RetroreflectorF
 from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
 from machine_tool_calibration.effects.rotary_axis_drift import RotaryAxisDrift
 from machine_tool_calibration.effects.scale import AxisScale, Scale
+from machine_tool_calibration.effects.screw_growth import ScrewGrowth
 from machine_tool_calibration.effects.squareness import Squareness
 from machine_tool_calibration.effects.squareness_drift import SquarenessDrift
 from machine_tool_calibration.effects.squareness_thermal import SquarenessThermal
@@ -49,6 +50,7 @@ _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"),
     (Reversal, REVERSALS),
     (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"),
+    (ScrewGrowth, "xyz"),
     (PitchPeriodic, "xyz"),
     RefractiveIndex, DeadPath, LinearDrift, StationDrift,
     MirrorMisalignment, PointerRadialError, PointerZeroOffset,

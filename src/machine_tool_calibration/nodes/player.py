@@ -72,6 +72,8 @@ class Pace:
 
 _TICK = 0.002  # s
 _MESSAGES_AT_ONCE = 500  # messages, so that services are answered in between
+# What is sent as fast as possible waits so long for the first subscriber, and then for the others, ns.
+_FIRST, _OTHERS = 4_000_000_000, 500_000_000
 _SHOW = 0.2  # s
 _ACKNOWLEDGE = Duration(seconds=2.0)
 _LEAST_DEPTH = 100
@@ -134,7 +136,7 @@ class Player(ManagedNode):
 
     def activate(self) -> None:
         """See `ManagedNode`."""
-        self.sent, self.trouble = 0, ""
+        self.sent, self.trouble, self.heard = 0, "", False
         self._outlets = self._create_outlets({name for name in self._wanted if name}, with_clock=bool(self._frequency))
         self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if self._frequency else None
         self._period = round(1e9 / self._frequency) if self._frequency else 0
@@ -144,6 +146,7 @@ class Player(ManagedNode):
             offer(self, f"~/{name}", action)
         begin = time.monotonic_ns() + round(self._delay * 1e9)
         self._pace = Pace(self._rate, self._start, begin, paused=self._paused)
+        self._wait_until = 0 if self._rate else begin + _FIRST
         self._messages: Iterator[Message] = iter(())
         self._next: Message | None = None
         self._ended = False
@@ -209,6 +212,8 @@ class Player(ManagedNode):
         """Send all that is due."""
         try:
             now = time.monotonic_ns()
+            if self._awaits_subscribers(now):
+                return
             for _ in range(_MESSAGES_AT_ONCE):
                 message = self._next
                 if message is None or not self._pace.is_due(message.log_time, now):
@@ -216,6 +221,18 @@ class Player(ManagedNode):
                 self._advance(message)
         except RecordingError as error:
             self._stop(error)
+
+    def _awaits_subscribers(self, now: int) -> bool:
+        """Whether what is sent as fast as possible would be over before anybody is found."""
+        if self._wait_until and self._is_heard():
+            self._wait_until = min(self._wait_until, now + _OTHERS)
+        if now >= self._wait_until:
+            self._wait_until = 0
+        return self._wait_until > 0
+
+    def _is_heard(self) -> bool:
+        self.heard = self.heard or any(o.publisher.get_subscription_count() for o in self._outlets.values())
+        return self.heard
 
     def _advance(self, message: Message) -> None:
         if not self._pace.rate:
@@ -237,6 +254,8 @@ class Player(ManagedNode):
             self._rewind()
             return
         self._ended = True
+        if not self._is_heard():
+            self.get_logger().warning("nobody listened")
         self._pace.pause(time.monotonic_ns())
         self._pace.set(self.bag.last, time.monotonic_ns())
         self._tell_time()

@@ -26,6 +26,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
+from machine_tool_calibration.residuals.places import alike_beside_p
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -284,7 +285,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     """Scatter of direct deviations: a part's or an axis's own, which no instrument declares."""
-    fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
+    fit, repeats = diagnosis.fits[-1], diagnosis.noise.as_read
     ratio = float(np.sqrt(fit.reduced_chi_square))
     if words := scatter_words(diagnosis.fitted[-1].error_map.content, fit.p_value):
         yield words
@@ -292,7 +293,12 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         yield say("diagnosis.no_noise", ratio=rounded(ratio))
     found = ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
-        yield say("diagnosis.places_differ", repeats=quantity(repeats, "m"))
+        # "place" is what places differ by without a pattern.
+        patterns = [structure for structure in diagnosis.search.left if structure.covariate != "place"]
+        chances = [alike_beside_p(own) for own in fit.fits]
+        alike = any(p is not None and p < priors.STRUCTURE_CHANCE for p in chances)
+        if alike or not patterns:
+            yield say("diagnosis.places_alike" if alike else "diagnosis.places_differ", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.search.left:
         yield say("diagnosis.still_depend", **_dependence(diagnosis.search.left[0]))
 

@@ -11,6 +11,7 @@ from scipy import linalg, special
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.reproducibility import reproducibility
+from machine_tool_calibration.session.catalogue import spec_of
 
 __all__ = ["FEWEST_REPEATS", "Noise", "noise_of"]
 
@@ -33,6 +34,8 @@ class Noise:
         chi_square_p: chance of so large residuals if the model is right and the declared uncertainty too.
         lack_of_fit_p: chance that places differ so much more than repeats at one place do (F test, with the spread
             between runs taken out of both); None without repeats.
+        as_read: what repeats of one place differ by as they were read, with all that differs from run to run; None
+            without repeats, and where each run counts from a zero of its own.
     """
 
     declared: float
@@ -40,6 +43,7 @@ class Noise:
     repeats: int
     chi_square_p: float
     lack_of_fit_p: float | None
+    as_read: float | None = None
 
 
 def noise_of(fit: Fit) -> Noise:
@@ -75,7 +79,18 @@ def noise_of(fit: Fit) -> Noise:
     pure = max((total - explained_all) / dof, (_rounded_to(fit) / declared) ** 2 / 12.0, 1e-12 / dof)
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
     lack = float(special.fdtrc(rank_all - rank_spread, dof, lacking / pure))
-    return Noise(declared, float(np.sqrt(pure)) * declared, dof, fit.joint.p_value, lack)
+    return Noise(declared, float(np.sqrt(pure)) * declared, dof, fit.joint.p_value, lack, _as_read(fit))
+
+
+def _as_read(fit: Fit) -> float | None:
+    """Standard deviation of readings about the mean of their place, m; see `Noise`."""
+    observations = fit.model.observations
+    place, values = observations.place, observations.readings.displacement
+    if not spec_of(observations.session).reads_machine:
+        return None
+    count = np.bincount(place)
+    about = values - (np.bincount(place, values) / count)[place]
+    return float(np.sqrt(about @ about / max(int((count - 1).sum()), 1)))
 
 
 def _rounded_to(fit: Fit) -> float:

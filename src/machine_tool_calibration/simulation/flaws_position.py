@@ -63,6 +63,11 @@ def _warmup(size: float, given: Parameters, scene: Scene, _: str) -> Array:
     return np.asarray(size * (1.0 - np.exp(-scene.time / given["tau"])))
 
 
+def _screw_growth(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
+    """A screw that warms up pushes what it carries away from its fixed bearing, the farther off the more."""
+    return np.asarray((scene.along(axis) - given["fixed_point"]) * _warmup(size, given, scene, axis))
+
+
 def _pitch(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
     """The screw's pitch or the encoder's grating repeats its error with every lead."""
     return np.asarray(size * np.sin(2.0 * np.pi * scene.along(axis) / given["lead"] + given["phase"]))
@@ -133,6 +138,7 @@ def _motion(name: str) -> Flaw:
 
 
 _EXPANDS = "size * (temperature_{a} - 20) * ({a} - fixed_point)"
+_GROWS = "size * ({a} - fixed_point) * (1 - exp(-time / tau))"
 _WAVES = "size * sin(2 pi {a} / lead + phase)"
 POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("backlash", "-size * dir_{a} (half width)", 1.5e-6, _backlash),
@@ -140,6 +146,7 @@ POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("backlash", "-size * dir_{a} (half width)", 1.3e-5, _backlash, axes="C", unit="rad", methods=TABLE),
     *_along("thermal_expansion", _EXPANDS, 8e-6, _expansion, {**_COLD, "fixed_point": 0.0}, unit="1/K"),
     *_along("warmup", "size * (1 - exp(-time / tau))", 5e-6, _warmup, draw=_warmup_time),
+    *_along("screw_growth", _GROWS, 2e-5, _screw_growth, {"fixed_point": 0.0}, _warmup_time, unit="1"),
     *_along("pitch_periodic", _WAVES, 1.5e-6, _pitch, {"lead": 0.012}, drawn_phase),
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5,
          lambda size, _, scene: Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"}), methods=LINEAR),

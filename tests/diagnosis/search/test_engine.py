@@ -100,6 +100,15 @@ def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     assert set(found.search.sets[0][0]) == {"warmup_x", "backlash_x"}
 
 
+def test_a_screw_that_grows_while_it_warms_up_is_named_without_a_thermometer() -> None:
+    flaws = [FlawSpec(id="screw_growth_x", size=4e-5, parameters={"tau": 500.0}), FlawSpec(id="backlash_x", size=3e-6)]
+    session = simulated("iso230_2", 23, flaws)
+    columns = {name: v for name, v in session.readings.columns.items() if "temperature" not in name}
+    found = diagnose(session.with_readings(replace(session.readings, columns=columns)))
+    assert set(found.accepted) == {"screw_growth_x", "backlash_x"}
+    assert found.search.of("screw_growth_x").sizes[0].value == pytest.approx(4e-5, rel=0.3)
+
+
 @pytest.mark.parametrize(("quick", "accepted"), [(1.0, {"warmup_x"}), (0.4, {"warmup_x", "linear_drift"})])
 def test_the_slow_part_of_a_warm_up_is_no_drift_beside_it_unless_it_is_the_larger(
     quick: float, accepted: set[str]

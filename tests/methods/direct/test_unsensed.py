@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.budget.conformity import conformity
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
@@ -20,6 +22,9 @@ from machine_tool_calibration.methods.identify import identify, identify_session
 from machine_tool_calibration.model.result import map_change
 from machine_tool_calibration.plots.error_map import draw_map, draw_plane
 from machine_tool_calibration.plots.pictures import figures
+from machine_tool_calibration.session.checks.units import check_units
+from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 matplotlib.use("agg")
 NODES = np.linspace(0.0, 0.4, 5)
@@ -136,3 +141,18 @@ def test_pictures_name_the_direction(direct: SimpleNamespace) -> None:
     figure = draw_map(document["error_map"])
     assert "not determined along y, z" in figure.get_suptitle() and "largest error" in figure.get_suptitle()
     assert figures((), document)
+
+
+def test_without_terms_no_position_error_is_determined() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"].model_copy(update={"terms": ()}), seed=3)).session
+    error = np.asarray(identify(session).document()["error_map"]["position_error"], dtype=float)
+    assert len(error) and np.isnan(error).all()
+
+
+def test_places_that_stand_where_deviations_should_are_said_to_be_exchanged() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=3)).session
+    readings = session.readings
+    columns = {**readings.columns, "x": readings.displacement}
+    mixed = session.with_readings(replace(readings, columns=columns, displacement=readings.columns["x"]))
+    with pytest.raises(SessionError, match="the columns x and displacement look exchanged"):
+        check_units(mixed, Place("session.yaml", "observations.csv"))

@@ -10,7 +10,8 @@ import pytest
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, runs_of, step_diagonal_of
-from machine_tool_calibration.simulation import Simulated
+from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.simulation import PRESETS, Simulated, SimulationSpec, simulate
 
 
 def _setup(name: str, direction: list[float], start: list[float], kind: str = "diagonal") -> dict[str, object]:
@@ -125,3 +126,13 @@ def test_diagonals_by_iso_230_6_are_those_of_the_machine(exact: Callable[..., Si
         np.testing.assert_allclose(run["mean_up"], along - along[0], atol=3e-8)
         extents.append(np.ptp(along))
     assert test["E_D_up"] == pytest.approx(max(extents), abs=3e-8)
+
+
+@pytest.mark.parametrize(("blocks", "finer"), [(39, 1), (30, 3)])
+def test_a_run_of_which_most_places_were_never_read_is_suspicious(blocks: int, finer: int) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3)).session
+    assert suspicions([session]) == []
+    description = session.description
+    stated = {"blocks": blocks, "step": [step / finer for step in description.step]}
+    found = suspicions([replace(session, description=description.model_copy(update=stated))])
+    assert len(found) == 1 and f"runs of {blocks} blocks" in found[0]

@@ -424,9 +424,11 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     """Places that differ more than their repeats, without any pattern."""
     out = []
     for noise in every:
-        p, repeats = noise.lack_of_fit_p, noise.from_repeats
+        p, repeats, declared = noise.lack_of_fit_p, noise.from_repeats, noise.declared
+        if noise.as_read is not None and noise.as_read > priors.AS_NOISY * np.sqrt(fit.reduced_chi_square) * declared:
+            continue  # a place is not even the same from run to run
         if p is not None and p < priors.LACK_OF_FIT_CHANCE and repeats is not None:
-            share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)
+            share = max(1.0 - (repeats / declared) ** 2 / fit.reduced_chi_square, 0.0)
             out.append(Structure("place", say("shape.places_differ"), p, share))
     return tuple(out)
 

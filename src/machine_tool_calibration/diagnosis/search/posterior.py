@@ -3,7 +3,8 @@
 
 Sets are compared, not orders: no effect is dropped because it looks like another, and a later one may unseat an
 earlier one. Every effect is tried by itself, all pairs at the points where each is best, and the best sets are grown by
-every other effect over all its nonlinear coefficients and scales, until the best no longer grow.
+every other effect over all its nonlinear coefficients and scales, until the best no longer grow, nor gain by another in
+the place of one of their members.
 """
 
 from __future__ import annotations
@@ -165,6 +166,12 @@ class _Search:
                 self._keep_with(others, k, found)
         return self.found[key][1]
 
+    def exchange(self, key: frozenset[int]) -> None:
+        """Every other candidate in place of each member, the others at the points that the set has given them."""
+        members = self.found[key][1]
+        for k in members if len(key) > 1 else ():
+            self.grow({j: point for j, point in members.items() if j != k})
+
     def _keep_with(self, members: Members, k: int, found: Table) -> None:
         """The set of some members and another candidate, from the table beside these members."""
         if self.may_stand({*members, k}):
@@ -203,13 +210,17 @@ def search(
         for k in pair:
             work.grow({k: single.best[k]})
     most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST_MEMBERS, _GROWN)
-    done = {frozenset[int]()}
+    done, exchanged = {frozenset[int]()}, set[frozenset[int]]()
     while True:
         ranked = sorted(work.found, key=lambda key: -work.found[key][0])
         least = work.found[ranked[0]][0] + _HOPELESS
         ready = [k for k in ranked[:width] if k not in done and len(k) < most and work.found[k][0] > least]
-        if not ready:
+        if not ready and ranked[0] in exchanged:
             break
+        if not ready:
+            exchanged.add(ranked[0])
+            work.exchange(ranked[0])
+            continue
         done.add(ready[0])
         work.grow(work.polished(ready[0]))
     found = work.marginals_with(work.found[ranked[0]][1])

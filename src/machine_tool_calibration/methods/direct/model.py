@@ -256,7 +256,8 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     open_ones = fit.solution.loose_directions()[fit.places][mine]
     loose = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
-    error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed)
+    # Where no term and no effect moves any place, nothing was asked of its error.
+    error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed | (not field.any()))
     content: dict[str, Any] = {
         "points": points,
         "position_error": error,

@@ -25,12 +25,15 @@ from machine_tool_calibration.session.description import Place, StepDiagonal
 from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say
 
 __all__ = ["SPEC"]
 
 # A place may be outside its run by this share of the step (runs of unequal steps stay within), and off the halts by
 # this one where most others are on them.
 _OUTSIDE, _ON_HALT = 0.5, 0.02
+# Share of a stated run's places that is read at least in one of the runs.
+_READ = 0.5
 # Blocks beyond which no halts are compared: nobody made as many.
 _MOST_BLOCKS = 10_000
 # A displacement may be off its place by a part of the path, by what a mirror's tilt makes of the way across the beam,
@@ -85,6 +88,23 @@ class DiagonalSpec(MethodSpec):
             _off_diagonal, itertools.chain(mistakes, badly_exchanged(session, _off_diagonal, "setup"))
         )
         yield judged_by_worst(_off_halts, badly_exchanged(session, _off_halts, "setup"))
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """Runs of which, as they are stated, most places were never read; while the first is under way none is."""
+        description, readings = session.description.as_a(StepDiagonal), session.readings
+        if description.blocks > _MOST_BLOCKS or len(np.unique(readings.setup)) < 2:
+            return
+        best, most = 0.0, {"read": "0", "count": "", "setup": ""}
+        for index, run in enumerate(runs_of(description)):
+            halts = run.path(description.blocks)
+            steps = (readings.position()[readings.setup == index] - run.start) / description.step
+            there = np.abs(steps - np.round(steps)).max(axis=1) < _ON_HALT
+            read = len(_counted(steps[there]) & _counted((halts - run.start) / description.step))
+            if read >= best * len(halts):
+                best, most = read / len(halts), {"read": f"{read}", "count": f"{len(halts)}", "setup": run.id}
+        if best < _READ:
+            step = _vector(1e3 * s for s in description.step)
+            yield say("suspicion.blocks", blocks=description.blocks, step=step, **most)
 
     def held(self, session: Session) -> Iterator[Held]:
         """Places against the runs as they are stated, and displacements against the places."""
@@ -153,6 +173,11 @@ def _run_of_places(session: Session, setup: int) -> str:
         f"its places run from {_vector(places[0])} to {_vector(places[-1])} m, direction {_vector(signs)}, and stated "
         f"are {_vector(run.start)} to {_vector(run.start + run.motion)} m, direction {_vector(run.sign)}"
     )
+
+
+def _counted(steps: Array) -> set[tuple[float, ...]]:
+    """Places in whole steps."""
+    return set(map(tuple, (np.round(steps) + 0.0).tolist()))
 
 
 def _vector(values: Iterable[float]) -> str:

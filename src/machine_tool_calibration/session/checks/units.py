@@ -112,6 +112,9 @@ def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
     if spec_of(session).reads_deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
+        like = _like_places(session, typical) if typical > 0.02 else None
+        if like is not None:
+            raise SessionError(f"{place.readings}: the columns {like} and displacement look exchanged")
         if typical > 0.02:
             raise SessionError(
                 f"{place.readings}: displacement is {typical:g} m in the middle; "
@@ -127,6 +130,20 @@ def _displacement(session: Session, place: Place) -> None:
         where = place.row(session.readings.row[row])
         unit = MILLIMETRES if reach < _MICROMETRES_FROM else MILLIMETRES.replace("milli", "micro")
         raise SessionError(f"{where}: displacement is {values[row]:g} m; {unit}")
+
+
+def _like_places(session: Session, typical: float) -> str | None:
+    """The axis whose column has deviations, where the displacements, of that size in the middle, are its places."""
+    travel, values = session.description.machine.travel, session.readings.displacement
+    for axis in "xyz":
+        position, bounds = session.readings.columns.get(axis), travel.get(axis) or travel.get(axis.upper())
+        if position is None or bounds is None or not np.ptp(position):
+            continue
+        slack = 0.05 * (bounds[1] - bounds[0])
+        within = (values >= bounds[0] - slack) & (values <= bounds[1] + slack)
+        if within[np.isfinite(values)].all() and np.nanmax(np.abs(position)) < 0.01 * typical:
+            return axis
+    return None
 
 
 def _environment(session: Session, place: Place) -> None:

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether what a model leaves at a place resembles what it leaves at the places beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import spatial, special
+
+from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.model.fit import Fit
+
+__all__ = ["alike_beside_p"]
+
+# Fewer places than this have no pattern; of more than this some are looked at. Nearest places per axis that moved.
+_FEWEST, _MOST, _BESIDE = 12, 1500, 2
+_STILL = 1e-6  # m
+
+
+def alike_beside_p(fit: Fit) -> float | None:
+    """Chance that places next to each other are left so much alike if there is no pattern: Moran's I.
+
+    Places are compared by the mean of their readings' residuals, with those that were read in the same setup, along the
+    same direction and approached from the same side.
+
+    Args:
+        fit: one session's share in a fit.
+
+    Returns:
+        None where too few places were read.
+    """
+    observations = fit.model.observations
+    columns, place = observations.readings.columns, observations.place
+    first = np.unique(place, return_index=True)[1]
+    mean = (np.bincount(place, fit.residuals) / np.bincount(place))[place[first]]
+    if not _FEWEST <= len(first) <= _MOST:
+        return None
+    seen = [np.round(along * 1e6) for along in observations.direction[first].T]
+    seen += [columns[name][first] for name in ("dir_x", "dir_y", "dir_z", "dir_c") if name in columns]
+    kind = groups(observations.readings.setup[first], *seen)
+    where = observations.position[first]
+    mean = mean - (np.bincount(kind, mean) / np.bincount(kind))[kind]
+    pairs = _beside(where, kind, _BESIDE * int((np.ptp(where, axis=0) > _STILL).sum()))
+    if not pairs.any() or not mean.any():
+        return None
+    return float(special.ndtr(-_moran(mean, pairs)))
+
+
+def _beside(where: Array, kind: IntArray, count: int) -> Array:
+    """(n, n) 1 for the nearest places of the same kind, else 0."""
+    pairs = np.zeros((len(where), len(where)))
+    for k in np.unique(kind):
+        mine = np.flatnonzero(kind == k)
+        if len(mine) > count > 0:
+            near = np.asarray(spatial.KDTree(where[mine]).query(where[mine], count + 1)[1])[:, 1:]
+            pairs[mine[:, None], mine[near]] = 1.0
+    return pairs
+
+
+def _moran(values: Array, pairs: Array) -> float:
+    """Moran's I of values (n,) in standard deviations of what it is without a pattern (Cliff and Ord 1981)."""
+    n, total = len(values), pairs.sum()
+    found = n / total * (values @ pairs @ values) / (values @ values)
+    both = 0.5 * np.sum((pairs + pairs.T) ** 2)
+    ends = np.sum((pairs.sum(axis=0) + pairs.sum(axis=1)) ** 2)
+    expected = -1.0 / (n - 1)
+    variance = (n**2 * both - n * ends + 3.0 * total**2) / (total**2 * (n**2 - 1.0)) - expected**2
+    return float((found - expected) / np.sqrt(variance))
