@@ -43,7 +43,7 @@ def _by_hand(model):
     residual = model.observations.readings.displacement - model.nominal
     angles = np.concatenate([term.columns for term in model.spread.terms])
     logs, means, covariances = [np.log(NONE)], [], []
-    sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES)
+    sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES_TRIED)
     each = [(s, shape) for shape in module._SHAPES for s in sizes]
     errors, index = model._map_rows()
     mapping = eq17(model.blocks, errors).T
