@@ -8,26 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "COVERAGE",
-    "HALF_WIDTHS",
-    "Array",
-    "BoolArray",
-    "IntArray",
-    "best_motion",
-    "first_of_group",
-    "first_true",
-    "gaps_around",
-    "group_ranges",
-    "groups",
-    "in_order_of_appearance",
-    "occurrence",
-    "rigid_motions",
-    "rms",
-    "standard_draws",
-    "unit_vectors",
-]
-
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]

@@ -7,16 +7,6 @@ import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-__all__ = [
-    "CalibrationError",
-    "ModelError",
-    "RecordingError",
-    "SessionError",
-    "UnfinishedError",
-    "did_you_mean",
-    "suspected",
-]
-
 
 class CalibrationError(ValueError):
     """The input or the request is wrong; the message says what and where, in one line."""

@@ -24,8 +24,6 @@ from scipy.spatial import QhullError
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["FIELDS", "PositionErrors", "error_map_from_message", "error_map_from_points"]
-
 FIELDS = ("x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz")
 _FLOAT64 = 8  # sensor_msgs/PointField
 _SAME_POSITION = 1e-9  # m: closer positions are one

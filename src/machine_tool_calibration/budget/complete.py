@@ -30,8 +30,6 @@ from machine_tool_calibration.planning.what_to_measure import conclude as conclu
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["completed", "completed_steps", "conclude", "diagnose", "identify", "improve", "stated"]
-
 Either = TypeVar("Either", bound=Identified)
 
 

@@ -38,11 +38,6 @@ from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "INCOMPLETE", "ONLY_IF_RIGHT", "RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide",
-    "unit_of_figure",
-]  # fmt: skip
-
 INCOMPLETE = say("conformity.incomplete")
 """Why nothing passes or fails without a budget: the readings themselves do not show what these add."""
 ONLY_IF_RIGHT = say("conformity.only_if_right")

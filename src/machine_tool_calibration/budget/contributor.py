@@ -20,11 +20,6 @@ from machine_tool_calibration.session.text import read_text
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "BudgetFile", "contributors_of", "default_budget", "instruments", "known_contributors", "read_budget", "template",
-    "template_of",
-]  # fmt: skip
-
 FORMAT = "mtcal-budget/1"
 
 

@@ -17,8 +17,6 @@ from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Reached", "Until", "after_each_setup", "reached"]
-
 # Probabilities from which an effect counts as there, and up to which as not there.
 _THERE, _ABSENT = 0.95, 0.05
 # Share of the largest plausible size that must have been detectable for an effect that is not there.

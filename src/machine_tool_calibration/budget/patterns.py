@@ -21,9 +21,6 @@ from machine_tool_calibration.planning.design import SharedErrors
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import distinct_places
 
-__all__ = ["Pattern", "effect_on_readings", "measured_length", "pattern", "shared_errors", "sharing"]
-
-
 # Values of a contributor beyond which its readings are taken to scatter each by itself.
 _MOST_VALUES = 200
 

@@ -39,11 +39,6 @@ from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "DRAWS", "KNOWN", "REPEATABILITY", "Budget", "Drawn", "Line", "Progress", "Share", "Sum", "coverage_factor",
-    "draw_readings", "propagate",
-]  # fmt: skip
-
 Progress = Callable[[str, float | None], None]
 
 KNOWN = "known besides the readings"

@@ -24,21 +24,6 @@ from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "DIAGONAL_FIGURES",
-    "FIGURES",
-    "POSITION_ERROR",
-    "Numbers",
-    "Quantity",
-    "check_names",
-    "everything",
-    "figure_of",
-    "iso_numbers",
-    "numbers",
-    "of_document",
-    "unit_of",
-]
-
 POSITION_ERROR = "position_error"
 FIGURES = ("B", "B_mean", "R", "R_up", "R_down", "E", "E_up", "E_down", "M", "A", "A_up", "A_down")
 """Figures of ISO 230-2:2014, of each axis (`A_X`)."""

@@ -17,8 +17,6 @@ from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.values import Finite
 
-__all__ = ["parse_tolerances", "read_tolerances", "tolerance"]
-
 FORMAT = "mtcal-tolerances/1"
 
 

@@ -10,8 +10,6 @@ import click
 from machine_tool_calibration.cli.output import PATH, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["command"]
-
 
 @click.command("align-pointer")
 @click.argument("searches", metavar="SEARCH…", nargs=-1, required=True, type=PATH)

@@ -21,8 +21,6 @@ from machine_tool_calibration.cli.output import (
 )
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
-__all__ = ["budget_option", "command"]
-
 
 def budget_option(text: str) -> Callable[[Any], Any]:
     """Add `--budget`, which may be repeated, as the keyword argument `budgets`."""

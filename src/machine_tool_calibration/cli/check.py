@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.trends.logbook import Entry
     from machine_tool_calibration.trends.statement import Statement
 
-__all__ = ["command"]
-
 
 @click.command("check")
 @click.argument("earlier", metavar="MAP", type=PATH)

@@ -11,8 +11,6 @@ from machine_tool_calibration.cli.diagnosing import Wanted, history_option, mode
 from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
 from machine_tool_calibration.reports.documents import write_table
 
-__all__ = ["command"]
-
 
 @click.command("compare")
 @sessions_argument

@@ -28,8 +28,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 if TYPE_CHECKING:
     from machine_tool_calibration.reports.identification import Measured
 
-__all__ = ["command"]
-
 
 @click.command("compare-maps")
 @click.argument("first", type=PATH)

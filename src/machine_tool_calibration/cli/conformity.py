@@ -17,8 +17,6 @@ from machine_tool_calibration.cli.output import PATH, json_option, note, progres
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command"]
-
 
 @click.command("conformity")
 @sessions_argument

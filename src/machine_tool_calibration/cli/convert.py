@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command"]
-
 _FIRST = 6  # readings that are shown
 
 

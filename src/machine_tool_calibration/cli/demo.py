@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["COMPARED", "MapError", "command", "error_against_truth", "map_error"]
-
 
 @dataclass(frozen=True)
 class MapError:

@@ -10,8 +10,6 @@ import click
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
 
-__all__ = ["command"]
-
 
 @click.command("diagnose")
 @sessions_argument

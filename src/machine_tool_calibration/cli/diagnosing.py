@@ -21,17 +21,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.reports.identification import Measured
     from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "Wanted",
-    "effects_file_option",
-    "history_option",
-    "keeping",
-    "model_option",
-    "model_options",
-    "no_model",
-    "sessions_argument",
-]
-
 
 @dataclass(frozen=True)
 class Wanted:

@@ -17,8 +17,6 @@ from machine_tool_calibration.reports.tables import Part, TextTable
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
 
-__all__ = ["command"]
-
 
 @click.command("effects")
 @click.argument("ids", metavar="[ID …]", nargs=-1)

@@ -11,8 +11,6 @@ from machine_tool_calibration.cli.diagnosing import effects_file_option, model_o
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
 
-__all__ = ["command"]
-
 
 @click.command("enough")
 @click.argument("measurement", type=PATH)

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.reports.identification import Measured
 
-__all__ = ["bad_fit", "command"]
-
 
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""

@@ -23,8 +23,6 @@ from machine_tool_calibration.cli.output import (
 )
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
-__all__ = ["command"]
-
 
 def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
     """Split an option's names, so many of them, at the commas between them."""

@@ -12,8 +12,6 @@ from machine_tool_calibration.cli.diagnosing import Wanted, history_option, mode
 from machine_tool_calibration.cli.many import fit_one, followed, workers_options
 from machine_tool_calibration.cli.output import FILE, FOLDER, json_option, note, note_written, tell
 
-__all__ = ["command"]
-
 
 @click.command("fleet")
 @click.argument("book", type=FILE)

@@ -13,8 +13,6 @@ import click
 from machine_tool_calibration.cli.output import FILE, options
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["file_form", "foreign_options", "mapping_from", "only_form"]
-
 _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
 """Options of how the text of a table is written, but for those that are given in other words."""
 

@@ -12,8 +12,6 @@ from machine_tool_calibration.cli.output import json_option, note, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import Part
 
-__all__ = ["command"]
-
 
 @click.command("history")
 @sessions_argument

@@ -29,8 +29,6 @@ from machine_tool_calibration.reports.documents import to_json, write_table
 if TYPE_CHECKING:
     from machine_tool_calibration.interface.identification import Fit
 
-__all__ = ["command"]
-
 
 @click.command("identify")
 @click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement as Done
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command"]
-
 
 def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[list[Path], str]:
     """Put the models into the history: the file, if it was changed, and a remark.

@@ -15,8 +15,6 @@ from machine_tool_calibration.errors import CalibrationError
 if TYPE_CHECKING:
     from machine_tool_calibration.recording.reader import BagReader
 
-__all__ = ["command", "topic_option"]
-
 
 def _topic_names(_: click.Context, __: click.Parameter, said: tuple[str, ...]) -> dict[str, str]:
     names = {}

@@ -19,8 +19,6 @@ from machine_tool_calibration.cli.output import (
     write_json,
 )
 
-__all__ = ["command", "machine_option"]
-
 machine_option = click.option("--machine", help="The machine, where a logbook has several.")
 
 

@@ -29,9 +29,6 @@ from machine_tool_calibration.errors import CalibrationError, did_you_mean
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["PLUGIN_GROUP", "OutputClosedError", "Verbs", "group", "main", "run"]
-
-
 PLUGIN_GROUP = "machine_tool_calibration.commands"
 ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "diagnostic_msgs")
 SECTIONS = {

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.reports.identification import Measured
 
-__all__ = ["fit_one", "followed", "workers_options"]
-
 One = TypeVar("One")
 # Seconds between two lines where there is no terminal for a bar.
 _LINE = 30.0

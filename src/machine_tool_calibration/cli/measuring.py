@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
-__all__ = ["files_table", "graph_options", "graph_place", "readings_bar", "result_table"]
-
 _DOMAIN = click.IntRange(0, 232)
 _namespace = click.option(
     "--namespace", type=RosName(space=True), default="", help="Namespace of all nodes, such as cell_1."

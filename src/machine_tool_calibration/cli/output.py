@@ -30,30 +30,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.interface.show import Answer
     from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = [
-    "FILE",
-    "FOLDER",
-    "PATH",
-    "PictureFile",
-    "RosName",
-    "bar",
-    "console",
-    "json_option",
-    "note",
-    "note_written",
-    "one_line",
-    "options",
-    "progress_bar",
-    "save_picture",
-    "seed_option",
-    "session_labels",
-    "tell",
-    "tell_either",
-    "write_json",
-    "write_new",
-    "writing",
-]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -194,7 +170,8 @@ def console(*, stderr: bool = False) -> Console:
 class Report(Protocol):
     """Shows what is being done, and the share that is finished where that is known."""
 
-    def __call__(self, what: str, share: float | None = None, /) -> None: ...
+    def __call__(self, what: str, share: float | None = None, /) -> None:
+        """Show it."""
 
 
 @contextmanager

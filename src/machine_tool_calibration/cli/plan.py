@@ -27,8 +27,6 @@ from machine_tool_calibration.errors import CalibrationError
 if TYPE_CHECKING:
     from machine_tool_calibration.planning.best_plan import Assumed
 
-__all__ = ["command"]
-
 
 @click.command("plan")
 @click.argument("procedure")

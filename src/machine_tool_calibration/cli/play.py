@@ -11,8 +11,6 @@ import click
 from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["command"]
-
 
 @click.command("play")
 @click.argument("bag", type=PATH)

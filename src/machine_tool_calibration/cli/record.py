@@ -15,8 +15,6 @@ from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import picked
 
-__all__ = ["command"]
-
 
 @click.command("record")
 @click.argument("topics", nargs=-1, type=RosName())

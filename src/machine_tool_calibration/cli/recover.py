@@ -11,8 +11,6 @@ import click
 from machine_tool_calibration.cli.output import PATH, json_option, note, progress_bar, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["command"]
-
 
 @click.command("recover")
 @click.argument("bag", type=PATH)

@@ -11,8 +11,6 @@ from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written, progress_bar, seed_option
 
-__all__ = ["command"]
-
 
 @click.command("report")
 @sessions_argument

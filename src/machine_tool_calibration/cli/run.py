@@ -19,8 +19,6 @@ from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.reports.planning import reached_parts
 from machine_tool_calibration.reports.tables import Part
 
-__all__ = ["command"]
-
 
 def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
     """The procedure with the setups that come soonest to what is wanted, written into a folder."""

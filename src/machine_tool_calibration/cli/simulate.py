@@ -19,8 +19,6 @@ from machine_tool_calibration.session.catalogue import METHODS
 if TYPE_CHECKING:
     from machine_tool_calibration.simulation import Simulated, SimulationSpec
 
-__all__ = ["command"]
-
 HELP = """Simulate a measurement on a virtual machine.
 
 Readings are computed from geometry: true distances, tilted mirrors, a stylus sphere on a surface, a machine with

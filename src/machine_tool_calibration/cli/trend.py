@@ -9,8 +9,6 @@ import click
 
 from machine_tool_calibration.cli.output import FILE, PictureFile, json_option, save_picture, tell
 
-__all__ = ["command"]
-
 
 @click.command("trend")
 @click.argument("book", type=FILE)

@@ -13,8 +13,6 @@ from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import PATH, note
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["command"]
-
 
 @click.command("workbench")
 @click.argument("measurements", metavar="[MEASUREMENT…]", nargs=-1, type=PATH)

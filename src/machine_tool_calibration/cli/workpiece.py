@@ -17,8 +17,6 @@ from machine_tool_calibration.reports.tables import Part, TextTable
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import WorkpiecePoint
 
-__all__ = ["command"]
-
 
 @click.command("workpiece")
 @click.argument("file", type=PATH)

@@ -32,8 +32,6 @@ from machine_tool_calibration.session.session import Session
 if TYPE_CHECKING:
     from pandas.core.groupby import DataFrameGroupBy
 
-__all__ = ["Comparison", "JointComparison", "Overall", "compare", "residual_table"]
-
 # A reading with less than this share of itself in its residual cannot be judged.
 _LEAST_REDUNDANCY = 0.02
 # Readings that the model leaves of a part below which its scatter cannot be judged.

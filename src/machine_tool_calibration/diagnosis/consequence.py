@@ -16,8 +16,6 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates, effect_signal, map_change
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Added", "Consequence", "before_and_after", "consequences"]
-
 Added = Callable[[FittedSessions], Mapping[str, float]]
 """What a budget adds to the variance of a fit's unknowns, by name."""
 

@@ -37,8 +37,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["Diagnosis", "diagnose"]
-
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
 # Standard uncertainties from which a size stands out.

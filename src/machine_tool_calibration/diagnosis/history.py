@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Coefficient", "Entry", "History", "Part"]
-
 # Difference of the criterion from which it speaks strongly for a model (Kass and Raftery 1995).
 _CLEARLY = 6.0
 

@@ -19,8 +19,6 @@ from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["Improvement", "Step", "accepted_models", "entry_of", "improve", "step_after", "words_set_aside"]
-
 
 @dataclass(frozen=True)
 class Step:

@@ -11,8 +11,6 @@ from machine_tool_calibration.effects.families import ReversalEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["Backlash", "RotaryBacklash"]
-
 
 class Backlash(ReversalEffect):
     """Half the reversal error of a linear axis: it stops short of its position on the side from which it came."""

@@ -39,8 +39,6 @@ from machine_tool_calibration.effects.workpiece_thermal import WorkpieceThermal
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 
-__all__ = ["catalogue", "find_effects", "own_effects"]
-
 ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
 

@@ -13,8 +13,6 @@ from machine_tool_calibration.effects.families import AirEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["DeadPath"]
-
 # m, a dead path of this length is usual on any machine.
 _USUAL_LENGTH = 0.5
 

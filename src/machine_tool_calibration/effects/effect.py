@@ -14,8 +14,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import Said
 
-__all__ = ["AxisEffect", "Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "table_axis"]
-
 
 @dataclass(frozen=True)
 class Coefficient:

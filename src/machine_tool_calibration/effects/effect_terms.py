@@ -17,8 +17,6 @@ from machine_tool_calibration.model.observations import Observations, together
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["add_effects", "common_shape", "displacement_field", "effect_term", "without_absorbed"]
-
 
 def displacement_field(
     effect: Effect, observations: Observations, evaluate: Callable[[Observations], Array]

@@ -12,8 +12,6 @@ from machine_tool_calibration.model.observations import SAME_POSITION, Observati
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]
-
 _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
 _POWERS = ("constant", "power_1", "power_2", "power_3", "power_4")

@@ -14,8 +14,6 @@ from machine_tool_calibration.machine.error_motions import squareness_field
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["AirEffect", "HarmonicEffect", "LateEffect", "ReversalEffect", "SquarenessEffect"]
-
 # Highest orders of harmonics that are tried.
 _HIGHEST_ORDERS = (3.0, 5.0, 8.0)
 

@@ -38,9 +38,6 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.values import Finite
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["Expression", "FormulaEffect", "checked_definition", "formula_effect", "parse", "read_effects", "registry"]
-
-
 _MOST_CHARACTERS = 1000
 _CHARACTERS_SHOWN = 80  # characters of a formula in a message
 _LARGEST_NUMBER = 1e308  # below infinity

@@ -8,8 +8,6 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["LinearDrift"]
-
 
 class LinearDrift(Effect):
     """The reading runs away at one rate, in all setups."""

@@ -12,8 +12,6 @@ from machine_tool_calibration.effects.families import ReversalEffect
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["LostMotion"]
-
 # As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2.
 _DEGREES = 7
 _POWERS = ("the_same", "power_1", "power_2", "power_3")

@@ -10,8 +10,6 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["MirrorMisalignment"]
-
 
 class MirrorMisalignment(Effect):
     """A tilted mirror normal n reads n.d/(n.l): two tilts a setup (Ibaraki and Hata 2010, Section 3.1)."""

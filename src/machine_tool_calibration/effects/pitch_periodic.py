@@ -11,8 +11,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["PitchPeriodic"]
-
 _SHORTEST_LEAD = 2e-3  # m
 _MOST_LEADS = 80  # that are tried
 # Share of the shortest wave, and of the range, within which positions are one place: no wave differs there.

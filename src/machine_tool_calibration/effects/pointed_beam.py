@@ -8,8 +8,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["POINTED_INSTRUMENTS", "POINTED_METHODS", "azimuth", "cosine_of_elevation", "is_open_loop"]
-
 POINTED_INSTRUMENTS = ("tracking_interferometer", "laser_tracker")
 POINTED_METHODS = ("tracking_interferometer", "rotary_axis")
 

@@ -16,8 +16,6 @@ from machine_tool_calibration.effects.pointed_beam import (
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["PointerAxisOffset"]
-
 
 class PointerAxisOffset(Effect):
     """The elevation axis stands in front of the azimuth axis by d, and the beam passes it at a distance h.

@@ -16,8 +16,6 @@ from machine_tool_calibration.effects.pointed_beam import (
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["PointerRadialError"]
-
 
 class PointerRadialError(HarmonicEffect):
     """Radial error motion of the pointer's azimuth axis; once a turn is the station's position (ISO 230-7).

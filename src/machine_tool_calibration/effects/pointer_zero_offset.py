@@ -11,8 +11,6 @@ from machine_tool_calibration.effects.pointed_beam import cosine_of_elevation, i
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["PointerZeroOffset"]
-
 
 class PointerZeroOffset(Effect):
     """The azimuth counts from another zero: a beam that is held reads the path's projection (cosine error).

@@ -9,8 +9,6 @@ from machine_tool_calibration.effects.pointed_beam import azimuth
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["ProbePretravel"]
-
 
 class ProbePretravel(HarmonicEffect):
     """The way from contact to trigger depends on the direction of the contact's normal (three lobes, typically)."""

@@ -11,8 +11,6 @@ from machine_tool_calibration.effects.families import AirEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["RefractiveIndex"]
-
 
 class RefractiveIndex(AirEffect):
     """The part g of the wavelength's compensation that is missing, in proportion to the path (Edlén)."""

@@ -13,8 +13,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["RetroreflectorForm"]
-
 
 class RetroreflectorForm(HarmonicEffect):
     """Path change with the direction in which the beam meets the retroreflector.

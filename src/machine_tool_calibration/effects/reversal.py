@@ -13,8 +13,6 @@ from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["REVERSALS", "Reversal"]
-
 REVERSALS = tuple(f"E{c}{axis}" for axis in "XYZ" for c in "XYZABC" if c != axis)
 """Error motions that can reverse: straightness and angles; along the axis itself it is the backlash."""
 

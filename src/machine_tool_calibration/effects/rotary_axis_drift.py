@@ -11,8 +11,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["RotaryAxisDrift"]
-
 
 class RotaryAxisDrift(Effect):
     """The table's axis average line moves and tilts at a constant rate, and all that the table carries with it.

@@ -10,8 +10,6 @@ from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Eff
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["AxisScale", "Scale"]
-
 
 class Scale(Effect):
     """The part or the machine was not at 20 degrees Celsius when it was made or measured."""

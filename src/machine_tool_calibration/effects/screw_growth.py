@@ -14,8 +14,6 @@ from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["ScrewGrowth"]
-
 # A ball screw of steel grows by 11.5 um/m for each kelvin; one that runs fast without cooling warms by less than 10 K.
 _LARGEST = 1e-4
 # How far the fixed end usually is from the axis's zero, m.

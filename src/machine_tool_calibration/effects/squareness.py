@@ -9,8 +9,6 @@ from machine_tool_calibration.machine.error_motions import squareness_field
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["Squareness"]
-
 
 class Squareness(AxisEffect):
     """The angle between two linear axes, less a right one."""

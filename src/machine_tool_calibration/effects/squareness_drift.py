@@ -9,8 +9,6 @@ from machine_tool_calibration.effects.families import SquarenessEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["SquarenessDrift"]
-
 
 class SquarenessDrift(SquarenessEffect):
     """The angle between two axes changes at a constant rate."""

@@ -12,8 +12,6 @@ from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERA
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say, together
 
-__all__ = ["SquarenessThermal"]
-
 
 class SquarenessThermal(SquarenessEffect):
     """The angle between two axes changes with their temperature.

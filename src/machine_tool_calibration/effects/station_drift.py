@@ -10,8 +10,6 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["StationDrift"]
-
 
 class StationDrift(Effect):
     """Every station moves at a constant velocity of its own, from its first reading on."""

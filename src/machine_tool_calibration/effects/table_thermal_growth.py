@@ -11,8 +11,6 @@ from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERA
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["TableThermalGrowth"]
-
 
 class TableThermalGrowth(Effect):
     """Targets on the table move away from its axis, and along it, with the table's temperature."""

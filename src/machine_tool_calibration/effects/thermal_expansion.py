@@ -10,8 +10,6 @@ from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["REFERENCE_TEMPERATURE", "ThermalExpansion"]
-
 # ISO 1: the temperature at which lengths are stated, degrees Celsius.
 REFERENCE_TEMPERATURE = 20.0
 

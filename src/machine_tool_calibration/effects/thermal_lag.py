@@ -13,8 +13,6 @@ from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["ThermalLag", "followed"]
-
 
 class ThermalLag(LateEffect, ThermalExpansion):
     """The structure follows its temperature sensor with a first-order lag: tau T' = T_sensor - T.

@@ -11,8 +11,6 @@ from machine_tool_calibration.effects.families import LateEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = ["Warmup"]
-
 # m, what an aluminium frame of half a metre grows by while it warms by 40 K; a cast one by a quarter of it.
 _LARGEST_GROWTH = 5e-4
 

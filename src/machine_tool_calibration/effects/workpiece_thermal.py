@@ -12,8 +12,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-__all__ = ["WorkpieceThermal"]
-
 
 class WorkpieceThermal(Effect):
     """The workpiece grows with its temperature, from the axis of the table."""

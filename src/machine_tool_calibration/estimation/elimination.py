@@ -18,19 +18,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 
-__all__ = [
-    "Rows",
-    "cholesky",
-    "forward",
-    "gram_of_each",
-    "inverse",
-    "local_columns",
-    "local_step",
-    "null_vector",
-    "raw_squares",
-    "reduced_gram",
-]
-
 
 def null_vector(local: Array) -> tuple[Array, BoolArray]:
     """Unit vectors w with local w = 0.

@@ -20,9 +20,6 @@ from scipy.special import gammaln, softmax
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
 
-__all__ = ["NOTHING", "Gram", "Marginal", "log_noise", "marginal_at", "noise_variance", "size_grid"]
-
-
 NOTHING = 1e-12
 """Share of the data's squares that is at least left of them: less is rounding."""
 

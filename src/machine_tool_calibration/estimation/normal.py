@@ -9,8 +9,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 
-__all__ = ["LEAST_EIGENVALUE", "Normal", "covariance_root", "solve_normal"]
-
 LEAST_EIGENVALUE = 1e-12
 """Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined."""
 # Share of an unknown in what is not determined above which it is not determined itself.

@@ -24,8 +24,6 @@ from machine_tool_calibration.estimation.problem import CHUNK, Part
 from machine_tool_calibration.estimation.reduction import over_chunks, single_blas
 from machine_tool_calibration.estimation.solve import Solution
 
-__all__ = ["Motion", "PointResult", "points_in_inner_datum"]
-
 # A point moves with what is not determined if it does so by more than this share.
 _OPEN_SHARE = 1e-6
 

@@ -18,20 +18,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.elimination import Rows
 
-__all__ = [
-    "CHUNK",
-    "FunctionPart",
-    "Group",
-    "LinearPart",
-    "Part",
-    "PartAround",
-    "PriorRows",
-    "Problem",
-    "group_points",
-    "group_rows",
-]
-
-
 # Below this share of filled slots it pays to sort the points by what was read of them.
 _FILLED = 0.6
 # Places in the layers of a table, beside the readings, above which most would be empty.

@@ -17,8 +17,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.elimination import raw_squares, reduced_gram
 from machine_tool_calibration.estimation.problem import Part, Problem
 
-__all__ = ["Projected", "gram", "over_chunks", "project", "single_blas"]
-
 
 @dataclass(frozen=True)
 class Projected:

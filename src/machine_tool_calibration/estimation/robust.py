@@ -24,8 +24,6 @@ from machine_tool_calibration.estimation.problem import Part, PartAround, Proble
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 from machine_tool_calibration.estimation.solve import local_steps
 
-__all__ = ["FAR", "Reweighted", "RobustStart", "robust_start", "scaled_residuals"]
-
 _TUNING = 1.345
 # Residuals beyond so many times the scale count less than by Huber.
 _REACHED = 10.0

@@ -15,8 +15,6 @@ from machine_tool_calibration.estimation.normal import Normal, solve_normal
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
-__all__ = ["Linearised", "Solution", "local_steps", "solve"]
-
 _MAX_STEPS = 40
 # Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
 # and the next would be its square.

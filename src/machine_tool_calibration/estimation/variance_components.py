@@ -23,8 +23,6 @@ from machine_tool_calibration.estimation.marginal import (
 )
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
-__all__ = ["Components", "Functions", "WidenedPart", "components"]
-
 # Steps of what is published for one that a search needs; logarithm of the widest.
 _FINER, _STEP = 2, 0.9
 

@@ -16,8 +16,6 @@ from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = ["Compensation", "Exported", "compensation"]
-
 
 @dataclass(frozen=True)
 class Exported:

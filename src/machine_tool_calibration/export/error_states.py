@@ -21,8 +21,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.catalogue import spec_of
 
-__all__ = ["ErrorStates", "displacement", "error_states"]
-
 # Displacements that differ by less are the same state; distances that do are the same place, m.
 _SAME_STATE = 1e-10
 _PLACE = 1e-7

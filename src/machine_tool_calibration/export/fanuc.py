@@ -36,8 +36,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export.head import head, held_beyond, middle_line, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["MOST_POINTS", "read", "write"]
-
 MOST_POINTS = 128
 _DATA, _REMARKS = "pitch_error.txt", "compensation.txt"
 _LARGEST_ENTRY, _LARGEST_MAGNIFICATION = 7, 100

@@ -11,8 +11,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["as_read", "head", "held_beyond", "middle_line", "positioning", "rebuilt"]
-
 SIGN = (
     "deviations, actual minus commanded position of the tool in the workpiece frame (ISO 230-1); the compensation is "
     "minus the deviation"

@@ -24,8 +24,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.export.head import as_read, head, middle_line, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["MOST_LINES", "read", "write"]
-
 MOST_LINES = 256
 _JOINTS = {"X": 0, "Y": 1, "Z": 2}
 _INI = "compensation.ini"

@@ -11,8 +11,6 @@ from machine_tool_calibration.arrays import Array, BoolArray, rigid_motions, rms
 from machine_tool_calibration.methods.axis_tables import AxisTables
 from machine_tool_calibration.model.result import ErrorMap
 
-__all__ = ["ResidualError", "ResidualErrors", "residual_errors", "summary"]
-
 _PARTS = ("x", "y", "z")
 # Ratio up to which errors are the same: the shift and turn that are taken out differ a little before and after.
 _SAME_RATIO = 1.002

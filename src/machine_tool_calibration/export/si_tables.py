@@ -10,8 +10,6 @@ import json
 from machine_tool_calibration.export.head import SIGN, head
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
-__all__ = ["write_csv_table", "write_json_table"]
-
 _COLUMNS = ("name", "axis", "position", "deviation", "standard_uncertainty", "compensation", "unit")
 
 

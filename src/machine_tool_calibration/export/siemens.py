@@ -35,8 +35,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export.head import head, held_beyond, middle_line, rebuilt
 from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTable, AxisTables
 
-__all__ = ["read", "write"]
-
 _SCREW, _SAG = "AX_EEC.INI", "NC_CEC.INI"
 _SIGN = (
     "a positive value moves the axis in the negative direction, so a value is the deviation itself: actual minus "

@@ -20,8 +20,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.export.head import SIGN, as_read, head, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["read_etalon", "read_isg", "write_etalon", "write_isg"]
-
 _ISG, _ETALON = "compensation.csv", "compensation.exc"
 _UNITS = "positions and offsets in mm, angles in rad"
 _NEGATE = (

@@ -20,8 +20,6 @@ from machine_tool_calibration.estimation.reduction import single_blas
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
-__all__ = ["Done", "each", "in_order"]
-
 # Without these a session takes a quarter more time: for a profiler that looks at the stack every 10 ms, and to fetch
 # memory anew that was handed back to the system after every array, by a threshold of Dask's or an arena of a thread.
 _SWIFT = {

@@ -13,8 +13,6 @@ from machine_tool_calibration.fleet.texts import effects_table, fleet_line, mach
 from machine_tool_calibration.interface.show import Answer
 from machine_tool_calibration.reports.tables import Part
 
-__all__ = ["Fleet"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fleet(Answer, Machines):

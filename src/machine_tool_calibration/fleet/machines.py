@@ -16,8 +16,6 @@ from machine_tool_calibration.trends.logbook import Entry
 from machine_tool_calibration.trends.statement import Size
 from machine_tool_calibration.trends.trend import Trend, trend
 
-__all__ = ["CAUSES", "Machine", "Machines", "Occurrence", "judged"]
-
 CAUSES = ("limit", "change", "effect", "uncertain")
 """Why a machine needs attention, the most urgent first."""
 _LACKING = ("missing_effect", "unexplained")

@@ -21,8 +21,6 @@ from machine_tool_calibration.session.provenance import SOFTWARE
 from machine_tool_calibration.version import __version__
 from machine_tool_calibration.words import Verbatim, Words, say
 
-__all__ = ["write_page"]
-
 # Machines whose changes are drawn, and numbers of each.
 _DRAWN, _NUMBERS = 12, 3
 

@@ -14,8 +14,6 @@ from machine_tool_calibration.fleet.each import Done
 from machine_tool_calibration.fleet.machines import Machine, Machines
 from machine_tool_calibration.fleet.sessions import Identified, Place
 
-__all__ = ["identified_tables", "machine_tables", "write_tables"]
-
 _RESULT = (
     "method", "model", "observations", "used", "rms_residual", "reduced_chi_square", "degrees_of_freedom", "p_value",
 )  # fmt: skip

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_fleet"]
-
 # Effects that have a row of their own, and machines that have room for their names.
 _EFFECTS, _NAMED = 12, 60
 _LOOKS = {cause: (COLORS[k], MARKERS[k]) for cause, k in zip(CAUSES, (1, 4, 3, 0), strict=True)} | {

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 
-__all__ = ["Evaluated", "Identified", "Place", "evaluated", "identified", "is_known", "places"]
-
 Fitting = Callable[[Path], Fit]
 """Identifies a session by the model that was asked for."""
 

@@ -15,18 +15,6 @@ from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.reports.trends import trend_words
 from machine_tool_calibration.words import Said, Verbatim, enumeration, say, together
 
-__all__ = [
-    "effects_table",
-    "fleet_line",
-    "identified_document",
-    "identified_table",
-    "machines_table",
-    "problems_table",
-    "reasons_of",
-    "states_table",
-    "verdict_of",
-]
-
 # Sentences of a trend that tell why a machine needs attention.
 _ALARMING = ("trend.says_jump", "trend.says_drift", "trend.says_exceeded", "trend.says_open")
 # Sentences and machines that a line names.

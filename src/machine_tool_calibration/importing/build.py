@@ -25,8 +25,6 @@ from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble, distinct_labels
 
-__all__ = ["Imported", "import_table"]
-
 _LABELS = tuple(role for role, kind in ROLES["readings"].items() if kind == "text" and role != "setup")
 
 

@@ -15,8 +15,6 @@ from machine_tool_calibration.importing.mapping import Mapping as TableMapping
 from machine_tool_calibration.importing.text_table import TextTable
 from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name, without_unit
 
-__all__ = ["Columns", "Rows"]
-
 _NEED_NO_UNIT = {"time": "s", "temperature": "degC", "number": "1"}
 
 

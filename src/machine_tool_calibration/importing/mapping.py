@@ -16,8 +16,6 @@ from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["FORMAT", "ROLES", "ColumnRule", "Mapping", "Run", "parse_mapping", "read_mapping"]
-
 FORMAT = "mtcal-mapping/1"
 _XYZ = ("x", "y", "z")
 

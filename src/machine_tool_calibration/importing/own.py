@@ -18,9 +18,6 @@ from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import LABEL_COLUMNS, NUMERIC_COLUMNS
 
-__all__ = ["Alignment", "read_alignment", "read_own_table"]
-
-
 _OF_A_TOPIC = ("log_time", "publish_time", "stamp")
 _OF_ANY_TOPIC = "frame_id"
 

@@ -15,8 +15,6 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.units import quantity
 
-__all__ = ["check_deviations", "check_size", "has_angles", "point_rows", "range_rows", "station_points"]
-
 
 def has_angles(columns: Columns) -> bool:
     """Whether the table has a distance with two angles."""

@@ -14,8 +14,6 @@ from machine_tool_calibration.importing.mapping import Run
 from machine_tool_calibration.importing.points import check_deviations
 from machine_tool_calibration.importing.text_table import TextTable
 
-__all__ = ["positioning_rows"]
-
 _UP = ("up", "+", "+1", "1", "↑", "forward", "fwd", "positive", "pos", "auf", "vor")
 _DOWN = ("down", "-", "-1", "↓", "reverse", "rev", "backward", "negative", "neg", "ab", "zurück")
 _NAME = re.compile(

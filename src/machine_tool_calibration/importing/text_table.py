@@ -26,9 +26,6 @@ from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_bytes, reject_foreign_encoding
 
-__all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
-
-
 _CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
 _GERMAN = re.compile(r"(\d?\d)\.(\d?\d)\.(\d{4})[ T](.*)")
 _DAY = 86400.0

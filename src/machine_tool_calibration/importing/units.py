@@ -12,8 +12,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["UNITS", "dimension", "quantity", "si_values", "spelled", "unit_in_name", "without_unit"]
-
 # Unit to its dimension, power of ten and factor. The power goes into the text: 123.4 mm is 0.1234 m to the last bit,
 # which neither 123.4 * 0.001 nor 123.4 / 1000 is.
 UNITS: dict[str, tuple[str, int, float]] = {

@@ -7,8 +7,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["STANDARD_AIR", "index_deviation", "refractivity"]
-
 STANDARD_AIR = (20.0, 101325.0, 0.5)
 """Temperature in degrees Celsius, pressure in Pa, relative humidity from 0 to 1."""
 

@@ -18,8 +18,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import Probing
 
-__all__ = ["SEARCH", "NominalTouch", "Part", "judge"]
-
 # How far beside a point's normal the axes may stand for the touch to be meant for it, m.
 _FARTHEST_BESIDE = 1e-5
 _FARTHEST = 0.02  # m from the surface: where a touch may begin

@@ -7,8 +7,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["pointing"]
-
 
 def pointing(target: Array, station: Array) -> tuple[Array, Array]:
     """Azimuth and elevation that direct the beam from a station to a commanded target.

@@ -8,8 +8,6 @@ from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["MOST_DRAWS", "require_kind", "require_whole"]
-
 MOST_DRAWS = 100_000
 """Random draws that can be asked for: quantiles of more are no better known than what is drawn from."""
 # Smallest and largest.

@@ -26,8 +26,6 @@ from machine_tool_calibration.reports.tables import Part
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Budget", "Conformity"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Budget(Answer, Propagated):

@@ -29,8 +29,6 @@ from machine_tool_calibration.reports.verdict import verdict_line
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Diagnosis"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Answer):

@@ -13,8 +13,6 @@ import pandas as pd
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.effects.formula import FormulaEffect, checked_definition, read_effects
 
-__all__ = ["Effect", "Range", "catalogue"]
-
 Range = tuple[str, float, float] | Mapping[str, Any]
 """Of an unknown: unit, smallest and largest plausible value; or a mapping with `unit`, `low`, `high`, `meaning`."""
 

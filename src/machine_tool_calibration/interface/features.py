@@ -24,8 +24,6 @@ from machine_tool_calibration.session.provenance import Provenance
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Features"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Features(Answer, Found):

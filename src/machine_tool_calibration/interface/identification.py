@@ -49,8 +49,6 @@ from machine_tool_calibration.session.contributor import Contributor
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Fit", "fitted", "identify", "split_effects"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Answer):

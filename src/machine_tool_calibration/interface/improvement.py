@@ -28,8 +28,6 @@ from machine_tool_calibration.residuals.noise import noise_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Improvement", "improve", "plot_improvement"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Improvement(Answer, Done):

@@ -23,8 +23,6 @@ from machine_tool_calibration.session.provenance import Provenance
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["MapComparison"]
-
 # Points of a table for people: of more, those of which the maps differ most.
 _MOST_POINTS = 25
 _COLUMNS = ("first", "second", "difference", "u", "normalised")

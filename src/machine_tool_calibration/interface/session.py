@@ -26,8 +26,6 @@ from machine_tool_calibration.session.summary import summarize
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
 
-__all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement(Shown):

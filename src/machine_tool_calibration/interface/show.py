@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-__all__ = ["Answer", "Shown", "chosen", "notebook", "printed"]
-
 # Columns of a text, as the commands have in a file.
 _WIDTH = 120
 

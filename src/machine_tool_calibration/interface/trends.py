@@ -22,8 +22,6 @@ from machine_tool_calibration.trends.trend import Trend as Followed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Check", "Trend"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Check(Answer, Checked):

@@ -6,8 +6,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-__all__ = ["Chain"]
-
 _AXES = "XYZABC"
 
 

@@ -18,17 +18,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
-__all__ = [
-    "ERROR_MOTIONS",
-    "SQUARENESS",
-    "ErrorMotion",
-    "interpolation",
-    "lever_arm",
-    "motion_field",
-    "parse_motion",
-    "squareness_field",
-]
-
 
 def interpolation(nodes: Array, position: Array) -> Array:
     """Weights of the nodes at each position (the probing paper's Eqs. (8)(9)).

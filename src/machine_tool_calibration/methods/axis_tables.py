@@ -28,8 +28,6 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.identify import JointResult
 
-__all__ = ["SLOPES", "AxisTable", "AxisTables", "axis_tables"]
-
 # The straightness whose slope a squareness error is.
 SLOPES = {"A0Z": "EYZ", "B0Z": "EXZ", "C0Y": "EXY"}
 

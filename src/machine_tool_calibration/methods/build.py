@@ -18,15 +18,6 @@ from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import together
 
-__all__ = [
-    "build_model",
-    "error_map",
-    "model_names",
-    "rejected_readings",
-    "sharing_variant",
-    "suspicious_fits",
-]
-
 
 def model_names(method: str | None = None) -> tuple[str, ...]:
     """Names of the models of a method, the default first; of all methods if None."""

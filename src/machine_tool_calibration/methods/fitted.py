@@ -29,17 +29,6 @@ from machine_tool_calibration.session.checks.places import has_stations, refuse_
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "FitRequest",
-    "FittedSessions",
-    "WithoutGrossErrors",
-    "fit_sessions",
-    "gross_errors",
-    "joint_models",
-    "refuse_impossible",
-]
-
-
 Built = tuple[MethodModel, str]
 """A session's model, and the name of its variant."""
 

@@ -38,13 +38,6 @@ from machine_tool_calibration.model.result import (
 )
 from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "JointResult",
-    "fitted_sessions",
-    "identify",
-    "identify_sessions",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class JointResult(Identified):

@@ -18,16 +18,6 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups, 
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
-__all__ = [
-    "FIGURES",
-    "Positioning",
-    "diagonal_tests",
-    "of_diagonals",
-    "positioning",
-    "positioning_runs",
-    "positioning_uncertainty",
-]
-
 _DRAWS = 200
 # Cosine between the direction that is read and the line from which it is read along it.
 _ALONG = 0.9999

@@ -20,19 +20,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.refits import drawn
 
-__all__ = [
-    "BY_CHANCE",
-    "DRAWS",
-    "LEVEL",
-    "MapComparison",
-    "Motion",
-    "common_points",
-    "compare_fits",
-    "compare_maps",
-    "joint_p_value",
-    "map_draws",
-]
-
 LEVEL = 0.01
 """p-value below which maps contradict each other."""
 BY_CHANCE = 0.0455

@@ -20,8 +20,6 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.model import Kind, Parameter
 
-__all__ = ["EffectSize", "effect_sizes", "smallest_signal", "with_sizes"]
-
 # Most of Newton's steps.
 _STEPS = 60
 

@@ -21,8 +21,6 @@ from machine_tool_calibration.model.model import POINTS, MethodModel, Parameter,
 from machine_tool_calibration.model.random_unknowns import RandomUnknowns
 from machine_tool_calibration.model.solved import Solved
 
-__all__ = ["Fit", "JointFit", "absorbed_by", "fit_models", "screen", "screen_joint"]
-
 # Before the name of a column that is screened: it must not be taken for an unknown of the model.
 _FURTHER = "\0further "
 

@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-__all__ = ["Fits", "fits", "only_if_right"]
-
 Fits = Literal["bad", "nearly", "well", "too well"]
 
 # A right model with a right uncertainty is called bad once in a thousand measurements, and nearly fitting once in 20.

@@ -15,8 +15,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
-__all__ = ["IMPERFECT", "imperfection", "scaled_values"]
-
 IMPERFECT = "imperfection"
 """Name of the family of smooth functions that no model has."""
 

@@ -32,8 +32,6 @@ from machine_tool_calibration.model.random_unknowns import RandomPosterior, Rand
 from machine_tool_calibration.model.reproducibility import DRIFT, Family, of_repeats, offsets_apart, with_drift
 from machine_tool_calibration.model.solved import Solved
 
-__all__ = ["FamilySize", "MarginalFit", "marginal_fit"]
-
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.
 _COVERED, _MOST_SIZES, _MOST_WITH_RANDOM = 0.99, 24, 3

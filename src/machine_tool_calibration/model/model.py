@@ -17,23 +17,6 @@ from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.random_unknowns import RandomUnknowns
 
-__all__ = [
-    "POINTS",
-    "Assembly",
-    "Constraint",
-    "Kind",
-    "MethodModel",
-    "NotDetermined",
-    "Parameter",
-    "Prior",
-    "Term",
-    "assemble",
-    "dead_path_of",
-    "motion_value",
-    "place_of",
-    "weight_row",
-]
-
 
 class Kind(Enum):
     """What an unknown is."""

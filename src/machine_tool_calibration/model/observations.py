@@ -12,8 +12,6 @@ from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Readings, Session, joined
 
-__all__ = ["SAME_POSITION", "Observations", "together"]
-
 # Share of an axis's travel that readings cover at least where functions are scaled on the travel. With half of it, the
 # tables of a tracking interferometer beside a polynomial were ten times as uncertain as with all of it; with this
 # share, 1 %.

@@ -8,8 +8,6 @@ from typing import Protocol
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["RandomPosterior", "RandomUnknowns"]
-
 
 @dataclass(frozen=True)
 class RandomPosterior:

@@ -22,8 +22,6 @@ from machine_tool_calibration.estimation.solve import Linearised, local_steps, s
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.marginal_fit import MarginalFit
 
-__all__ = ["changed", "covariance_of", "declared", "drawn"]
-
 
 def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
     """The fit where the sum of squares is least, with the covariance that follows from the declared uncertainty alone.

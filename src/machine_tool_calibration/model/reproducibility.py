@@ -19,8 +19,6 @@ from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import needed_columns, spec_of
 
-__all__ = ["DRIFT", "Family", "PureError", "of_repeats", "offsets_apart", "reproducibility", "with_drift"]
-
 DRIFT = "drift"
 """Name of the family of functions of time that all runs of a session have in common."""
 

@@ -20,20 +20,6 @@ from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "ErrorMap",
-    "Estimate",
-    "Identified",
-    "Rejected",
-    "Result",
-    "correlated_with",
-    "effect_estimates",
-    "effect_signal",
-    "map_change",
-    "map_rms",
-    "plain",
-]
-
 
 @dataclass(frozen=True)
 class Estimate:

@@ -23,24 +23,6 @@ from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "OPEN_CHANGE",
-    "RIGID_BODY_DATUM",
-    "MachineTable",
-    "axis_nodes",
-    "determined_part",
-    "distinct_nodes",
-    "in_space",
-    "linear_axis_errors",
-    "machine_terms",
-    "position_errors",
-    "read_nodes",
-    "table_datum",
-    "tables_content",
-    "thinned",
-]
-
-
 _MOST_NODES = 21
 
 

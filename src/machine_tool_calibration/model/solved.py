@@ -13,8 +13,6 @@ from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.model.model import Assembly, assemble
 from machine_tool_calibration.model.random_unknowns import RandomUnknowns
 
-__all__ = ["Solved"]
-
 
 @dataclass(frozen=True)
 class Solved:

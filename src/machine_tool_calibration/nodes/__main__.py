@@ -11,8 +11,6 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["NODES", "console", "main"]
-
 NODES = {
     "axis_simulator": "AxisSimulator",
     "estimator": "Estimator",

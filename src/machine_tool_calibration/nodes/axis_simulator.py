@@ -34,8 +34,6 @@ from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 
-__all__ = ["AxisSimulator"]
-
 _HEARTBEAT = 0.2  # s of the wall clock
 _DAY = 86_400.0  # s
 _FARTHEST = 10 * _DAY  # a motion that ends later is a mistake, and simulated time would run out of its 32 bits

@@ -27,8 +27,6 @@ from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.collect import Reading, live_session
 
-__all__ = ["Outcome", "Request", "compared", "diagnosed", "identified", "improved"]
-
 
 @dataclass(frozen=True)
 class Request:

@@ -43,8 +43,6 @@ from machine_tool_calibration.nodes.ros.services import goal_of
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.session.collect import Reading
 
-__all__ = ["Client"]
-
 _SPIN = 0.05  # s between looks at whether something holds, or it is over
 _LOOK = 0.5  # s between looks at which services there are
 # Of a server that is heard without a status: it may hear of a client later than the client of it, and drops its answer.

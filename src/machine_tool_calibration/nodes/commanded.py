@@ -32,19 +32,6 @@ from machine_tool_calibration.nodes.ros.messages import (
 )
 from machine_tool_calibration.procedure.events import Aim
 
-__all__ = [
-    "INPUT",
-    "SETUP",
-    "Executed",
-    "Executions",
-    "Pairs",
-    "PointerCommand",
-    "executed_message",
-    "hear_targets",
-    "setup_named",
-    "target_message",
-]
-
 SETUP = "setup_index"
 
 INPUT = "input_"

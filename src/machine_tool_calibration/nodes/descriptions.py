@@ -7,8 +7,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["description_of", "require_readable"]
-
 _LONGEST = 1_000_000  # characters: some 15 000 setups, and 1.5 s in which a node answers nobody
 
 

@@ -15,8 +15,6 @@ from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from machine_tool_calibration.nodes.ros.messages import SLOW, dated, from_message, nanoseconds
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "interpolate"]
-
 TOPICS = {
     **{f"temperature_{place}": (Temperature, "temperature") for place in ("air", "x", "y", "z", "table", "work")},
     "air_pressure": (FluidPressure, "fluid_pressure"),

@@ -29,8 +29,6 @@ from machine_tool_calibration.nodes.ros.services import Goals, Progress, offer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.session.collect import Reading, Received
 
-__all__ = ["Estimator"]
-
 _CALCULATIONS = (
     ("identify", "identifying", identified),
     ("compare", "comparing", compared),

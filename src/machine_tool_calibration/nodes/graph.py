@@ -22,11 +22,6 @@ from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.process import default_environment
 from machine_tool_calibration.session.catalogue import method_spec
 
-__all__ = [
-    "LISTENERS", "LISTENER_STARTS", "Graph", "end_with_parent", "graph_parameters", "managed_nodes",
-    "refuse_unknown", "switches",
-]  # fmt: skip
-
 LISTENERS = ("estimator", "recorder")
 """Nodes that only listen: where one ends the measurement goes on, and it is started again."""
 LISTENER_STARTS = 4

@@ -20,8 +20,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.descriptions import description_of
 from machine_tool_calibration.session.collect import Reading, Received
 
-__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
-
 SERVICES: Mapping[str, Mapping[str, bool]] = {
     "estimator": dict.fromkeys(("identify", "compare", "diagnose", "improve", "reset"), False),
     "procedure": {"start": True, "pause": False, "resume": True, "abort": False},

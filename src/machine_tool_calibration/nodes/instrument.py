@@ -45,8 +45,6 @@ from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, 
 from machine_tool_calibration.nodes.simulated_source import SimulatedSource
 from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
 
-__all__ = ["Instrument"]
-
 _GRACE = 0.5  # s of the wall clock: messages about the axes and the beam may arrive in either order
 
 

@@ -25,8 +25,6 @@ from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
-
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 120.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0

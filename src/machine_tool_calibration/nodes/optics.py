@@ -26,8 +26,6 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
-__all__ = ["Along", "FlatMirror", "Look", "OnTable", "OnTool", "Optics", "Pose", "make_optics", "on_tool"]
-
 _LASER = 0.3  # m from the laser to a flat mirror at the start of its run
 
 

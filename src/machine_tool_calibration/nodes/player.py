@@ -28,8 +28,6 @@ from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.metadata import Qos, Topic
 from machine_tool_calibration.recording.reader import BagReader, Message
 
-__all__ = ["Pace", "Player"]
-
 
 class Pace:
     """A clock that runs at any rate, stops, goes on and can be set.

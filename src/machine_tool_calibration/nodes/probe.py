@@ -50,8 +50,6 @@ from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["Probe", "SimulatedPart"]
-
 _FORM_STREAM = 41
 
 

@@ -52,8 +52,6 @@ from machine_tool_calibration.procedure.events import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 
-__all__ = ["ProcedureNode", "event_of"]
-
 _OWN = ("kind", "datum", "start", "end", "displacement", "standard_deviation", "samples", "problem", "attempt")
 """Values of an outcome that are no columns of the session."""
 

@@ -23,8 +23,6 @@ from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.ros.messages import Level, cloud, dated, point, status
 from machine_tool_calibration.reports.quantities import sizes_in_words
 
-__all__ = ["AXIS_FIELDS", "MOST_ARROWS", "TOPICS", "arrows", "axis_cloud", "map_messages", "verdict_message"]
-
 MOST_ARROWS = 2000
 _COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 AXIS_FIELDS = ("axis", "position", *_COMPONENTS, *(f"u{name[1]}" for name in _COMPONENTS))

@@ -16,8 +16,6 @@ from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_gr
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.writer import BagWriter
 
-__all__ = ["Recorder"]
-
 _TAKE = 0.004  # s
 _DISCOVER = 0.2  # s
 _SHOW = 0.5  # s

@@ -37,8 +37,6 @@ from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
 
-__all__ = ["RotaryPointer"]
-
 _ANGLES = ("azimuth", "elevation")
 _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears where the beam is
 

@@ -13,8 +13,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.drivers import Driver, InstrumentError
 
-__all__ = ["NOTHING", "Batch", "DriverSource", "NotYet", "Recent", "Window", "is_steady"]
-
 _PARTS = 4
 
 

@@ -12,8 +12,6 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["procedure_file", "procedure_names", "shared_file", "usage"]
-
 _PACKAGE = "machine_tool_calibration"
 
 

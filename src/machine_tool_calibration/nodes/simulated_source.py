@@ -13,8 +13,6 @@ from machine_tool_calibration.nodes.ros.messages import nanoseconds, seconds
 from machine_tool_calibration.nodes.samples import NOTHING, Batch, NotYet, Window
 from machine_tool_calibration.nodes.site import NO_BEAM, Beam, Moment, Site
 
-__all__ = ["SimulatedSource"]
-
 _IDENTITY = np.eye(3)
 _TURBULENCE = 0.5  # s: within this the air's noise hardly changes, beyond it is independent
 _RADIUS = 2e-3  # m: farther beside the beam the retroreflector does not return it

@@ -36,8 +36,6 @@ from machine_tool_calibration.simulation.spec import FlawSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["NO_BEAM", "Beam", "Moment", "Site", "SiteSpec", "declare_site", "read_site"]
-
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
 _NOISE = 3e-7

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.nodes.client import Client
     from machine_tool_calibration.procedure import Procedure
 
-__all__ = ["Stages"]
-
 _ANSWER = 60.0  # s
 
 

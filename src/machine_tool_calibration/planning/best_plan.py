@@ -25,8 +25,6 @@ from machine_tool_calibration.planning.offer import Choice, Offer, offer
 from machine_tool_calibration.planning.optimise import bound, quickest, search
 from machine_tool_calibration.procedure.description import Procedure
 
-__all__ = ["Assumed", "BestPlan", "PlanQuality", "best_plan", "quickest_plan"]
-
 Progress = Callable[[str, float], object]
 
 # Share of the work that the search takes.

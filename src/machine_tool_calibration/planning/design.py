@@ -23,8 +23,6 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.refits import declared
 
-__all__ = ["Candidates", "Known", "SharedErrors", "effect_sizes", "map_errors"]
-
 # Change of an unknown by which what is published is differentiated; it is linear in the unknowns but for rounding.
 _STEP = 1e-6
 # Share of a point's largest eigenvalue of its information below which the readings do not fix it.

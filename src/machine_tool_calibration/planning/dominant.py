@@ -32,8 +32,6 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "angular_size", "dominant", "expected_model", "limits_of"]
-
 ANGULAR = 5e-6
 """Root mean square of a usual machining centre's angular errors, rad."""
 

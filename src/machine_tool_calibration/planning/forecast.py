@@ -37,12 +37,6 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = [
-    "POWER", "Detectable", "Forecast", "Planned", "Visible", "along_diagonals", "detectable", "directly", "forecast",
-    "from_stations", "planned_session", "to_table", "touching",
-]  # fmt: skip
-
-
 POWER = 0.8
 """With which an effect of the smallest detectable size is found."""
 

@@ -17,8 +17,6 @@ from machine_tool_calibration.model.fit import Fit, absorbed_by, fit_models, scr
 from machine_tool_calibration.model.model import MethodModel, Parameter
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, MachineSpec, SimulationSpec, simulate
 
-__all__ = ["AMPLITUDE", "PLANS", "Injected", "Shown", "inject", "where_it_shows"]
-
 AMPLITUDE = 5e-6
 """Largest change of a reading that is put in, m."""
 

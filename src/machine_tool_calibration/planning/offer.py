@@ -19,8 +19,6 @@ from machine_tool_calibration.procedure.plan import plan
 from machine_tool_calibration.session.description import Probing, RotaryAxis
 from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
 
-__all__ = ["Choice", "Offer", "offer"]
-
 # Setups, or targets, that are held against each other: more would take hours.
 _MOST_CANDIDATES = 1000
 

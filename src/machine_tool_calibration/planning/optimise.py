@@ -23,8 +23,6 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.planning.design import Candidates
 from machine_tool_calibration.planning.offer import Choice, Offer
 
-__all__ = ["Searched", "bound", "quickest", "search"]
-
 Progress = Callable[[str, float], object]
 
 # Starts, and plans to be tried at least, where there are so many.

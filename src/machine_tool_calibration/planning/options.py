@@ -17,9 +17,6 @@ from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["Option", "Proposal", "further_options", "mounted_again"]
-
-
 # What is done beside measuring, s: only to choose between measurements that are equally good.
 _EFFORT = {"swing": 3600.0, "warmer": 3 * 3600.0, "station": 900.0, "turned": 120.0}
 

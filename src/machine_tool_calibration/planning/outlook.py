@@ -23,8 +23,6 @@ from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["Outlook", "current", "outlook_of", "outlooks"]
-
 # Standard uncertainty of readings that are to say nothing of the machine, m: thousands of times that of an instrument.
 _SILENT_UNCERTAINTY = 1e-3
 

@@ -25,9 +25,6 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["further_angles", "further_runs", "further_stations"]
-
-
 _ORDERS = ("yzx", "zxy")
 # The four space diagonals; run backwards each is the same one.
 _SPACE = ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, -1.0, 1.0))

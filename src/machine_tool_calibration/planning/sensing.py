@@ -20,9 +20,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.session import Session, joined
 
-__all__ = ["Assumed", "Changed", "Sensed", "appended", "approached", "first_repetition", "fresh_id", "pace", "sense"]
-
-
 _MOTION = ("x", "y", "z", "a", "b", "c", "azimuth", "elevation", "gx", "gy", "gz")
 
 

@@ -23,12 +23,6 @@ from machine_tool_calibration.planning.options import Option, Proposal, further_
 from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
 from machine_tool_calibration.words import together
 
-__all__ = [
-    "ALIKE", "SEARCH", "Advice", "Conclusions", "Separation", "Visibility", "alias_groups_of", "assumed_effects",
-    "conclude", "present_effects", "visibilities", "what_to_measure",
-]  # fmt: skip
-
-
 ALIKE = 0.9
 """Cosine from which two effects count as confounded."""
 

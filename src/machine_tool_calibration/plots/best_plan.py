@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_best_plan"]
-
 
 def draw_best_plan(found: BestPlan) -> Figure:
     """The largest U of a coordinate at each place, in each plane that has something to show, with the stations.

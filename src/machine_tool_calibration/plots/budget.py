@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.budget.propagate import Budget, Sum
 
-__all__ = ["draw_budget"]
-
 # Contributors with a colour of their own, and quantities below each other.
 _MOST_COLORS, _MOST_BARS = 6, 24
 # Share below which a contributor is one of all others, and number that is shown as next to nothing.

@@ -31,15 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "chosen_covariates",
-    "draw",
-    "draw_against",
-    "draw_map",
-    "draw_setups",
-    "figures",
-]
-
 _PANELS = 6
 # Setups that a legend names.
 _LISTED = 24

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_compensation"]
-
 # Positions that differ by less are one, m; range of an axis that is worth a column, m.
 _SAME_POSITION, _EXTENT = 1e-6, 1e-4
 # Share of an axis by which the marks of before and after stand apart from the position.

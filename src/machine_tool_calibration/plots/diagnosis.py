@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["candidate_table", "draw_diagnosis", "save_diagnosis"]
-
 _LISTED = 8
 _MEANS = 16
 _COLUMNS = (

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_diagonals", "draw_positioning", "figures", "standard_figures"]
-
 # Of figures of ISO 230-2 whose name in the document is not what people call them.
 _SYMBOLS = {"B_mean": say("picture.mean_B"), "R_up": "R↑", "R_down": "R↓"}
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_map", "draw_motions", "draw_plane", "draw_tables", "neighbours", "read_tables"]
-
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
     """Tables among the parameters of a result's document.

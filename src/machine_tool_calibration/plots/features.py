@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_features"]
-
 # Share of the drawing's width that the largest deviation takes.
 _LENGTH = 0.16
 # Semi-axes of an ellipse that holds a pair of normal quantities with 95 %, in standard uncertainties.

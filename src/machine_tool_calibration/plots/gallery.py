@@ -33,8 +33,6 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_gallery"]
-
 # Advantage, in share of the residuals' variance, of each column on which the effect depends by its formula.
 _OWN = 0.2
 _PANELS = 2

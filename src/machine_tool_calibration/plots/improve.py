@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.model.fit import JointFit
 
-__all__ = ["draw_improvement", "draw_steps", "residuals_before_and_after", "save_improvement", "step_table"]
-
 # Setups of a legend.
 _LISTED = 8
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.arrays import Array
 
-__all__ = ["draw_map_comparison"]
-
 # Largest error as a share of the size of the map.
 _ERROR_SHARE = 0.12
 _NO_EXTENT = 1e-6  # m

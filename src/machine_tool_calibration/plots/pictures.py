@@ -15,8 +15,6 @@ from machine_tool_calibration.session.session import Session
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figures"]
-
 
 def figures(sessions: Sequence[Session], result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name.

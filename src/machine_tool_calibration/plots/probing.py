@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_probing", "figures"]
-
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
 _GRAY = "0.65"

@@ -18,20 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "SAME_PICTURE",
-    "arrow_scale",
-    "axis_label",
-    "color",
-    "draw_arrows",
-    "draw_residuals",
-    "grids",
-    "line_of",
-    "planes",
-    "repeat_groups",
-    "sense_along",
-]
-
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
 _ARROWS, _LENGTH = 700, 0.10

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_motions", "figures"]
-
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The pictures of a result document by name, the first one first to be looked at."""

@@ -20,27 +20,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = [
-    "BAND",
-    "COLORS",
-    "DIVERGING",
-    "FOUND",
-    "MARKERS",
-    "NOMINAL",
-    "add_footer",
-    "draw_band",
-    "magnification",
-    "mark_lost",
-    "name_axes",
-    "new_figure",
-    "numbers",
-    "round_down",
-    "save",
-    "save_as",
-    "scale_bar",
-    "spaced",
-]
-
 _DPI = 110
 # Size of the letters at the foot, points, and the width that one takes on average, inches.
 _FOOT, _LETTER = 6.0, 0.05

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.trends.trend import Course, Trend
 
-__all__ = ["draw_trend"]
-
 # Numbers that are drawn, in the order of the table, and panels beside each other.
 _MOST_DRAWN, _ACROSS = 12, 3
 

@@ -20,9 +20,6 @@ from machine_tool_calibration.session.record import Finite, NotNegative, Positiv
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
-__all__ = ["Choices", "Motion", "Path", "Procedure", "Spread", "expanded", "parse_procedure", "read_procedure"]
-
-
 _Count = Annotated[int, Field(ge=1, le=1000)]
 
 

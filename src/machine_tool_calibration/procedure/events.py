@@ -14,12 +14,6 @@ from typing import NamedTuple
 
 from machine_tool_calibration.procedure.steps import Step
 
-__all__ = [
-    "Action", "Aim", "Aimed", "Arrived", "Capture", "CaptureFailed", "Captured", "Counters", "DatumGroup", "DatumSet",
-    "Emit", "Event", "Motion", "MovedAway", "Pending", "Phase", "Refused", "SetDatum", "State", "Stop", "Timing",
-    "Visit", "Waypoint",
-]  # fmt: skip
-
 
 class State(StrEnum):
     """What the procedure is doing as a whole."""

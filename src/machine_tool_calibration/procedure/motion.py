@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["AxisLimits", "Move", "Trajectory", "brake", "check_command", "move"]
-
 _NO_TIME = 1e-9  # s
 _NO_TRAVEL = 1e-15  # m or rad: far below what any encoder resolves
 

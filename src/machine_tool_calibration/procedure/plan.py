@@ -16,8 +16,6 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.method import load
 
-__all__ = ["Plan", "axis_limits", "plan"]
-
 _SPEED = {"linear": 0.25, "rotary": 1.0}
 _ACCELERATION = {"linear": 1.0, "rotary": 5.0}
 

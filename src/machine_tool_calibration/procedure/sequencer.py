@@ -23,8 +23,6 @@ from machine_tool_calibration.procedure.steps import Step, sensing_direction
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 
-__all__ = ["Sequencer"]
-
 _NANO = 1_000_000_000
 _STALE_BEFORE_HOLD = 20
 _UNSTABLE_BEFORE_ERROR = 3

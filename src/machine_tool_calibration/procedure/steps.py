@@ -22,11 +22,6 @@ from machine_tool_calibration.session.description import (
     TrackingInterferometer,
 )
 
-__all__ = [
-    "Position", "Step", "diagonal_positions", "diagonal_steps", "direct_steps", "path_steps", "rotary_steps",
-    "sensing_direction", "targets_of", "touch_steps",
-]  # fmt: skip
-
 _MOVED = 1e-9
 
 Position = Mapping[str, float]

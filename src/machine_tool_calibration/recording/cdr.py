@@ -20,22 +20,6 @@ from rosbags.typesys.store import Typestore
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import RecordingError
 
-__all__ = [
-    "JOINT_STATE",
-    "NUMBERS",
-    "TEXT",
-    "Definition",
-    "JointState",
-    "JointStateReader",
-    "decode",
-    "definition_of",
-    "encode",
-    "encode_joint_state",
-    "part",
-    "text",
-    "typestore",
-]
-
 
 @dataclass(frozen=True)
 class Definition:

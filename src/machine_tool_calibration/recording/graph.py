@@ -10,20 +10,6 @@ from pathlib import Path
 from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.metadata import Qos, Topic
 
-__all__ = [
-    "GRAPH_TOPICS",
-    "LABELS",
-    "MACHINE",
-    "READING",
-    "SESSION",
-    "GraphTopic",
-    "belongs_to_graph",
-    "compatible",
-    "find_topics",
-    "request_for",
-    "with_depth",
-]
-
 MACHINE = "machine"
 """The frame of commands, readings and maps: its axes are the machine's, its origin is their zero."""
 

@@ -13,18 +13,6 @@ import yaml
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
 
-__all__ = [
-    "LATCHED",
-    "RELIABLE",
-    "FileSummary",
-    "Qos",
-    "Topic",
-    "bag_information",
-    "bag_information_text",
-    "offered_qos",
-    "qos_text",
-]
-
 _MOST_QOS = 1 << 17  # characters: hundreds of publishers
 FOREVER = 9_223_372_036_854_775_807  # ns; also the start of a recording without messages, as rosbag2 has it
 

@@ -13,8 +13,6 @@ from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["is_session_folder", "open_measurement"]
-
 
 def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, check: bool = True) -> Session:
     """The session in a session folder, a rosbag2 folder or an `.mcap` file.

@@ -18,8 +18,6 @@ from machine_tool_calibration.recording.metadata import Topic, offered_qos
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["BagReader", "Message", "bag_files", "is_bag", "is_readable"]
-
 _LARGEST_METADATA = 2 << 20
 METADATA_FILE = "metadata.yaml"
 

@@ -26,8 +26,6 @@ from machine_tool_calibration.recording.mcap_reader import (
 from machine_tool_calibration.recording.metadata import offered_qos
 from machine_tool_calibration.recording.writer import BagWriter
 
-__all__ = ["Recovered", "recover"]
-
 _LARGEST_CUT = 64 << 20  # bytes
 
 

@@ -21,8 +21,6 @@ from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, places_among
 
-__all__ = ["reading_columns", "session_from_bag", "session_to_bag"]
-
 
 def session_from_bag(path: Path, topics: Mapping[str, str] | None = None, *, check: bool = True) -> Session:
     """The session that was recorded, from the topics `session` and `reading`; all others are ignored.

@@ -21,8 +21,6 @@ from machine_tool_calibration.recording.metadata import Topic
 from machine_tool_calibration.recording.reader import BagReader, Message, is_readable
 from machine_tool_calibration.session.csv_text import write_csv
 
-__all__ = ["file_name", "save_table", "save_tables", "tables"]
-
 _ROWS = 50_000  # rows that are kept in memory
 _BATCHES = 100  # batches of samples that are in one piece anyway
 _DEPTH = 8

@@ -25,8 +25,6 @@ from machine_tool_calibration.recording.metadata import (
     qos_text,
 )
 
-__all__ = ["BagWriter"]
-
 _LIBRARY = "libmcap 1.3.1; machine_tool_calibration"  # rosbag2's library in Jazzy, whose layout this is
 _CHUNK = 768 << 10  # bytes at which a chunk ends
 _MOST_WAITING = 64 << 20  # bytes that are kept for a disk that is full

@@ -21,8 +21,6 @@ from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusion
 from machine_tool_calibration.reports.identification import Measured
 from machine_tool_calibration.session.contributor import Contributor
 
-__all__ = ["Evaluation", "evaluate"]
-
 
 @dataclass(frozen=True)
 class Evaluation:

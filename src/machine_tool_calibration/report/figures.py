@@ -31,17 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.ticker import Formatter
 
-__all__ = [
-    "Picture",
-    "library",
-    "map_pictures",
-    "motion_pictures",
-    "residual_pictures",
-    "standard_pictures",
-    "told",
-    "turnable",
-]
-
 # Width of a picture, inches, of which three stand side by side; and up to which two do, made that wide.
 _NARROW, _SQUARE, _HALF = 5.0, 7.5, 5.6
 # Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.

@@ -18,8 +18,6 @@ from machine_tool_calibration.words import Words
 if TYPE_CHECKING:
     from machine_tool_calibration.report.evaluation import Evaluation
 
-__all__ = ["check_endings", "html", "rendered", "save_pictures", "write_report"]
-
 # Control characters, which no text needs and a terminal obeys, become the sign for one that cannot be shown.
 _UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0)} - {0x09, 0x0A, 0x0D}, "\ufffd")
 

@@ -52,8 +52,6 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
 from machine_tool_calibration.words import Verbatim, Words, named, say, together
 
-__all__ = ["Block", "Section", "Turnable", "in_language", "sections"]
-
 # Setups that are listed.
 _SETUPS = 20
 

@@ -16,19 +16,6 @@ from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micromet
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words, table
 from machine_tool_calibration.words import named, say, together
 
-__all__ = [
-    "budget_document",
-    "budget_parts",
-    "chosen_sums",
-    "conformity_document",
-    "conformity_parts",
-    "decision_words",
-    "default_names",
-    "line_name",
-    "sum_name",
-    "unit_of",
-]
-
 _LEAST_NAMED = 1.0  # %
 # Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
 _USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")

@@ -28,18 +28,6 @@ from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Verbatim, say, together
 
-__all__ = [
-    "comparison_document",
-    "comparison_parts",
-    "comparison_tables",
-    "in_words",
-    "mark_not_determined",
-    "records",
-    "stand_out",
-    "times_declared",
-]
-
-
 # p-value at which repeats speak against the model.
 _LACK = 0.003
 # Share of the misfit that repeats must show to be called as large.

@@ -8,8 +8,6 @@ from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import TextTable, table
 from machine_tool_calibration.words import Said, say, together
 
-__all__ = ["absent_words", "harm_words", "left_table"]
-
 
 def left_table(found: Exported) -> TextTable:
     """Errors before and after in each direction, and their length."""

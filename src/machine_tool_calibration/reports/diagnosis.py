@@ -36,14 +36,6 @@ from machine_tool_calibration.words import say, together
 if TYPE_CHECKING:
     from machine_tool_calibration.planning.what_to_measure import Conclusions
 
-__all__ = [
-    "ROWS_SHOWN",
-    "Report",
-    "diagnosis_parts",
-    "diagnosis_report",
-]
-
-
 # Errors of position that are not the machine's: a map that takes them up is wrong by them.
 _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
 

@@ -19,8 +19,6 @@ from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.documents import picked, plain
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["candidate_document", "diagnosis_document", "screened_sizes", "smallest_sizes"]
-
 # Probability from which a set of effects is told.
 _LEAST_PROBABILITY = 0.01
 # Multiple of the largest size that occurs beyond which an effect counts as not detectable.

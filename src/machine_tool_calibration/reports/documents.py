@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = ["picked", "plain", "to_json", "write_table"]
-
 
 def picked(record: Any, *names: str) -> dict[str, Any]:
     """Attributes of a record by their names."""

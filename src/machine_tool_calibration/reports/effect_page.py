@@ -17,8 +17,6 @@ from machine_tool_calibration.words import say, together
 if TYPE_CHECKING:
     from machine_tool_calibration.planning.injected import Injected, Shown
 
-__all__ = ["coefficients_in_words", "effect_document", "effects_table", "gallery_page", "shown_table"]
-
 # Share of an effect in the residuals from which the rest is not worth a word.
 _NEARLY_ALL = 0.95
 

@@ -13,8 +13,6 @@ from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.words import Said, say
 
-__all__ = ["fit_words", "negative_words", "scatter_words"]
-
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
 

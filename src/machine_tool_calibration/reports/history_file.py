@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "update_history"]
-
 HISTORY_FILE = "history.yaml"
 # Of a file's name that names several sessions, bytes: file systems allow 255.
 _LONGEST_NAME, _SHORT_NAME = 200, 40

@@ -38,17 +38,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "Measured",
-    "datum_words",
-    "goodness_of_fit",
-    "group_by_reason",
-    "readings_set_aside",
-    "result_parts",
-    "session_headline",
-    "summary_rows",
-]
-
 
 @dataclass(frozen=True)
 class Measured:

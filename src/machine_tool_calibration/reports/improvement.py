@@ -22,15 +22,6 @@ from machine_tool_calibration.reports.quantities import (
 from machine_tool_calibration.reports.tables import Part, TextTable, suspicion_words, table
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "compared_models",
-    "improvement_document",
-    "improvement_parts",
-    "step_document",
-    "steps_table",
-    "tried_models",
-]
-
 # Growth of the map's uncertainty that is explained.
 _GROWN = 1.2
 

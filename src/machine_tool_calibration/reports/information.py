@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
 
-__all__ = [
-    "counts_in_words",
-    "measurement_document",
-    "recording_parts",
-    "session_parts",
-    "session_tables",
-]
-
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
 _LARGEST_DEVIATION = 1e-3
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}

@@ -26,8 +26,6 @@ from machine_tool_calibration.reports.quantities import (
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.words import named, say
 
-__all__ = ["best_plan_parts", "dominant_words", "forecast_parts", "outlook_table", "reached_parts"]
-
 
 def dominant_words(found: Dominant) -> Iterator[str]:
     """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.

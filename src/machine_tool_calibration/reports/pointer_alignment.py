@@ -13,8 +13,6 @@ from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable, Typed
 from machine_tool_calibration.words import named, say
 
-__all__ = ["alignment_document", "alignment_parts"]
-
 
 def alignment_parts(centre: Centre | None, zero: ZeroAngle | None, setup: str) -> Iterator[Part]:
     """What was found, who contributes what to its uncertainty, and the lines to put into files."""

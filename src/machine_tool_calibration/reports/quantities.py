@@ -17,34 +17,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Estimate
     from machine_tool_calibration.session.description import DeclaredUncertainty, StandardUncertainty
 
-__all__ = [
-    "MOST_NAMED",
-    "NOT_DETERMINED",
-    "ROUNDING",
-    "as_exact",
-    "decimals",
-    "declared_words",
-    "duration",
-    "expanded_text",
-    "fixed",
-    "micrometres",
-    "millimetres",
-    "not_ruled_out",
-    "of_map",
-    "p_value",
-    "plus_minus",
-    "probability",
-    "quantity",
-    "range_of",
-    "reproducibility_words",
-    "residual_change",
-    "rounded",
-    "sizes_in_words",
-    "value_and_uncertainties",
-    "with_expanded",
-]
-
-
 # What stands where the data leaves no number.
 NOT_DETERMINED = "–"
 _MOST_PLACES = 6

@@ -23,9 +23,6 @@ from machine_tool_calibration.reports.quantities import decimals, fixed
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
 
-__all__ = ["error_map", "error_motions", "in_shop_units", "parameters", "tidy", "workpiece"]
-
-
 # Decimals of a place, mm or degrees, and of what has no uncertainty; U below which it has none, um or urad.
 _DECIMALS = 6
 _NO_UNCERTAINTY = 1e-6

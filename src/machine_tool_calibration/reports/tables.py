@@ -13,18 +13,6 @@ from machine_tool_calibration.words import say
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = [
-    "Part",
-    "TextTable",
-    "Typed",
-    "heads",
-    "shortened",
-    "show",
-    "show_table",
-    "suspicion_words",
-    "table",
-]
-
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
 # Between two columns.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.trends.logbook import Entry
     from machine_tool_calibration.trends.trend import Course, Trend
 
-__all__ = ["check_remarks", "check_table", "check_verdict", "entries_table", "trend_table", "trend_words"]
-
 # Figures of a hash that text shows, and changes that one line names.
 _SHORT, _MOST_CHANGES = 12, 3
 

@@ -13,8 +13,6 @@ from machine_tool_calibration.words import Said, enumeration, say
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import JointFit
 
-__all__ = ["named_in_words", "unknown_in_words", "unknowns_in_words"]
-
 
 def unknown_in_words(unknown: Parameter) -> str:
     """What one unknown is; its name where nothing is known of it."""

@@ -23,8 +23,6 @@ from machine_tool_calibration.reports.result_tables import error_map, error_moti
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, shortened
 from machine_tool_calibration.words import say, together
 
-__all__ = ["STANDARDS", "standard_tables", "value_tables"]
-
 STANDARDS = ("iso230_2", "iso230_6", "iso230_7")
 """Entries of an error map that hold figures of a standard."""
 # Runs in each direction that ISO 230-2:2014 asks for.

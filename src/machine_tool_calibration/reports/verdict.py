@@ -32,17 +32,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import Said, say, together
 
-__all__ = [
-    "AS_GOOD",
-    "good_enough",
-    "left_words",
-    "mounted_more_than_once",
-    "next_step",
-    "only_reversal",
-    "verdict_line",
-    "verdict_words",
-]
-
 # Standard uncertainties between confounded effects from which it is said how far apart they are.
 _APART = 6.0
 AS_GOOD = 0.1

@@ -24,11 +24,6 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.session.session import Readings
 
-__all__ = [
-    "COMPARED", "HELD_OUT", "LOOKED_AT", "ROUNDS", "TOGETHER", "Neighbours", "Noise", "best_set", "compared_sets",
-    "groups_of_points", "groups_of_unknowns", "noise_of", "predicted_by_others", "same_place",
-]  # fmt: skip
-
 _DOFS, _TAILS = tuple(priors.TAILS), tuple(priors.TAILS.values())
 # Readings whose distribution is looked at, at most.
 LOOKED_AT = 2000

@@ -14,8 +14,6 @@ from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["mean_places"]
-
 # Chance from which places differ more than their repeats do.
 _DIFFER = 1e-3
 

@@ -11,8 +11,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.catalogue import spec_of
 
-__all__ = ["bins", "covariates", "rank_covariates", "sensed"]
-
 _AXES = "xyzc"
 _LEAST_SENSITIVITY = 1e-6  # m/m (C: m/rad)
 _BINS = 8

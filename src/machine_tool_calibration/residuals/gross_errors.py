@@ -51,8 +51,6 @@ from machine_tool_calibration.residuals.agreement import (
 from machine_tool_calibration.residuals.leverage import PredictionJacobian, hat_values, prediction_jacobian
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Outlier", "find_outliers", "suspected_rows", "without"]
-
 # Beyond this, m, readings that stay off together are no course of a run: a counter lost its count.
 _COURSE = 3e-4
 

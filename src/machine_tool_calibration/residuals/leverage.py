@@ -21,8 +21,6 @@ from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["PredictionJacobian", "hat_values", "leverage", "prediction_jacobian"]
-
 
 @dataclass(frozen=True)
 class PredictionJacobian:

@@ -13,8 +13,6 @@ from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.session.catalogue import spec_of
 
-__all__ = ["FEWEST_REPEATS", "Noise", "noise_of"]
-
 # Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
 FEWEST_REPEATS = 8
 _MOST_PLACES = 1500

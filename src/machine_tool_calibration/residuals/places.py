@@ -9,8 +9,6 @@ from scipy import spatial, special
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["alike_beside_p"]
-
 # Fewer places than this have no pattern; of more than this some are looked at. Nearest places per axis that moved.
 _FEWEST, _MOST, _BESIDE = 12, 1500, 2
 _STILL = 1e-6  # m

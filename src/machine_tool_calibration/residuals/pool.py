@@ -19,8 +19,6 @@ from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 
-__all__ = ["RANDOM", "Pool"]
-
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
 _LEAST_SIGNAL = 0.3
 

@@ -10,8 +10,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.fit import Fit, screen
 
-__all__ = ["Sums", "residual_sums"]
-
 # Sums of one pass: few enough for the memory of large sessions.
 _BATCH = 64
 # Share of its variance that the model leaves a sum, below which the sum says nothing.

@@ -18,18 +18,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description
     from machine_tool_calibration.session.session import Session
 
-
-__all__ = [
-    "ENTRY_POINT_GROUP",
-    "METHODS",
-    "method_names",
-    "method_spec",
-    "needed_columns",
-    "require_columns",
-    "spec_of",
-]
-
-
 ENTRY_POINT_GROUP = "machine_tool_calibration.methods"
 
 METHODS = {

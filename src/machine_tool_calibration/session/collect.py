@@ -17,8 +17,6 @@ from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session, assemble
 
-__all__ = ["INDEX_COLUMNS", "READING_INDEX", "Collector", "Reading", "Received", "live_session"]
-
 INDEX_COLUMNS = {
     "setup_index": ("setup", "setups"),
     "target_index": ("target", "targets"),

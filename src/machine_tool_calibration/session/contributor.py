@@ -17,8 +17,6 @@ from machine_tool_calibration.arrays import HALF_WIDTHS, Array, standard_draws
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.values import Finite, Instrument, Positive
 
-__all__ = ["UNITS", "Contributor", "Contributors", "Enters", "Varies"]
-
 Enters = Literal[
     "reading",
     "along",

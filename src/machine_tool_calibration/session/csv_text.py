@@ -15,8 +15,6 @@ try:
 except ImportError:  # where ROS 2 brings the packages, nothing brings this one
     arrow = None
 
-__all__ = ["write_csv"]
-
 
 def write_csv(frame: pd.DataFrame, stream: TextIO, *, header: bool = True) -> None:
     """Write columns of numbers and text to a stream opened with `newline=""`; missing values are empty fields."""

@@ -11,8 +11,6 @@ from pydantic import BaseModel, ValidationError
 from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean
 from machine_tool_calibration.session.yaml_text import Document
 
-__all__ = ["AnyRecord", "either", "first_defect", "kind_of", "place_in", "shown", "validated"]
-
 AnyRecord = TypeVar("AnyRecord", bound=BaseModel)
 
 # Kinds of defects of a number that is too small or too large: where pydantic has the bound, and what it is.

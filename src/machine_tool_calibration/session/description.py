@@ -19,26 +19,6 @@ from machine_tool_calibration.session.contributor import Contributors
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.values import Finite, Identifier, Instrument, Positive, Sign, Vector2, Vector3
 
-__all__ = [
-    "Description",
-    "DiagonalSetup",
-    "Direct",
-    "DirectSetup",
-    "IndexSetup",
-    "KnownLength",
-    "Machine",
-    "Place",
-    "Probing",
-    "RotaryAxis",
-    "Setup",
-    "StationSetup",
-    "StepDiagonal",
-    "Target",
-    "TrackingInterferometer",
-    "WorkpiecePoint",
-    "rotary_column",
-]
-
 
 @dataclass(frozen=True)
 class Place:

@@ -22,8 +22,6 @@ from machine_tool_calibration.session.text import read_text
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["read_session", "readings_frame", "write_session"]
-
 
 def read_session(path: Path, *, check: bool = True) -> Session:
     """Read a session folder: `session.yaml` and `observations.csv`.

@@ -11,8 +11,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["GROSS", "Held", "Judgement", "Supposition"]
-
 GROSS = 0.2
 """Share of a setup's readings up to which those that contradict are single gross errors, which are set aside."""
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.judgements import Held, Judgement
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["MethodSpec", "load"]
-
 
 class MethodSpec:
     """A measuring method: a method's folder says what differs from this."""

@@ -19,8 +19,6 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.values import Identifier
 from machine_tool_calibration.session.yaml_text import Document, PlainDumper, load_yaml
 
-__all__ = ["describe", "description_yaml", "parse_description", "parse_record", "read_feature_points"]
-
 FORMAT = "mtcal-session/1"
 
 

@@ -19,8 +19,6 @@ from machine_tool_calibration.words import say, together
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Origin", "Provenance", "data_hash", "flattened", "provenance"]
-
 SOFTWARE = "machine_tool_calibration"
 # Figures of a hash that pictures and lines of text show.
 _SHORT = 12

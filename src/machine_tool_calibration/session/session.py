@@ -19,19 +19,6 @@ from machine_tool_calibration.errors import SessionError
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
 
-__all__ = [
-    "ENOUGH_TO_DIFFER",
-    "Readings",
-    "Session",
-    "assemble",
-    "distinct_labels",
-    "distinct_places",
-    "joined",
-    "measurement_name",
-    "places_among",
-    "refuse_repeated",
-]
-
 
 @dataclass(frozen=True)
 class Readings:

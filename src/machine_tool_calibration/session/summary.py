@@ -14,8 +14,6 @@ from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["ColumnSummary", "SessionSummary", "SetupSummary", "summarize"]
-
 
 @dataclass(frozen=True)
 class SetupSummary:

@@ -16,9 +16,6 @@ from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.text import decoded, reject_foreign_encoding
 
-__all__ = ["LABEL_COLUMNS", "NUMERIC_COLUMNS", "Layout", "Table", "read_table", "scan_csv"]
-
-
 _CHUNK = 4 << 20
 _MAX_LINE = 1 << 20
 _MAX_BYTES = 4 << 30

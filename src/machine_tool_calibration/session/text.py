@@ -8,8 +8,6 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["LARGEST", "LARGEST_TABLE", "decoded", "read_bytes", "read_text", "reject_foreign_encoding"]
-
 LARGEST = 16 << 20
 """Bytes of a description that are accepted."""
 LARGEST_TABLE = 64 << 20

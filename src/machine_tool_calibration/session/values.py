@@ -7,8 +7,6 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-__all__ = ["LARGEST", "SMALLEST", "Finite", "Identifier", "Instrument", "Positive", "Sign", "Vector2", "Vector3"]
-
 
 def _check_identifier(text: str) -> str:
     """Only what comes back from a CSV field as it was."""

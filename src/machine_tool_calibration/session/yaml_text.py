@@ -17,8 +17,6 @@ import yaml
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["Document", "PlainDumper", "load_yaml"]
-
 _MAX_DEPTH = 32
 _MAX_VALUES = 4_000_000
 _MAX_ALIASED = 100_000

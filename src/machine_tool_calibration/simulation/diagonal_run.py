@@ -18,8 +18,6 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
-__all__ = ["DiagonalPlan"]
-
 Order = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 Signs = Annotated[str, Field(pattern=r"^([pn]{3}|0[pn]{2}|[pn]0[pn]|[pn]{2}0)$")]
 Letter = Literal["x", "y", "z"]

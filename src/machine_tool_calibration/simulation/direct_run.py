@@ -17,8 +17,6 @@ from machine_tool_calibration.simulation.motions import rotate
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 
-__all__ = ["DirectPlan"]
-
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
 Datum = Literal["none", "offset", "rigid"]
 _DATUM: dict[str, Datum] = {"iso230_2": "none", "points": "none"}  # rigid of all others

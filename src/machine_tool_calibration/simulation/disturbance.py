@@ -13,8 +13,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import Table, rotate
 
-__all__ = ["Disturbance", "Sight", "combine"]
-
 
 @dataclass(frozen=True)
 class Sight:

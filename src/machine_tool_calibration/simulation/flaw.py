@@ -13,11 +13,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = [
-    "ALL_METHODS", "BEAM", "LINEAR", "STATIONS", "TABLE", "Chosen", "Draw", "Flaw", "Parameters", "drawn_phase",
-    "drawn_seed", "reads",
-]  # fmt: skip
-
 Parameters = Mapping[str, Any]
 Disturb = Callable[[float, Parameters, Scene], Disturbance]
 Draw = Callable[[np.random.Generator, Scene | None], Parameters]

@@ -15,8 +15,6 @@ from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, R
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["FLAWS", "UNLISTED_FLAWS", "choose_flaw", "find_flaw"]
-
 
 def _moment(rng: np.random.Generator, scene: Scene | None) -> Parameters:
     if scene is None or len(scene) < 3:

@@ -22,8 +22,6 @@ from machine_tool_calibration.simulation.motions import (
 )
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["POSITION_FLAWS", "REVERSAL_FLAWS", "THERMAL_FLAWS"]
-
 _ABOUT = "; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
 _COLD: Parameters = {"reference": 20.0}
 

@@ -13,8 +13,6 @@ from machine_tool_calibration.simulation.flaw import BEAM, STATIONS, Flaw, Param
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import beam_direction
 
-__all__ = ["READING_FLAWS", "STANDARD", "deviation", "refractivity", "vapour_pressure"]
-
 HELIUM_NEON = 0.6329908
 """Vacuum wavelength of the helium-neon laser, micrometres."""
 

@@ -27,8 +27,6 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.scene import Environment, Scene
 from machine_tool_calibration.simulation.sensors import Pointer
 
-__all__ = ["LiveMachine"]
-
 
 @dataclass(frozen=True)
 class LiveMachine:

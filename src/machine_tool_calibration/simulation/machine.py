@@ -26,8 +26,6 @@ from machine_tool_calibration.simulation.motions import (
     turn,
 )
 
-__all__ = ["VirtualMachine"]
-
 _SQUARENESS = re.compile(r"[ABC]0[XYZ]")
 _LINE = re.compile(r"[XYZABC]0[ABC]")
 

@@ -21,11 +21,6 @@ from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table, motion_names, random_periodic, random_smooth
 
-__all__ = [
-    "Amplitudes", "MachineSpec", "TableSpec", "build_machine", "machine_document", "random_machine", "read_machine",
-    "read_record",
-]  # fmt: skip
-
 
 class Amplitudes(Record):
     """Largest absolute value of each kind of error; the sizes of a good machining centre by default.

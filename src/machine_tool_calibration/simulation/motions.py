@@ -13,11 +13,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 
-__all__ = [
-    "COMPONENTS", "AxisMotion", "Table", "constant", "cross", "matrix", "motion_names", "random_periodic",
-    "random_smooth", "rotate", "turn",
-]  # fmt: skip
-
 _SHORTEST = 1e-12  # m or rad, between two nodes
 
 

@@ -18,8 +18,6 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.scene import Environment, Scene
 
-__all__ = ["Measurement", "Plan", "Vector3", "axis_columns", "since_first", "spanned", "station_name"]
-
 
 @dataclass(frozen=True)
 class Measurement:

@@ -14,8 +14,6 @@ from machine_tool_calibration.simulation.probing_run import ProbingPlan
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 
-__all__ = ["PLANS", "PRESETS", "AnyPlan"]
-
 AnyPlan = Annotated[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan, Field(discriminator="method")]
 
 PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan]] = {

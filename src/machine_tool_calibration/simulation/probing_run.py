@@ -19,8 +19,6 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins"]
-
 
 class PartPoint(Record):
     """A nominal point of a part's surface in the workpiece frame at c = 0.

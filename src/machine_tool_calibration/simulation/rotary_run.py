@@ -17,8 +17,6 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import aim, distance
 
-__all__ = ["RotaryPlan"]
-
 # The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
 _TARGETS = {
     "P": (-0.1058046, 0.1353414, 0.0),

@@ -10,12 +10,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = [
-    "COLUMNS", "Drift", "Environment", "Scene", "blocks", "last_direction", "last_sign", "ordered_times",
-    "random_environment",
-]  # fmt: skip
-
-
 COLUMNS = (
     "temperature_air",
     "temperature_x",

@@ -10,8 +10,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, Record
 from machine_tool_calibration.simulation.motions import cross
 
-__all__ = ["Pointer", "across", "aim", "beam_direction", "distance", "mirror_path", "probed", "sensed_path", "tilted"]
-
 
 def mirror_path(source: Array, beam: Array, mirror: Array, normal: Array) -> Array:
     """(n,) length of the beam from its source to a plane mirror, m.

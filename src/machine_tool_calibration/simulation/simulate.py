@@ -22,8 +22,6 @@ from machine_tool_calibration.simulation.plan import Measurement, since_first
 from machine_tool_calibration.simulation.scene import blocks, random_environment
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 
-__all__ = ["Simulated", "Truth", "measured_again", "simulate"]
-
 
 @dataclass(frozen=True)
 class Truth:

@@ -19,12 +19,6 @@ from machine_tool_calibration.simulation.flaws import find_flaw
 from machine_tool_calibration.simulation.machine_file import MachineSpec, read_machine, read_record
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS, AnyPlan
 
-__all__ = [
-    "Chips", "FlawSpec", "SimulationSpec", "Spread", "parse_effect", "parse_setting", "read_spec",
-    "refuse_implausible", "spec_from",
-]  # fmt: skip
-
-
 # Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.
 _LARGEST_ERROR = 1e-3
 # How many times its typical size an effect may have.

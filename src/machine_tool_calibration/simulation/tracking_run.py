@@ -16,8 +16,6 @@ from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3,
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
-__all__ = ["TrackingPlan"]
-
 _STATIONS: dict[int, tuple[tuple[float, float, float], ...]] = {
     2: ((-0.35, 0.05, 0.0), (0.15, -0.4, 0.0), (0.7, 0.3, 0.0), (0.1, 0.85, 0.0)),
     3: ((-0.4, -0.3, -0.1), (0.8, -0.2, 0.0), (0.1, 0.9, -0.1), (0.3, 0.2, 1.1)),

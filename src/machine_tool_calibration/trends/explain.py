@@ -25,8 +25,6 @@ from scipy.special import logsumexp
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.priors import ALL_REPRODUCES, SCALE_STEP, SMALLEST_SIGNAL, SURE
 
-__all__ = ["ALARM", "FEWEST", "Explanation", "explain"]
-
 ALARM = SURE
 """Probability of a change from which it is one."""
 FEWEST = 4

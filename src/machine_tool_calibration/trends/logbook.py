@@ -32,8 +32,6 @@ from machine_tool_calibration.session.provenance import name_of_machine
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.trends.statement import Size
 
-__all__ = ["Entry", "Logbook", "date_of", "entry_of", "is_logbook"]
-
 # "mtlb": says of which program a database is (SQLite's application_id), and which version its tables have.
 _APPLICATION, _VERSION = 0x6D746C62, 1
 _MAGIC = b"SQLite format 3\x00"

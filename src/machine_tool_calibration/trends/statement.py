@@ -28,9 +28,6 @@ from machine_tool_calibration.methods.map_comparison import DRAWS
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.model.result import Result, effect_estimates
 
-__all__ = ["LOCATION", "Part", "Size", "Statement", "of_fit", "of_result", "sizes_of"]
-
-
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")
 """Names of squareness, position and orientation errors of axes (ISO 230-1, 3.6)."""
 _FIGURES = (*ERROR_MOTIONS, *SQUARENESS, "B_mean", "R", VOLUMETRIC)

@@ -16,8 +16,6 @@ from machine_tool_calibration.estimation.priors import ACCEPTED
 from machine_tool_calibration.trends.explain import FEWEST, Explanation, explain
 from machine_tool_calibration.trends.logbook import Entry
 
-__all__ = ["Course", "Trend", "trend"]
-
 _COVERAGE = 2.0
 _DAY = 86400.0
 

@@ -34,8 +34,6 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["ComparePage"]
-
 _HOVER = [
     ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
     ("studentized", "@studentized{0.0}"),

@@ -33,8 +33,6 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["DiagnosePage"]
-
 _HOVER = [
     ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
     ("pattern", "@pattern{0.000} µm"),

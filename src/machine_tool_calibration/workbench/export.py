@@ -19,8 +19,6 @@ from machine_tool_calibration.workbench.saved import Saved
 from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["ExportPage"]
-
 _LANGUAGES = {"en": "English", "de": "Deutsch"}
 _CONTROLLERS = {
     "linuxcnc": "LinuxCNC",

@@ -22,8 +22,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import words
 from machine_tool_calibration.workbench.models import Model, Progress, Subject
 
-__all__ = ["PICTURE", "TABLES", "left", "reported", "written_tables"]
-
 PICTURE = "what_is_left.png"
 """Of the errors before and after."""
 TABLES = ("errors.csv", "readings.csv", "result.json")

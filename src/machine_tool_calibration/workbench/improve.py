@@ -28,8 +28,6 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["ImprovePage"]
-
 _HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
 _DIM = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
 _BEFORE, _AFTER = "#d55e00", "#0072b2"

@@ -36,8 +36,6 @@ from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["LivePage", "Thinned", "node_table"]
-
 _PERIOD = 500  # ms between looks at what was heard
 _DRAWN = 2000  # readings in a plot
 _GOLDEN = 0.618034  # its multiples are spread most evenly

@@ -31,8 +31,6 @@ from machine_tool_calibration.workbench.process import Calculation
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.client import Client
 
-__all__ = ["Feed", "LiveMap"]
-
 _EVERY = 3.0  # s from the end of one calculation to the next
 # Readings from which the map takes gigabytes: it is calculated in another process, which gives them back.
 _READINGS_APART = 5000

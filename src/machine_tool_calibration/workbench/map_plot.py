@@ -13,8 +13,6 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.workbench.look import new_figure
 
-__all__ = ["MapPlot", "magnification", "map_arrows"]
-
 _HOVER = [
     ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("error", "@ex{0.00}, @ey{0.00}, @ez{0.00} µm"),
     ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm"),

@@ -30,8 +30,6 @@ from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["MeasurementPage", "seen_from"]
-
 _HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
 
 

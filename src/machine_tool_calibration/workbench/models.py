@@ -32,8 +32,6 @@ from machine_tool_calibration.reports.history_file import fingerprint, history_p
 from machine_tool_calibration.reports.planning import forecast_parts
 from machine_tool_calibration.residuals.gross_errors import Outlier
 
-__all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "looked_ahead", "opened", "planned"]
-
 Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
 

@@ -16,8 +16,6 @@ from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.workbench.look import bar_button, controls, folded, text, when_changed
 from machine_tool_calibration.workbench.state import State
 
-__all__ = ["OwnEffect", "addable", "unknowns_of"]
-
 
 def addable(state: State) -> list[str]:
     """Ids of the effects that can act in the measurement and are not in the model in use."""

@@ -26,9 +26,6 @@ from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State, measurements_in
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["window"]
-
-
 # Each has a title, what it is about, how many blocks it has, these as `view`, and shows the model in use on `refresh`.
 _PAGES: tuple[Any, ...] = (MeasurementPage, ComparePage, DiagnosePage, ImprovePage, PlanPage, ExportPage)
 

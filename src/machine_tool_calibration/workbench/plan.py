@@ -41,8 +41,6 @@ from machine_tool_calibration.workbench.saved import Saved
 from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["PlanPage"]
-
 _HOVER = [("setup", "@setup"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
 _MAP_HOVER = [("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm")]
 _NOW, _THEN = "#d55e00", "#0072b2"

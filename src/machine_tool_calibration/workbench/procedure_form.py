@@ -17,8 +17,6 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.workbench.look import controls, text, when_changed
 
-__all__ = ["ProcedureForm", "changed_procedure"]
-
 _AXES = ("x", "y", "z", "a", "b", "c")
 
 

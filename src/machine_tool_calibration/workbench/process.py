@@ -18,8 +18,6 @@ from typing import Any, ClassVar
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.workbench.models import Progress
 
-__all__ = ["Calculation", "FaultError", "warm_up"]
-
 # Processes are forked off one that has loaded what calculates and does nothing else: they are there in a few
 # milliseconds, and no thread of the page's process was in the middle of anything. Nothing of the page is loaded there.
 _PROCESSES = multiprocessing.get_context("forkserver")

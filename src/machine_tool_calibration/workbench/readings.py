@@ -20,8 +20,6 @@ from machine_tool_calibration.workbench.look import packed, setup_color
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
 
-__all__ = ["VIEWS", "Readings"]
-
 VIEWS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Planes in which places are drawn."""
 # Share of the largest extent that an arrow of the bulk's largest residual takes at most.

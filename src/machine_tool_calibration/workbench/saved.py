@@ -15,8 +15,6 @@ from tornado.web import HTTPError, RequestHandler
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.workbench.look import text
 
-__all__ = ["PATTERNS", "Saved"]
-
 # What may be downloaded, by the part of its address that nobody guesses.
 _OFFERED: dict[str, Path] = {}
 

@@ -23,8 +23,6 @@ from machine_tool_calibration.workbench.page import window
 from machine_tool_calibration.workbench.process import warm_up
 from machine_tool_calibration.workbench.saved import PATTERNS
 
-__all__ = ["quieten", "serve"]
-
 _HERE = "127.0.0.1"
 # Panel keeps a page that was closed for a while; a window's work is not needed after a lost connection's time.
 _SESSION_LIFETIME = 60_000  # ms

@@ -20,8 +20,6 @@ from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.workbench.models import Model, Opened, Progress, Subject, diagnosed, improved, opened
 
-__all__ = ["Job", "State", "measurements_in"]
-
 
 def measurements_in(folder: Path) -> list[Path]:
     """Sessions and recordings that lie in a folder, itself first if it is one."""

@@ -17,8 +17,6 @@ from machine_tool_calibration.workbench.look import bar_button, in_order, tell_f
 from machine_tool_calibration.workbench.process import Calculation, FaultError
 from machine_tool_calibration.workbench.state import Job
 
-__all__ = ["Work"]
-
 _SOON = 300  # ms after which work is told of, unless it says sooner how far it is
 
 

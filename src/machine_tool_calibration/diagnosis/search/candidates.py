@@ -16,8 +16,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import Said
 
-__all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "shaped_at", "to_some_percent"]
-
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
 # Sets of nonlinear coefficients of one effect in several sessions.

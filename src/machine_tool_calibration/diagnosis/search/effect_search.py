@@ -30,9 +30,6 @@ from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.words import say
 
-__all__ = ["Absorbed", "EffectSearch", "Structure", "search_effects"]
-
-
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
 # Numbers of first coefficients of an effect that are tried alone.

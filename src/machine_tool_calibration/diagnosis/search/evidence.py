@@ -23,8 +23,6 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["NUMBERS_AT_ONCE", "Block", "Point", "Table", "columns_of", "gram_of", "table"]
-
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
 _NEVER = 1e-280

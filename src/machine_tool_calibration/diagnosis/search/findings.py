@@ -19,8 +19,6 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Marginal
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "fitted_in", "without_laws"]
-
 # Directions of a candidate with less than this share of its squares are the model's.
 _LEAST_OWN_SHARE = 1e-6
 

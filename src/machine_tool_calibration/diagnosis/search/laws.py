@@ -9,8 +9,6 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.imperfection import scaled_values
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["law_tolerance", "smooth_share"]
-
 # Highest degree of the relative deviation in time.
 _DEGREE = 4
 

@@ -22,8 +22,6 @@ from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Tab
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal, marginal_at, size_grid
 
-__all__ = ["Posterior", "search"]
-
 # Sizes of what does not reproduce that no set makes more probable than this share of its likeliest are left out: with
 # more of them the probabilities of effects change in the third figure, and the search takes twice as long.
 _COUNTS = 0.03

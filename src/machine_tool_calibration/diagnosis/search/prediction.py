@@ -28,8 +28,6 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["Prediction", "predictions"]
-
 # Parts into which setups and places are divided at most.
 _PARTS = 4
 # Effects that are held against readings left out: more are not distinguished that way.

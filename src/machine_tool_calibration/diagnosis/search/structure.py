@@ -22,8 +22,6 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import Said, named, say, together
 
-__all__ = ["structure_candidates"]
-
 _DEGREE = 4
 _ORDERS = (1, 2, 3, 4, 5)
 _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")

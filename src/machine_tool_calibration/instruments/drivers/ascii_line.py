@@ -14,8 +14,6 @@ from machine_tool_calibration.instruments.drivers.driver import Health, Instrume
 from machine_tool_calibration.instruments.drivers.settings import UNITS, AsciiLineSettings, Connection, Line, Value
 from machine_tool_calibration.instruments.drivers.transport import Transport, connect
 
-__all__ = ["AsciiLineDriver", "LineParser", "LineSplitter"]
-
 
 class LineSplitter:
     """Cuts a stream of bytes into lines.

@@ -8,8 +8,6 @@ from typing import Literal, Protocol, runtime_checkable
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["Driver", "Health", "InstrumentError", "LinkState", "Sample"]
-
 LinkState = Literal["disconnected", "silent", "streaming"]
 
 

@@ -10,8 +10,6 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 
-__all__ = ["UNITS", "AsciiLineSettings", "Connection", "Line", "Request", "Serial", "Tcp", "Timeouts", "Value"]
-
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
 
 

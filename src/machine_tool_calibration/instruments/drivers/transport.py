@@ -15,8 +15,6 @@ import serial
 from machine_tool_calibration.instruments.drivers.driver import InstrumentError
 from machine_tool_calibration.instruments.drivers.settings import Connection, Serial, Tcp
 
-__all__ = ["SerialTransport", "TcpTransport", "Transport", "connect"]
-
 CHUNK = 65536
 KEEP_ALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}
 

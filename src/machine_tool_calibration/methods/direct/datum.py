@@ -13,9 +13,6 @@ from machine_tool_calibration.estimation.normal import LEAST_EIGENVALUE
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.words import say
 
-__all__ = ["SetupDatum", "needed_rows", "setup_columns", "setup_datum", "silent_directions"]
-
-
 # Share of a condition along what is still open below which it fixes nothing of it.
 _FIXED_SHARE = 1e-5
 

@@ -17,8 +17,6 @@ from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, exp
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["refuse_mistakes"]
-
 # Deviations of a machine tool, share of the travel: a tenth of a per cent would be a wreck.
 _WRECK = 2e-3
 # Deviations that are no larger are of a machine, however short its travel, m: read in another unit they would be those

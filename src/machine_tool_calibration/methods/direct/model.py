@@ -51,9 +51,6 @@ from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["DirectModel", "asked_tables", "build", "build_direct", "error_map", "nodes_from", "sensed_axes"]
-
-
 # Nodes of a table where the axis was read at more positions than it has readings to fill.
 _NODES_OF_MANY = 21
 _MOST_NODES = 101

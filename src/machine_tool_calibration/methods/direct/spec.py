@@ -13,8 +13,6 @@ from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["SPEC"]
-
 
 class DirectSpec(MethodSpec):
     """Deviations that are read directly."""

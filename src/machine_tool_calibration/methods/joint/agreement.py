@@ -26,8 +26,6 @@ from machine_tool_calibration.model.fit import JointFit, screen_joint
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 from machine_tool_calibration.words import say, together
 
-__all__ = ["Agreement", "Contradiction", "agreement"]
-
 _LEVEL = 0.01
 _MOST_CONTRADICTIONS = 3
 _DEGREE = 4

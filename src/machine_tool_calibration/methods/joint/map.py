@@ -27,9 +27,6 @@ from machine_tool_calibration.model.rigid_body import (
 )
 from machine_tool_calibration.words import say, together
 
-__all__ = ["between_nodes", "joint_map", "squared_bend"]
-
-
 # Positions equal to the micrometre are one.
 _DIGITS = 6
 

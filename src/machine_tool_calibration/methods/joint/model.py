@@ -43,9 +43,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 from machine_tool_calibration.words import together as told_together
 
-__all__ = ["CommonModels", "common_models", "tables_of", "with_effects"]
-
-
 # Most nodes of a table, and about how many are taken of more.
 _MOST_NODES, _NODES_OF_MANY = 61, 31
 _LEAST_SENSITIVITY = 1e-9  # m per m or rad

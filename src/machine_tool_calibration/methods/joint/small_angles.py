@@ -31,8 +31,6 @@ from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.words import say
 
-__all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
-
 # Share of the variance expected of an angle, over all its nodes, that must go before the readings determine it.
 _VARIANCE_REMOVED = 0.5
 # Probability of angular errors above which differences between sessions may have been taken for them.

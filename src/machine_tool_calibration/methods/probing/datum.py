@@ -18,19 +18,6 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import KnownLength
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "LENGTH",
-    "SHARE",
-    "Condition",
-    "NullSpace",
-    "Place",
-    "choose_places",
-    "conditions",
-    "known_weights",
-    "null_space",
-]
-
-
 # As the solver's: the smallest singular value of the scaled columns that still counts.
 _LEAST_SINGULAR_VALUE = float(np.sqrt(1e-11))
 # Share in an undetermined direction below which an unknown does not take part in it.

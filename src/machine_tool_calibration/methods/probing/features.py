@@ -24,8 +24,6 @@ from machine_tool_calibration.methods.probing.map import common_motions, points_
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["Features", "Quantity", "features"]
-
 # Sine of the angle up to which two walls are parallel.
 _PARALLEL = 1e-4
 # Nominal distance below which it has no direction, m.

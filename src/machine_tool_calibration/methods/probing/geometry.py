@@ -22,23 +22,6 @@ from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings, places_among
 
-__all__ = [
-    "Circle",
-    "Element",
-    "Line",
-    "Touches",
-    "element",
-    "elements",
-    "nominal_points",
-    "plane_tables",
-    "point_means",
-    "rigid_motion",
-    "table_nodes",
-    "through",
-    "touches",
-]
-
-
 # Sine of the angle between normal and radius below which a touch says nothing of the turn of the table: a drawing's
 # rounded coordinates must not make the angle of C seem to be seen on a disc.
 _NO_LEVER = 1e-4

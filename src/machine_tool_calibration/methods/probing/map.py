@@ -27,23 +27,6 @@ from machine_tool_calibration.model.rigid_body import MachineTable, in_space, ma
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "FEWEST_DRAWS",
-    "Combined",
-    "Distribution",
-    "Errors",
-    "MonteCarlo",
-    "Responses",
-    "common_motions",
-    "error_map",
-    "monte_carlo",
-    "points_of_form",
-    "responses",
-    "workpiece_errors",
-    "workpiece_form",
-]
-
-
 # Share in the undetermined directions below which a point does not take part in them.
 _OPEN_SHARE = 1e-6
 

@@ -49,9 +49,6 @@ from machine_tool_calibration.session.judgements import Judgement
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["ProbingModel", "build"]
-
-
 # Displacement beyond which a touch is looked at, m: no ground surface is off by so much, a casting may be.
 _LARGE = 2e-4
 # Median residual over the declared uncertainty: absurd, and good.

@@ -32,8 +32,6 @@ from machine_tool_calibration.session.judgements import Held, Judgement
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session, places_among
 
-__all__ = ["SPEC"]
-
 # Where a part may lie beside its nominal place, m and share of its radius; where most touches are at their points to
 # this, by how much the others may be beside theirs, m; and how much of a normal lies along an axis that the probe
 # approaches along it.

@@ -19,20 +19,6 @@ from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 from machine_tool_calibration.words import say
 
-__all__ = [
-    "HELD_WITHIN",
-    "ROTARY_DATUM",
-    "covered_angle",
-    "loose_motions",
-    "motion_constraints",
-    "open_directions",
-    "target_constraints",
-    "unseen_motions",
-    "unseen_names",
-    "weak_places",
-]
-
-
 ROTARY_DATUM = say("datum.rotary")
 # Share of its largest singular value below which an angle's readings say nothing of a direction.
 _LEAST_SINGULAR_VALUE = 1e-5

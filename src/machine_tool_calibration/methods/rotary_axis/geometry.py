@@ -11,8 +11,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.session.description import RotaryAxis, rotary_column
 from machine_tool_calibration.session.session import Readings, Session, places_among
 
-__all__ = ["COMPONENTS", "TableReadings", "axis_rotation", "merged_nodes", "table_readings"]
-
 COMPONENTS = "XYZABC"
 # Commanded angles closer than this are one position of the axis: 2 arc seconds, more than an encoder's noise.
 _SAME_ANGLE = 1e-5

@@ -17,9 +17,6 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.checks.places import off_stated
 from machine_tool_calibration.words import say
 
-__all__ = ["average_line", "error_map", "line_names"]
-
-
 _STEPS = 20
 
 

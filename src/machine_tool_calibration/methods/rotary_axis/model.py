@@ -57,8 +57,6 @@ from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures, say, together
 
-__all__ = ["RotaryAxisModel", "build"]
-
 # Misfit of a table turning without error above which it is tried whether one with errors fits, m; and median residual
 # of that, over the declared uncertainty, that says that stations and targets were not found.
 _DOUBTFUL = 3e-5

@@ -27,8 +27,6 @@ from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Readings, Session, distinct_places, places_among
 
-__all__ = ["SPEC", "on_table", "turning_mistakes"]
-
 
 class RotarySpec(MethodSpec):
     """A rotary axis by sequential multilateration."""

@@ -23,9 +23,6 @@ from machine_tool_calibration.session.description import Place, RotaryAxis, Stat
 from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["SURVEYED", "Start", "find_start", "refuse_mistakes", "refuse_wrong_rows", "suppositions"]
-
-
 # Errors of a rotary axis are some micrometres; a nominal position may be wrong by centimetres. Both only shape the way
 # to the start: the fit that follows holds no such knowledge.
 _ERRORS = 1e-5

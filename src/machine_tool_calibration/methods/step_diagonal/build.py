@@ -48,9 +48,6 @@ from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["angles_shown_by_orders", "build", "free_angles", "second_order"]
-
-
 # Share of the largest movement below which values that may move lie on a line.
 _SAME_LINE = 1e-6
 

@@ -13,8 +13,6 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.session.description import DiagonalSetup, StepDiagonal
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["Run", "across", "block_positions", "runs_of", "step_diagonal_of"]
-
 _ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
 # A reading this close to a block position, as a share of the step, was taken there.
 _AT_BLOCK = 1e-2

@@ -28,8 +28,6 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.words import say, together
 
-__all__ = ["DATUM", "Spread", "StepDiagonalModel", "error_map"]
-
 DATUM = say("datum.step_diagonal")
 
 

@@ -17,8 +17,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 
-__all__ = ["Figure", "Profiles", "eq17", "is_open"]
-
 # Squareness as ISO 230-1 names it: sign, then the two slopes that add up to it (component, axis).
 _SQUARENESS = {"C0Y": (-1.0, (0, 1), (1, 0)), "B0Z": (1.0, (0, 2), (2, 0)), "A0Z": (-1.0, (2, 1), (1, 2))}
 # Share of a position error that may be undetermined before it is not published.

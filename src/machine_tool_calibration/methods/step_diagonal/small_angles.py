@@ -48,19 +48,6 @@ from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.model.model import Prior
 from machine_tool_calibration.model.random_unknowns import RandomPosterior
 
-__all__ = [
-    "LARGEST",
-    "NONE",
-    "SMALLEST",
-    "AngularPosterior",
-    "SmallAngles",
-    "angular_priors",
-    "coarse_nodes",
-    "mean_shape",
-    "normal_posterior",
-    "shape_covariance",
-]
-
 # Smallest and largest size that is considered, rad. What is larger is not small: it belongs in the model by name.
 SMALLEST, LARGEST = 2e-7, 2e-5
 # Probability, before any reading, that the angular errors do not matter.

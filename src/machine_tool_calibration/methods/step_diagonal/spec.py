@@ -27,8 +27,6 @@ from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 
-__all__ = ["SPEC"]
-
 # A place may be outside its run by this share of the step (runs of unequal steps stay within), and off the halts by
 # this one where most others are on them.
 _OUTSIDE, _ON_HALT = 0.5, 0.02

@@ -25,8 +25,6 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.words import say
 
-__all__ = ["sensed_tables", "tilt_terms"]
-
 _LEAST_SENSITIVITY = 1e-6  # m/m
 
 

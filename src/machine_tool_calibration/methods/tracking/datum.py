@@ -17,9 +17,6 @@ from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Group, Part
 from machine_tool_calibration.words import say
 
-__all__ = ["MAP_DATUM", "MultilaterationPart", "NetworkMotion", "OwnSight", "carried_stations", "turned_back"]
-
-
 MAP_DATUM = say("datum.map")
 
 

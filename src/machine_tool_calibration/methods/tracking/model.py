@@ -53,9 +53,6 @@ from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session, distinct_places
 from machine_tool_calibration.words import say
 
-__all__ = ["TrackingModel", "build", "error_map"]
-
-
 # Stations are set up to this by any means, m. Declared uncertainties below it are not relied on: the readings place a
 # station far better, except for motions that they do not sense.
 _ROUGHLY = 3e-4

@@ -20,8 +20,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray, gaps_around, groups
 from machine_tool_calibration.errors import ModelError
 
-__all__ = ["HIGHEST_ORDER", "Centre", "ZeroAngle", "rotation_centre", "zero_angle"]
-
 HIGHEST_ORDER = 6
 """Waves a turn up to which the radial error motion is looked at."""
 _ROUNDING = 1e-9  # rad, and of singular values as a share

@@ -38,8 +38,6 @@ from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session, distinct_places
 from machine_tool_calibration.words import say
 
-__all__ = ["SPEC"]
-
 # By how much the beam's axis may miss the retroreflector's centre, and a path be off, beside the station's place, m.
 _MISSED, _ERROR = 0.02, 0.01
 # Share of a station's beams that may point elsewhere: they are commanded, but single ones are set aside like a reading.

@@ -11,8 +11,6 @@ from contextlib import contextmanager
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["claimed_domain", "free_domain"]
-
 # larger ones need ports that the system gives to outgoing connections
 _IDS = range(0, 102)
 

@@ -24,34 +24,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 from machine_tool_calibration.recording.graph import MACHINE
 
-__all__ = [
-    "COMMAND",
-    "LATCHED",
-    "NO_HARDWARE",
-    "OUTCOMES",
-    "READINGS",
-    "SLOW",
-    "STATE",
-    "Level",
-    "cloud",
-    "columns",
-    "dated",
-    "duration_message",
-    "from_message",
-    "joint_state",
-    "nanoseconds",
-    "now",
-    "point",
-    "positions",
-    "seconds",
-    "stamp_among",
-    "stamp_now",
-    "status",
-    "to_message",
-    "trajectory",
-    "values",
-]
-
 Message = TypeVar("Message", bound=Any)
 
 

@@ -24,8 +24,6 @@ from rclpy.timer import Timer
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.sound import require_sound
 
-__all__ = ["GuardedNode", "ManagedNode"]
-
 Value = TypeVar("Value")
 
 _BYTES = 16_000_000  # of a message: a session's description of 100 000 targets

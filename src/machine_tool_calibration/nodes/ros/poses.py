@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.nodes.ros.messages import dated, point
 
-__all__ = ["place_of", "pose_message", "quaternion_along", "quaternion_of", "rotation_of"]
-
 
 def pose_message(stamp: int, place: Array, turn: Quaternion) -> PoseStamped:
     """A pose in the machine's frame at a time, ns."""

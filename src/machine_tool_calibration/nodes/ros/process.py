@@ -27,8 +27,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.node import GuardedNode, ManagedNode
 from machine_tool_calibration.nodes.shared import shared_file
 
-__all__ = ["SAVE_GRACE", "STOP_GRACE", "default_environment", "post", "run", "run_here"]
-
 Node = TypeVar("Node", bound=ManagedNode)
 
 STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens

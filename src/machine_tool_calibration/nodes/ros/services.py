@@ -47,8 +47,6 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.process import post
 
-__all__ = ["Goals", "Outcomes", "Progress", "Reply", "goal_of", "goal_sentence", "offer", "offer_later"]
-
 _GOAL = re.compile("goal ([0-9a-f]{32}): ")
 
 

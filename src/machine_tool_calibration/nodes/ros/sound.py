@@ -17,8 +17,6 @@ from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["LAST_SECOND", "require_sound"]
-
 LAST_SECOND = 2_145_916_800  # 2038-01-01: a stamp's 32 bits end 18 days later, and what is commanded then must fit too
 _LARGEST_VALUE = 1e15  # of any SI value in the graph: far beyond what occurs, and its square is still a number
 _ENTRIES = 100_000  # of one array

@@ -16,8 +16,6 @@ from rclpy.publisher import Publisher
 from machine_tool_calibration.nodes.ros.messages import LATCHED, NO_HARDWARE, SLOW, Level, now, status, to_message
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["StatusTopic"]
-
 _PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent after 5 s
 
 

@@ -28,8 +28,6 @@ from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.recording.graph import compatible, request_for
 from machine_tool_calibration.recording.metadata import Qos
 
-__all__ = ["Taken", "Tap", "Taps", "message_class", "offered_qos", "qos_profile"]
-
 _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others waiting
 _NO_NUMBER = 2**64 - 1
 # What any publisher of a clock can give; a lost tick costs no more than its step.

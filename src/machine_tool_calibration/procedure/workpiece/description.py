@@ -44,12 +44,6 @@ from machine_tool_calibration.session.record import NotNegative, Positive, Recor
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = [
-    "Circle", "Feature", "File", "Line", "Outline", "Points", "Workpiece", "points_csv", "points_yaml",
-    "procedure_with", "read_workpiece", "workpiece_entries", "workpiece_points",
-]  # fmt: skip
-
-
 _LARGEST_LENGTH, _SMALLEST_LENGTH = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
 Finite = Annotated[float, Field(ge=-_LARGEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=_SMALLEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]

@@ -12,8 +12,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["Arc", "Contour", "Material", "Segment", "Straight", "Touched", "join", "probe_points", "reachable"]
-
 _MOST_POINTS = 100_000
 
 

@@ -21,8 +21,6 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Segment, Straight, join
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 
-__all__ = ["read_csv_outline", "read_dxf_outline"]
-
 _FARTHEST = 1e6  # in the unit of the file
 
 

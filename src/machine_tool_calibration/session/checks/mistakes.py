@@ -28,25 +28,6 @@ from machine_tool_calibration.session.judgements import Held, Judgement, Supposi
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures
 
-__all__ = [
-    "LENGTHS",
-    "SENSES",
-    "UNITS",
-    "check_consistency",
-    "described",
-    "exchanged",
-    "exchanged_axes",
-    "explanation",
-    "in_degrees",
-    "refuse_contradictions",
-    "scaled",
-    "shifted",
-    "turned_round",
-    "with_columns",
-    "with_values",
-]
-
-
 LENGTHS = "like millimetres; lengths are in metres"
 UNITS = (
     (1e-3, f"displacement looks {LENGTHS}"),

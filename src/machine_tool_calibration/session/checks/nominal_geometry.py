@@ -22,21 +22,6 @@ from machine_tool_calibration.session.description import Place, StationSetup
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session, places_among
 
-__all__ = [
-    "badly_exchanged",
-    "counted",
-    "enough_stations",
-    "judged_by_worst",
-    "lines_of_sight",
-    "off_prediction",
-    "on_a_line",
-    "refuse_one_line",
-    "relative_misfit",
-    "turned",
-    "typical_extent",
-    "wrapped",
-]
-
 
 def turned(points: Array, angle: Array) -> Array:
     """(n, 2) points turned counter-clockwise by angle (n,), rad."""

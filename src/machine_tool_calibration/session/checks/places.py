@@ -16,8 +16,6 @@ from machine_tool_calibration.session.description import StationSetup
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures, say
 
-__all__ = ["Misplaced", "allowed", "has_stations", "misplaced", "off_stated", "refuse_misplaced"]
-
 # A place may be off by so many of its stated standard uncertainties, but at least by this, and by that where none is
 # stated, m: beyond, another place is meant. Beyond the former and so many of its own, it is said.
 _STATED, _LEAST_OFF, _UNSTATED = 10.0, 0.01, 0.1

@@ -12,8 +12,6 @@ from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
 from machine_tool_calibration.words import say, together
 
-__all__ = ["suspicions"]
-
 _FEWEST_MOVES = 8  # moves beside directions of approach: fewer may be against them by chance
 _HARDLY_DIFFER = 0.1  # share of a reading's standard uncertainty that readings differ by: of eight by chance below 1e-7
 _BEYOND_TRAVEL = 0.1  # share of the travel by which a probed part may reach beyond it

@@ -15,8 +15,6 @@ from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
 
-__all__ = ["LARGEST_MACHINE", "LARGEST_TRAVEL", "MILLIMETRES", "check_sizes", "check_units"]
-
 LARGEST_MACHINE = 50.0  # m
 LARGEST_TRAVEL = 100.0  # m
 _FARTHEST_STATION = 200.0  # m
