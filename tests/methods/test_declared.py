@@ -41,4 +41,5 @@ def test_uncertainties_declared_three_times_too_small_come_out_as_they_are(plan:
         assert ratio.min(initial=1.0) > 0.85 and np.sum(np.abs(ratio - 1.0) > 0.15) <= 0.01 * len(ratio), name
     by_name = {e.name: e.standard_uncertainty for e in right.parameters}
     ratio = np.array([e.standard_uncertainty / by_name[e.name] for e in small.parameters if by_name[e.name] > 1e-12])
-    assert ratio.min() > 0.85 and np.median(ratio) == pytest.approx(1.0, abs=0.15)
+    # All share the scatter that is found, of which the declared uncertainty holds a tenth back.
+    assert ratio.min() > 0.9 * np.median(ratio) and np.median(ratio) == pytest.approx(1.0, abs=0.15)

@@ -96,7 +96,7 @@ def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
     ("arguments", "message"),
     [
         (["run", "tracking_2d", "--until", "soon"], "mtcal: until: 'soon' is neither U=2um nor told="),
-        (["run", "tracking_2d", "--until", "told=backlash"], "mtcal: no effect 'backlash' (did you mean "),
+        (["run", "tracking_2d", "--until", "told=backlash"], "mtcal: unknown effect 'backlash' (did you mean "),
         (["run", "tracking_2d", "--until", "U=0um"], "mtcal: until U: '0um' must be positive"),
         (
             ["run", "nothing"],
