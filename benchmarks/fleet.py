@@ -13,17 +13,19 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import resource
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from machine_tool_calibration.cli.diagnosing import Wanted
 from machine_tool_calibration.cli.many import fit_one
-from machine_tool_calibration.fleet.each import each
+from machine_tool_calibration.fleet.each import _client, each
 from machine_tool_calibration.fleet.machines import Machines, judged
 from machine_tool_calibration.fleet.page import write_page
 from machine_tool_calibration.fleet.parquet import machine_tables, write_tables
@@ -36,7 +38,8 @@ from machine_tool_calibration.words import words
 
 STORIES = {"backlash": "backlash_y", "jump": "C0Y", "growth": "backlash_x", "drift": "station_drift"}
 """What may happen to a machine, and the effect that does it."""
-_BROKEN = 100
+# One session of so many is broken; so many are evaluated before it is another's turn.
+_BROKEN, _ROUND = 100, 8
 
 
 def story_of(machine: int) -> str:
@@ -79,16 +82,10 @@ def simulated(folder: Path, machines: int, months: int, workers: int) -> None:
             assert not one.problem, one
 
 
-def spent(run: Callable[[], object]) -> tuple[float, float]:
-    """Seconds on the clock, and of all processors, this process and those that it has waited for."""
-
-    def processors() -> float:
-        both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-        return sum(one.ru_utime + one.ru_stime for one in both)
-
-    begun, used = time.monotonic(), processors()
-    run()
-    return time.monotonic() - begun, processors() - used
+def timed(place: Place, work: Callable[[Place], Evaluated]) -> tuple[Evaluated, float]:
+    """With the seconds of processors that this process has spent meanwhile, in all of its threads."""
+    begun = time.process_time()
+    return work(place), time.process_time() - begun
 
 
 def numbers(found: dict[str, Evaluated]) -> str:
@@ -109,21 +106,39 @@ def kill_one(after: float) -> None:
     print(f"killed the worker {worker.pid}", flush=True)
 
 
-def cost(sample: list[Place], work: Callable[[Place], Evaluated]) -> list[str]:
-    """Of a plain loop, and of one and two workers, with whether all say the same."""
-    rows, said = [], []
-    for name, workers in (("plain loop", 0), ("one worker", 1), ("two workers", 2)):
-        found: dict[str, Evaluated] = {}
+def cost(sample: list[Place], work: Callable[[Place], Evaluated]) -> None:
+    """Of a plain loop beside one and two workers, by turns, as others may keep the machine busy; whether all agree."""
+    for workers in (1, 2):
+        said: tuple[dict[str, Evaluated], ...] = ({}, {})
+        rounds = []
+        with ExitStack() as stack:
+            begun = time.monotonic()
+            address = _client(stack, None, workers).scheduler.address
+            for warm in (None, address):
+                spent(sample[: 4 * workers], work, warm, {})
+            started = time.monotonic() - begun
+            for first in range(0, len(sample), _ROUND):
+                own = sample[first : first + _ROUND]
+                rounds.append([spent(own, work, *where) for where in zip((None, address), said, strict=True)])
+        plain, there = np.median(rounds, axis=0)
+        ratio = np.median([one / other for other, one in rounds])
+        same = "the same" if numbers(said[0]) == numbers(said[1]) else "DIFFERENT"
+        print(
+            f"| {workers} | {plain:.3f} s | {there:.3f} s | {ratio:.2f} | {same} | started in {started:.0f} s",
+            flush=True,
+        )
 
-        def run(found: dict[str, Evaluated] = found, workers: int = workers) -> None:
-            found |= {one.item.label: one.found for one in each(work, sample, workers=workers) if one.found}
 
-        clock, used = spent(run)
-        said.append(numbers(found))
-        same = "" if not workers else "the same" if said[-1] == said[0] else "DIFFERENT"
-        rows.append(f"| {name} | {clock / len(sample):.3f} | {used / len(sample):.3f} | {same} |")
-        print(rows[-1], flush=True)
-    return rows
+def spent(
+    sample: list[Place], work: Callable[[Place], Evaluated], scheduler: str | None, said: dict[str, Evaluated]
+) -> float:
+    """Seconds of processors for a session: of the worker, or of this process, which is the scheduler's as well."""
+    before, there = time.process_time(), 0.0
+    for one in each(partial(timed, work=work), sample, scheduler=scheduler, workers=0):
+        if one.found is not None:
+            said[one.item.label] = one.found[0]
+            there += one.found[1] if scheduler else 0.0
+    return (time.process_time() - before + there) / len(sample)
 
 
 def judged_right(fleet: Machines) -> list[str]:
@@ -142,7 +157,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--machines", type=int, default=200)
     parser.add_argument("--months", type=int, default=10)
-    parser.add_argument("--sample", type=int, default=100, help="sessions that a plain loop evaluates as well")
+    parser.add_argument("--sample", type=int, default=96, help="sessions by which the cost is measured")
     parser.add_argument("--kill", type=float, help="after how many seconds a worker is killed")
     parser.add_argument("--scheduler", help="of a Dask cluster, instead of two processes of this machine")
     parser.add_argument("folder", type=Path)
@@ -150,7 +165,8 @@ def main() -> None:
     simulated(asked.folder / "measurements", asked.machines, asked.months, 2)
     found = places([asked.folder / "measurements"])
     work = partial(evaluated, fit=partial(fit_one, wanted=Wanted((), (), "rigid_body", ())))
-    cost(found[:: max(len(found) // asked.sample, 1)], work)
+    if asked.sample:
+        cost(found[:: max(len(found) // asked.sample, 1)][: asked.sample], work)
     book, problems = Logbook(asked.folder / "fleet.logbook"), list[tuple[str, str]]()
     if asked.kill:
         threading.Thread(target=kill_one, args=(asked.kill,), daemon=True).start()
@@ -163,8 +179,10 @@ def main() -> None:
             book.add_diagnosis(one.found.entry.sha256, one.found.diagnosis)
             book.add(one.found.entry)
 
-    clock, used = spent(enter)
-    print(f"{len(found)} sessions in {clock:.0f} s, {clock / len(found):.3f} s and {used / len(found):.3f} s each")
+    begun = time.monotonic()
+    enter()
+    clock = time.monotonic() - begun
+    print(f"{len(found)} sessions in {clock:.0f} s, {clock / len(found):.3f} s each", flush=True)
     begun = time.monotonic()
     fleet = judged(book.entries(), book.diagnoses(), problems=problems)
     write_page(fleet, book.path, asked.folder / "fleet" / "fleet.html", words("en"))
