@@ -2,8 +2,8 @@
 """A fleet of simulated machines, measured every month: what it costs to evaluate all, and is what happened found?
 
 Half of the machines are measured by ISO 230-2, half with a tracking interferometer in the plane. Most are quiet; some
-have backlash, on some a squareness jumps, the lost motion grows, or the instrument's stations creep. A session of every
-hundred is broken.
+have backlash, on some a squareness jumps, the lost motion grows, or the instrument's stations creep, too slowly to be
+seen in one session. A session of every hundred is broken.
 
     python benchmarks/fleet.py --machines 200 --months 10 FOLDER
 """
@@ -53,7 +53,7 @@ def flaws(story: str, month: int, jump: int) -> tuple[FlawSpec, ...]:
         "backlash": 1.5e-6,
         "jump": 8e-6 * (month >= jump),
         "growth": 3e-7 * max(month - jump + 3, 0),
-        "drift": 1e-8,
+        "drift": 1e-9,
     }
     return (FlawSpec(id=STORIES[story], size=size[story]),) if size.get(story) else ()
 
