@@ -5,7 +5,7 @@ The probability of conformity is that of the true value lying within the toleran
 uncertainty and nothing else (JCGM 106, 7.1: for a single value a normal distribution about it, or Student's t where a
 budget has few degrees of freedom). The largest of many values, or their range, is distributed otherwise: there the
 values are drawn with their joint uncertainty, and what is asked for is worked out of every draw. Noise makes it larger,
-in the measured values and once more in the draws: each side of the tolerance is asked by itself (`_of_many`).
+in the measured values and once more in the draws: each side of the tolerance is asked by itself.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _SAMPLES, _DRAWS = 150, 10_000
 # Numbers at once, and standard uncertainties beyond which a value cannot be.
 _NUMBERS, _BEYOND = 2_000_000, 6.0
 # Part of a range by which two that are one may differ.
-_SAME = 1e-6
+_SAME_RANGE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ class _Conformity:
         """Whether the range of a motion is the M of ISO 230-2: one run, fitted at all of its positions."""
         values = self.numbers.value
         found = float(values[mean.first])
-        return bool(np.isfinite(found) and abs(np.ptp(values[motion.members]) - found) <= _SAME * found)
+        return bool(np.isfinite(found) and abs(np.ptp(values[motion.members]) - found) <= _SAME_RANGE * found)
 
     def of(self, q: Quantity, kind: _Kind | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""
@@ -308,8 +308,11 @@ class _Conformity:
         else:
             value = float(figure.kind.work_out(values[None])[0])
             as_measured = self.draws(figure, values, spread)
-            kept = self.draws(figure, figure.kind.within(values, tolerance), spread)
-            probability = _of_many(value, as_measured, kept, tolerance)
+            if value > tolerance:
+                kept = self.draws(figure, figure.kind.within(values, tolerance), spread)
+                probability = _of_values_that_keep_it(value, kept)
+            else:
+                probability = _about_the_measured(value, as_measured, tolerance)
             low, high = np.percentile(as_measured, [2.275, 97.725])
             u = float(high - low) / 4.0
         if self.budget is None:
@@ -390,22 +393,21 @@ def _single(value: float, u: float, dof: float, tolerance: float, *, signed: boo
     return below(tolerance) - below(-tolerance) if signed else below(tolerance)
 
 
-def _of_many(value: float, as_measured: Array, kept: Array, tolerance: float) -> float:
-    """Probability that the largest of many values, or their range, is at most the tolerance.
+def _about_the_measured(value: float, as_measured: Array, tolerance: float) -> float:
+    """Probability that the largest of many values, or their range, keeps a tolerance which the measured one keeps.
 
-    Args:
-        value: measured.
-        as_measured: draws about the values as measured.
-        kept: draws about values that just keep the tolerance.
-        tolerance: the largest that conforms.
-
-    A measured one within the tolerance was lifted by noise rather than lowered: the true one scatters about it as the
-    draws do about their median. One beyond the tolerance may be beyond it by noise alone, of so many values: it is as
-    probable as that values which keep the tolerance come out as large as that (Efron and Tibshirani 1993, chapter 16).
+    Noise lifted that rather than lowered it: the true one scatters about it as the draws do about their median.
     """
-    if value > tolerance:
-        return min(float(np.mean(kept >= value)), 0.5)
     return float(np.mean(as_measured - np.median(as_measured) + value <= tolerance))
+
+
+def _of_values_that_keep_it(value: float, kept: Array) -> float:
+    """The same where the measured one is beyond the tolerance, which it may be by noise alone, of so many values.
+
+    It is as probable as that values which just keep the tolerance come out as large as that, of which `kept` are draws
+    (Efron and Tibshirani 1993, chapter 16).
+    """
+    return min(float(np.mean(kept >= value)), 0.5)
 
 
 def _range(values: Array) -> Array:

@@ -39,8 +39,6 @@ from machine_tool_calibration.words import say
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
-# Standard uncertainties from which a size stands out.
-_SURE = 2.0
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
@@ -394,7 +392,7 @@ def _sized(fit: JointFit, name: str) -> bool:
     Where none does, its freedom describes something else, in one place or at one moment.
     """
     sizes = [e for e in effect_estimates(fit, [name]) if e.unit != "s"]
-    return not sizes or any(abs(e.value) >= _SURE * e.standard_uncertainty for e in sizes)
+    return not sizes or any(abs(e.value) >= priors.STANDS_OUT * e.standard_uncertainty for e in sizes)
 
 
 def _hold(before: ErrorMap, after: ErrorMap) -> None:

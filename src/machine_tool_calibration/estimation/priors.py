@@ -188,3 +188,10 @@ DETECTED = 0.8
 
 SIZE_MARGIN = 2.0
 """Standard uncertainties by which a size may lie outside of what is tried for before it is called implausible."""
+
+STANDS_OUT = 2.0
+"""Standard uncertainties of a size beside the other effects, below which an effect with a time constant is not added:
+what decays resembles much else."""
+
+IN_A_ROW = 0.5
+"""Share of a reading's own deviation that those next to it in its run have at least where they deviate alike."""

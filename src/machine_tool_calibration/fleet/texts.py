@@ -18,7 +18,7 @@ from machine_tool_calibration.words import Said, Verbatim, enumeration, say, tog
 # Sentences of a trend that tell why a machine needs attention.
 _ALARMING = ("trend.says_jump", "trend.says_drift", "trend.says_exceeded", "trend.says_open")
 # Sentences and machines that a line names.
-_MOST, _NAMED = 3, 8
+_MOST_SENTENCES, _NAMED = 3, 8
 
 
 def identified_table(done: Sequence[Done[Place, Identified]]) -> TextTable:
@@ -114,8 +114,8 @@ def machines_table(fleet: Machines, machines: Sequence[Machine]) -> TextTable:
     rows = []
     for one in machines:
         words = list(reasons_of(one))
-        more = [say("fleet.more", n=len(words) - _MOST)] if len(words) > _MOST else []
-        rows.append((Verbatim(one.name), *_state(one), together([*words[:_MOST], *more])))
+        more = [say("fleet.more", n=len(words) - _MOST_SENTENCES)] if len(words) > _MOST_SENTENCES else []
+        rows.append((Verbatim(one.name), *_state(one), together([*words[:_MOST_SENTENCES], *more])))
     columns = heads("machine", "last_session", "sessions", "error_now", "largest_u_of", "attention")
     return TextTable(say("fleet.section_attention"), columns, tuple(rows), say("fleet.note"))
 

@@ -331,10 +331,10 @@ class Neighbours:
         return out
 
     def in_a_row(self, which: IntArray, residual: Array) -> BoolArray:
-        """(k,) whether several next to a reading deviate in its sense, none by less than half as much."""
+        """(k,) whether several next to a reading deviate in its sense, none by much less."""
         along, values = self.run.near(which, residual)
         own = residual[which][:, None]
-        alike = values * np.sign(own) > 0.5 * np.abs(own)
+        alike = values * np.sign(own) > priors.IN_A_ROW * np.abs(own)
         before, after = alike[:, along < 0][:, ::-1], alike[:, along > 0]
         count = sum(np.cumprod(side, axis=1).sum(axis=1) for side in (before, after))
         return np.asarray(count >= priors.AGREEING)

@@ -8,10 +8,10 @@ from scipy import spatial, special
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.observations import SAME_POSITION
 
-# Fewer places than this have no pattern; of more than this some are looked at. Nearest places per axis that moved.
-_FEWEST, _MOST, _BESIDE = 12, 1500, 2
-_STILL = 1e-6  # m
+# Fewer places than this have no pattern, and more than this are not compared; nearest places per axis that moved.
+_FEWEST_PLACES, _MOST_PLACES, _NEAREST = 12, 1500, 2
 
 
 def alike_beside_p(fit: Fit) -> float | None:
@@ -30,14 +30,14 @@ def alike_beside_p(fit: Fit) -> float | None:
     columns, place = observations.readings.columns, observations.place
     first = np.unique(place, return_index=True)[1]
     mean = (np.bincount(place, fit.residuals) / np.bincount(place))[place[first]]
-    if not _FEWEST <= len(first) <= _MOST:
+    if not _FEWEST_PLACES <= len(first) <= _MOST_PLACES:
         return None
     seen = [np.round(along * 1e6) for along in observations.direction[first].T]
     seen += [columns[name][first] for name in ("dir_x", "dir_y", "dir_z", "dir_c") if name in columns]
     kind = groups(observations.readings.setup[first], *seen)
     where = observations.position[first]
     mean = mean - (np.bincount(kind, mean) / np.bincount(kind))[kind]
-    pairs = _beside(where, kind, _BESIDE * int((np.ptp(where, axis=0) > _STILL).sum()))
+    pairs = _beside(where, kind, _NEAREST * int((np.ptp(where, axis=0) > SAME_POSITION).sum()))
     if not pairs.any() or not mean.any():
         return None
     return float(special.ndtr(-_moran(mean, pairs)))
