@@ -24,9 +24,9 @@ from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.measurement import Setting, measure
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
 from machine_tool_calibration.procedure import parse_procedure, read_procedure
+from machine_tool_calibration.simulation.site import SiteSpec
 from machine_tool_calibration.simulation.spec import FlawSpec
 
 KINDS = {

@@ -9,6 +9,7 @@ one first; with --shutdown it ends their processes, too. In a namespace: --ros-a
 """
 
 import argparse
+import signal
 import sys
 from typing import Any
 
@@ -71,16 +72,23 @@ def main() -> None:
     parser.add_argument("names", nargs="+", metavar="NODE", help="in the order in which they are taken up")
     parser.add_argument("--shutdown", action="store_true", help="end their processes at the end, too")
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is this program's own
-    down = {**DOWN, **(END if options.shutdown else {})}
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    # Ctrl-C is this program's own. A KeyboardInterrupt would be lost where it comes within the destructor of a Future:
+    # Python only prints "Exception ignored in ...".
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGINT, stop)
     manager = Manager(options.names)
-    try:
-        while all([manager.bring(name, UP) for name in manager.names]):
-            rclpy.spin_once(manager.node, timeout_sec=1.0)
-        print("a node cannot be taken up", file=sys.stderr)
-    except KeyboardInterrupt:
-        for name in reversed(manager.names):
-            manager.bring(name, down)
+    while not stopped:
+        if not all([stopped or manager.bring(name, UP) for name in manager.names]):
+            raise SystemExit("a node cannot be taken up")
+        rclpy.spin_once(manager.node, timeout_sec=0.2)
+    for name in reversed(manager.names):
+        manager.bring(name, {**DOWN, **(END if options.shutdown else {})})
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ from launch.substitutions import LaunchConfiguration
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.graph import graph_parameters, managed_nodes, refuse_unknown, switches
 from machine_tool_calibration.nodes.measurement import site_document
-from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.simulation.site import read_site
 
 CONFIG = Path(get_package_share_directory("machine_tool_calibration"), "config")
 ARGUMENTS = {

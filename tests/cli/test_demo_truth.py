@@ -12,8 +12,8 @@ import pytest
 
 from machine_tool_calibration.cli.demo import _HIDDEN, COMPARED, error_against_truth, map_error
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation.site import Site, SiteSpec
 
 SIZE = 3e-6
 
@@ -30,8 +30,8 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Any:
     for k, position in enumerate(readings.position()):
         commanded = dict(zip("xyz", map(float, position), strict=True))
         approach = {a: int(readings.column(f"dir_{a}")[k]) for a in "xyz"}
-        moment = Moment(float(readings.column("time")[k]), commanded, approach)
-        deviation.append(site.functional_point(moment)[0] - position[0])
+        moment = site.moment(float(readings.column("time")[k]), commanded, approach)
+        deviation.append(site.functional_point(moment)[0, 0] - position[0])
     return SimpleNamespace(
         output=folder, session=session.with_readings(replace(readings, displacement=np.array(deviation)))
     )

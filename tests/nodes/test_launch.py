@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.measurement import NODES
-from machine_tool_calibration.nodes.site import read_site
+from machine_tool_calibration.simulation.site import read_site
 
 LAUNCH = Path(__file__).parents[2] / "launch"
 

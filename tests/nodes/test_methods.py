@@ -12,10 +12,10 @@ from machine_tool_calibration.cli.demo import error_against_truth
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.site import Site, SiteSpec
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
 # not the usual sizes, which the simulator would change to suit the method
@@ -135,7 +135,7 @@ def test_a_pointer_turns_about_a_target_that_stands_still(bench, finish):
     azimuth, displacement = (np.array([row[name] for row in columns]) for name in ("azimuth", "displacement"))
     true = Site(SiteSpec.model_validate(site))
     place = {axis: columns[0][axis] for axis in "xyz"}
-    stands = true.functional_point(Moment(0.0, place, {}))[:2]
+    stands = true.functional_point(true.moment(0.0, place))[0, :2]
     found = rotation_centre(azimuth, displacement, stands)
     station = true.station(read_procedure(procedure_file("pointer_centre")).session, 0)
     assert np.abs(station[:2] - setup["position"][:2]).max() > 5e-5

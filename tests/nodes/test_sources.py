@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from machine_tool_calibration.instruments.samples import Batch, NotYet, Recent, is_steady
 from machine_tool_calibration.nodes.environment import interpolate
-from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.samples import Batch, NotYet, Recent, is_steady
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.simulated_source import SimulatedSource
-from machine_tool_calibration.nodes.site import Beam, Moment, Site, SiteSpec
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.simulation.interferometer import SimulatedSource
+from machine_tool_calibration.simulation.optics import make_optics
+from machine_tool_calibration.simulation.site import Beam, Site, SiteSpec
 
 from .conftest import SITE
 
@@ -170,7 +170,7 @@ def test_the_streams_noise_has_the_declared_size(source):
 
 def test_a_site_is_the_same_for_every_process():
     one, two = Site(SiteSpec(**SITE)), Site(SiteSpec(**SITE))
-    moment = Moment(12.0, {"x": 0.1, "y": 0.2}, {"x": 1, "y": -1})
+    moment = one.moment(12.0, {"x": 0.1, "y": 0.2}, {"x": 1, "y": -1})
     assert one.functional_point(moment).tolist() == two.functional_point(moment).tolist()
     assert one.sensed(7.0) == two.sensed(7.0)
 

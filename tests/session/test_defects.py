@@ -14,10 +14,10 @@ from machine_tool_calibration.budget.contributor import read_budget
 from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.importing.text_table import parse_form
-from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.reports.history_file import read_history
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation.machine_file import read_machine
+from machine_tool_calibration.simulation.site import read_site
 from machine_tool_calibration.simulation.spec import read_spec, spec_from
 
 Y, C = "session.yaml", "observations.csv"

@@ -54,7 +54,7 @@ def test_live_readings_are_those_of_the_session():
             return self.values[column["time"] == time[0]]
 
     environment = Environment({name: Recorded(np.nan, values=column[name]) for name in COLUMNS})
-    live = LiveMachine.prepare(plain.truth.machine, simulated.truth.effects, environment)
+    live = LiveMachine(plain.truth.machine, simulated.truth.effects, environment)
     path, first = [], {}
     for row in range(len(session.readings)):
         setup = int(session.readings.setup[row])
@@ -84,7 +84,7 @@ def test_live_table_is_that_of_the_session():
     simulated = simulate(SimulationSpec(plan=RotaryPlan(both_ways=True), seed=3, noise_factor=0, effects=effects))
     column, judged = simulated.session.readings.columns, simulated.truth.expected
     row = 25
-    live = LiveMachine.prepare(simulated.truth.machine, simulated.truth.effects)
+    live = LiveMachine(simulated.truth.machine, simulated.truth.effects)
     now = live.scene(column["time"][row], np.zeros(3), {"C": column["dir_c"][row]}, angle=column["c"][row])
     moved = live.on_table(now, np.array(judged["targets"]["P"]))[0]
     still = simulated.truth.machine.on_table(np.array(judged["targets"]["P"]), column["c"][row : row + 1])[0]
@@ -107,7 +107,7 @@ def test_many_moments_at_once_are_each_alone():
             "reversal_EBX",
         )
     ]
-    live = LiveMachine.prepare(machine, flaws, random_environment(np.random.default_rng(2)))
+    live = LiveMachine(machine, flaws, random_environment(np.random.default_rng(2)))
     time = np.linspace(0, 100, 11)
     place = np.column_stack([np.linspace(0, 0.3, 11), np.full(11, 0.1), np.zeros(11)])
     together = live.functional_point(live.scene(time, place, {"X": 1.0}))

@@ -85,7 +85,46 @@ _ENDING = re.compile(r"\.[A-Za-z]\w{1,4}")  # a folder's name may hold a point t
 _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
 
-@click.command("convert")
+HELP = """Convert sessions, recordings and tables into one another, and tables of other programs into sessions.
+
+SOURCE is a session folder or a recording. Numbers stay the same to the last bit. `--to csv` and `--to parquet` with
+a recording and a folder as TARGET write every topic into a table of its own; with a file as TARGET, the readings
+into that one table.
+
+\b
+mtcal convert session bag
+mtcal convert bag session
+mtcal convert bag readings.csv
+mtcal convert bag tables --to parquet
+mtcal convert readings.csv session --description session.yaml     back again
+mtcal convert session mended --separator semicolon --decimal comma    after a spreadsheet had it
+
+With --table or --mapping, SOURCE is a text table of another program: a part or plate measured on a CMM, targets
+measured by a laser tracker, readings by ISO 230-2, or the readings of any method. Several of the same form become
+one session, each with setups of its own. Nothing is guessed: columns and units are named, and --dry-run shows what
+would be read. What looks like another unit is refused; --trust-units takes it as it is, and so does everything that
+reads the session.
+
+\b
+A drilled plate on a CMM, with decimal commas:
+  mtcal convert plate.csv plate --table points --separator semicolon --decimal comma --encoding latin-1 \\
+    --column x=NominalX --column y=NominalY --column "actual_x=X mess" --column "actual_y=Y mess" --unit mm \\
+    --chain w-Y-X-b-Z-t --uncertainty 1.5um --term EXX --term EYY --term EYX --term EXY --term C0Y
+Targets measured by a tracker from several stations, each in its own frame:
+  mtcal convert tracker.txt volume --mapping tracker.yaml --align --dry-run
+Distances only, from four stations or more, as a tracking interferometer:
+  mtcal convert tracker.txt multilateration --table ranges --column setup=Station --column range=Dist \\
+    --column x=X --column y=Y --column z=Z --unit mm --station "S1=-900, 200, 350 mm" …
+A positioning run, columns Position, 1 up, 1 down, 2 up, 2 down …, by ISO 230-2:
+  mtcal convert x_axis.csv x_axis --table iso230-2 --axis x --column position=Position \\
+    --unit mm --unit deviation=um --chain w-X-b-t --uncertainty 0.3um
+Readings of a step diagonal or any other method, in columns named as those of observations.csv but for --column:
+  mtcal convert steps.csv steps --table readings --description session.yaml --unit mm \\
+    --column "displacement=Reading [um]"
+"""
+
+
+@click.command("convert", help=HELP)
 @click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=PATH)
 @click.option(
     "--to",
@@ -117,43 +156,7 @@ def command(
     dry_run: bool,
     **foreign: Any,
 ) -> None:
-    """Convert sessions, recordings and tables into one another, and tables of other programs into sessions.
-
-    SOURCE is a session folder or a recording. Numbers stay the same to the last bit. `--to csv` and `--to parquet` with
-    a recording and a folder as TARGET write every topic into a table of its own; with a file as TARGET, the readings
-    into that one table.
-
-    \b
-    mtcal convert session bag
-    mtcal convert bag session
-    mtcal convert bag readings.csv
-    mtcal convert bag tables --to parquet
-    mtcal convert readings.csv session --description session.yaml     back again
-    mtcal convert session mended --separator semicolon --decimal comma    after a spreadsheet had it
-
-    With --table or --mapping, SOURCE is a text table of another program: a part or plate measured on a CMM, targets
-    measured by a laser tracker, readings by ISO 230-2, or the readings of any method. Several of the same form become
-    one session, each with setups of its own. Nothing is guessed: columns and units are named, and --dry-run shows what
-    would be read. What looks like another unit is refused; --trust-units takes it as it is, and so does everything that
-    reads the session.
-
-    \b
-    A drilled plate on a CMM, with decimal commas:
-      mtcal convert plate.csv plate --table points --separator semicolon --decimal comma --encoding latin-1 \\
-        --column x=NominalX --column y=NominalY --column "actual_x=X mess" --column "actual_y=Y mess" --unit mm \\
-        --chain w-Y-X-b-Z-t --uncertainty 1.5um --term EXX --term EYY --term EYX --term EXY --term C0Y
-    Targets measured by a tracker from several stations, each in its own frame:
-      mtcal convert tracker.txt volume --mapping tracker.yaml --align --dry-run
-    Distances only, from four stations or more, as a tracking interferometer:
-      mtcal convert tracker.txt multilateration --table ranges --column setup=Station --column range=Dist \\
-        --column x=X --column y=Y --column z=Z --unit mm --station "S1=-900, 200, 350 mm" …
-    A positioning run, columns Position, 1 up, 1 down, 2 up, 2 down …, by ISO 230-2:
-      mtcal convert x_axis.csv x_axis --table iso230-2 --axis x --column position=Position \\
-        --unit mm --unit deviation=um --chain w-X-b-t --uncertainty 0.3um
-    Readings of a step diagonal or any other method, in columns named as those of observations.csv but for --column:
-      mtcal convert steps.csv steps --table readings --description session.yaml --unit mm \\
-        --column "displacement=Reading [um]"
-    """
+    """Convert sessions, recordings and tables into one another, and tables of other programs into sessions."""
     from machine_tool_calibration.recording.open import is_session_folder
 
     sources, target = _sources_and_target(paths, dry_run=dry_run)

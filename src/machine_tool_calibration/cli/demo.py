@@ -17,7 +17,6 @@ from machine_tool_calibration.cli.output import json_option, progress_bar, tell_
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.reports.documents import plain
@@ -26,6 +25,7 @@ from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
+from machine_tool_calibration.simulation.site import Site, SiteSpec, read_site
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement
@@ -118,7 +118,7 @@ def _positions(site: Site, points: Array) -> Array:
     """(n, 3) true error of the tool's position at commanded points, m."""
     upwards = dict.fromkeys("xyz", 1)
     rows = [dict(zip("xyz", (float(v) for v in row), strict=True)) for row in points]
-    return np.asarray(np.array([site.functional_point(Moment(0.0, row, upwards)) for row in rows]) - points)
+    return np.asarray(np.vstack([site.functional_point(site.moment(0.0, row, upwards)) for row in rows]) - points)
 
 
 def _carried(site: Site, result: Result) -> tuple[Array, Array]:
@@ -134,7 +134,7 @@ def _carried(site: Site, result: Result) -> tuple[Array, Array]:
     out, free = np.zeros_like(points), np.zeros((6, *points.shape))
     of_point = np.repeat(angles, len(points) // len(angles))
     for c in angles:
-        origin, turn = site.table(Moment(0.0, {"c": float(c)}, {"c": 1}))
+        origin, turn = site.table(site.moment(0.0, {"c": float(c)}, {"c": 1}))
         cosine, sine = np.cos(sign * c), np.sin(sign * c)
         ideal = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         mine = of_point == c
@@ -153,8 +153,8 @@ def _deviations(site: Site, result: Result) -> MapError:
     for k, position in enumerate(observations.position):
         commanded = dict(zip(names, (float(v) for v in position), strict=True))
         approach = {a: int(readings.columns[f"dir_{a}"][k]) for a in names if f"dir_{a}" in readings.columns}
-        moment = Moment(float(readings.column("time")[k]), commanded, dict.fromkeys(names, 1) | approach)
-        true.append((site.functional_point(moment) - position) @ observations.direction[k])
+        moment = site.moment(float(readings.column("time")[k]), commanded, dict.fromkeys(names, 1) | approach)
+        true.append((site.functional_point(moment)[0] - position) @ observations.direction[k])
     actual = np.array(true) - np.mean(true)
     found = readings.displacement - result.fit.residuals
     return MapError((found - found.mean() - actual)[:, None], rms(actual))

@@ -25,11 +25,13 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from machine_tool_calibration.export.compensation import Compensation, Exported
     from machine_tool_calibration.methods.fitted import FitRequest
+    from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.fit import JointFit
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.identification import Measured
 
 
@@ -51,7 +53,27 @@ _FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "
 _PICTURE = "what_is_left.png"
 
 
-@click.command("export")
+HELP = """Write compensation tables for a controller, and show what would be left of the errors.
+
+MEASUREMENT is a session folder or a recording; several of one machine are fitted together. Without --model it is
+one that has tables, such as rigid_body. The files say sign, units, reference point and squareness convention. The
+preview reads the written files as the controller does and compares the errors before and after: a wrong sign would
+double them. What the model holds and the format cannot, such as backlash in most of them, is in the errors before
+and after, and named.
+
+\b
+mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
+mtcal export session --format linuxcnc-trims  the same with COMP_FILE_TYPE 1: what is added, not where it went
+mtcal export session --format siemens --plot  SINUMERIK 840D: positioning, straightness with squareness; a picture
+mtcal export session --format fanuc           pitch error data and parameters 3620 to 3624; positioning errors only
+mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
+mtcal export bag --format etalon              the same, Etalon Exchange
+mtcal export x_axis plate --format json       two sessions together
+mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
+"""
+
+
+@click.command("export", help=HELP)
 @click.argument("measurements", metavar="MEASUREMENT…", nargs=-1, required=True, type=PATH)
 @click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="Whose tables.")
 @click.option(
@@ -74,24 +96,7 @@ def command(
     topics: dict[str, str],
     as_json: bool,
 ) -> None:
-    """Write compensation tables for a controller, and show what would be left of the errors.
-
-    MEASUREMENT is a session folder or a recording; several of one machine are fitted together. Without --model it is
-    one that has tables, such as rigid_body. The files say sign, units, reference point and squareness convention. The
-    preview reads the written files as the controller does and compares the errors before and after: a wrong sign would
-    double them. What the model holds and the format cannot, such as backlash in most of them, is in the errors before
-    and after, and named.
-
-    \b
-    mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
-    mtcal export session --format linuxcnc-trims  the same with COMP_FILE_TYPE 1: what is added, not where it went
-    mtcal export session --format siemens --plot  SINUMERIK 840D: positioning, straightness with squareness; a picture
-    mtcal export session --format fanuc           pitch error data and parameters 3620 to 3624; positioning errors only
-    mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
-    mtcal export bag --format etalon              the same, Etalon Exchange
-    mtcal export x_axis plate --format json       two sessions together
-    mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
-    """
+    """Write compensation tables for a controller, and show what would be left of the errors."""
     from machine_tool_calibration.export.compensation import compensation
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
@@ -112,22 +117,9 @@ def command(
     result = fit.result
     suspicious = suspicions(fit.chosen.sessions, fit.chosen.labels)
     folder = output or Path(f"compensation_{form}")
-    picture = folder / _PICTURE if plot else None
-    _save(folder, made.files, pictures=(_PICTURE,) if plot else ())
-    if plot:
-        from machine_tool_calibration.plots.compensation import draw_compensation
-
-        save_picture(partial(draw_compensation, made.errors, f"{form}: {source}"), picture, found.origin)
-    document = {
-        "to": form,
-        "folder": folder,
-        "pictures": [picture] if plot else [],
-        "model": result.model_name if isinstance(result, Result) else list(result.model_names),
-        "reduced_chi_square": result.joint.reduced_chi_square,
-        "p_value": result.joint.p_value,
-        "suspicious": suspicious,
-        **_document(found, made),
-    }
+    pictures = _save(folder, found, made, f"{form}: {source}" if plot else "")
+    document = {"to": form, "folder": folder, "pictures": pictures, "suspicious": suspicious}
+    document |= _document(result, found, made)
     written = [folder / name for name in made.files]
     absent = [absent_words(made)] if made.absent else []
     tell_either(document, [*map(str, written), left_table(made), *absent, *suspicion_words(suspicious)], as_json)
@@ -142,10 +134,13 @@ def command(
         note(f"warning: {harm}")
 
 
-def _document(found: Compensation, made: Exported) -> dict[str, Any]:
-    """What the files hold and what they would leave."""
+def _document(result: Result | JointResult, found: Compensation, made: Exported) -> dict[str, Any]:
+    """What was fitted, what the files hold and what they would leave."""
     return {
         "format": "mtcal-exported/1",
+        "model": list(result.model_names) if hasattr(result, "model_names") else result.model_name,
+        "reduced_chi_square": result.joint.reduced_chi_square,
+        "p_value": result.joint.p_value,
         "files": list(made.files),
         "provenance": found.origin.document(),
         "tables": [table.name for table in found.tables.tables],
@@ -170,10 +165,17 @@ def _with_tables(wanted: Wanted, measured: Measured) -> FitRequest:
     return replace(chosen, model=model or spec_of(chosen.sessions[0]).tables)
 
 
-def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
-    for name in (*files, *pictures):
-        if (folder / name).exists():
-            raise CalibrationError(f"{folder / name}: is there already; choose another folder with -o")
+def _save(folder: Path, found: Compensation, made: Exported, title: str) -> list[Path]:
+    """Write the files, and with a title the picture, which is given."""
+    picture = [folder / _PICTURE] if title else []
+    for path in (*(folder / name for name in made.files), *picture):
+        if path.exists():
+            raise CalibrationError(f"{path}: is there already; choose another folder with -o")
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in files.items():
+    for name, text in made.files.items():
         (folder / name).write_text(text, encoding="utf-8")
+    if picture:
+        from machine_tool_calibration.plots.compensation import draw_compensation
+
+        save_picture(partial(draw_compensation, made.errors, title), picture[0], found.origin)
+    return picture

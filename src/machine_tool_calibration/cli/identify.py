@@ -92,14 +92,9 @@ def command(
         fit = wanted.fit(sessions, progress, lambda own: replace(own.chosen, keep_all=keep_all or own.chosen.keep_all))
         if folder:
             progress("drawing")
-            with writing(folder):
-                written = _write(fit, folder, result_file=output is not None)
+            written = _write(fit, folder, result_file=output is not None)
         if table:
-            from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
-
-            values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
-            with writing(table):
-                written.append(write_table(values, table, fit.result.provenance))
+            written.append(_write_values(fit, table, units))
     tell(fit, as_json)
     for path in () if as_json else written:
         console().print(f"written: {path}")
@@ -129,8 +124,17 @@ def _identify_each(
 
 def _write(fit: Fit, folder: Path, *, result_file: bool) -> list[Path]:
     written = []
-    folder.mkdir(parents=True, exist_ok=True)
-    if result_file:
-        written.append(folder / "result.json")
-        written[0].write_text(to_json(fit.document()) + "\n", encoding="utf-8")
-    return written + fit.save_pictures(folder)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if result_file:
+            written.append(folder / "result.json")
+            written[0].write_text(to_json(fit.document()) + "\n", encoding="utf-8")
+        return written + fit.save_pictures(folder)
+
+
+def _write_values(fit: Fit, table: Path, units: str) -> Path:
+    from machine_tool_calibration.reports.result_tables import in_shop_units, tidy
+
+    values = in_shop_units(tidy(fit.result)) if units == "um" else tidy(fit.result)
+    with writing(table):
+        return write_table(values, table, fit.result.provenance)

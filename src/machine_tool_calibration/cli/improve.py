@@ -87,30 +87,25 @@ def command(measurements: tuple[Path, ...], wanted: Wanted, output: Path | None,
     from machine_tool_calibration.reports.history_file import history_path, read_history
 
     measured, kept = wanted.open(measurements), history_path(*measurements)
-    chosen = measured.chosen
-    if history:
-        # A damaged history is reported before a long calculation, not after it.
+    if history:  # a damaged one is reported before a long calculation, not after it
         read_history(kept)
     with progress_bar() as progress:
-        done = improve(chosen, progress=progress)
+        done = improve(measured.chosen, progress=progress)
     # What is to be kept is written before anything is printed: the reader of the output may go away. What cannot be
     # written is said at the end, and loses nothing else.
-    written: list[Path] = []
-    words, failed = "", list[str]()
+    written, words, failed = list[Path](), "", list[str]()
     if history:
         try:
-            written, words = _keep_models(done, chosen.sessions, kept)
+            written, words = _keep_models(done, measured.chosen.sessions, kept)
         except SessionError as error:
             failed.append(f"{error}; the models are not kept (--no-history does without)")
-    if output is None:
-        names = "+".join(path.absolute().name for path in measurements)
-        output = Path("mtcal_output") / f"improve_{names}"
+    folder = output or Path("mtcal_output", f"improve_{'+'.join(path.absolute().name for path in measurements)}")
     with progress_bar() as progress:
         progress("drawing")
         try:
-            written = [*save_improvement(done, output), *written]
+            written = [*save_improvement(done, folder), *written]
         except OSError as error:
-            why = f"{error.filename or output}: cannot be written: {error.strerror}; -o names another folder"
+            why = f"{error.filename or folder}: cannot be written: {error.strerror}; -o names another folder"
             failed.insert(0, why)
     try:
         measurement = Measurement(measured.recorded, tuple(session_labels(measurements)))

@@ -12,12 +12,12 @@ import click
 from machine_tool_calibration.budget.enough import Until
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
-from machine_tool_calibration.nodes.measurement import NODES, Setting, free_folder, measure
+from machine_tool_calibration.nodes.measurement import NODES, Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.site import SiteSpec, read_site
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.reports.planning import reached_parts
 from machine_tool_calibration.reports.tables import Part
+from machine_tool_calibration.simulation.site import SiteSpec, read_site
 
 
 def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
@@ -114,7 +114,15 @@ def command(
             file = _soonest(file, wanted, setting.model or None, folder)
         with readings_bar() as progress:
             measured = measure(file, setting, progress)
-    document = {
+    parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]
+    parts += [result_table(measured), files_table(measured)]
+    if measured.result is not None and measured.session_folder is not None:
+        parts.append(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
+    tell_either(_document(measured, reaches=wanted is not None), parts, as_json)
+
+
+def _document(measured: Measured, *, reaches: bool) -> dict[str, Any]:
+    return {
         "format": "mtcal-run/1",
         "output": measured.output,
         "session": measured.session_folder,
@@ -123,11 +131,6 @@ def command(
         "seconds": measured.seconds[1],
         "counters": measured.counters,
         "remarks": measured.remarks,
-        **({"reached": [one.document() for one in measured.reached]} if wanted is not None else {}),
+        **({"reached": [one.document() for one in measured.reached]} if reaches else {}),
         "result": measured.result,
     }
-    parts: list[Part] = [*measured.remarks, *(reached_parts(measured.reached) if wanted is not None else ())]
-    parts += [result_table(measured), files_table(measured)]
-    if measured.result is not None and measured.session_folder is not None:
-        parts.append(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
-    tell_either(document, parts, as_json)

@@ -77,8 +77,6 @@ def command(
     size: float | None,
     amplitude: float | None,
     machine: Path | None,
-    spread: float | None,
-    chips: float | None,
     overwrite: bool,
     listed: bool,
     as_json: bool,
@@ -101,11 +99,6 @@ def command(
         if len(chosen) != 1:
             raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
         chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
-    fields: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
-    if spread is not None:
-        fields["spread"] = {"slope": spread, "bow": spread}
-    if chips is not None:
-        fields["chips"] = {"fraction": chips}
     spec = spec_from(
         read_spec(paths[0]) if len(paths) == 2 else None,
         method=method,
@@ -113,7 +106,7 @@ def command(
         plan=plan,
         machine=machine,
         effects=chosen,
-        fields=fields,
+        fields={name: value for name, value in numbers.items() if value is not None},
     )
     simulated = simulate(spec)
     _write(simulated, spec, paths[-1], overwrite)

@@ -183,15 +183,7 @@ def simulate(
     if plan not in PRESETS and plan not in PLANS:
         known = ", ".join(dict.fromkeys([*PLANS, *PRESETS]))
         raise CalibrationError(f"no plan {plan!r}; there are {known}")
-    fields: dict[str, Any] = {
-        "seed": seed,
-        "noise": noise,
-        "noise_factor": noise_factor,
-        "repeatability": repeatability,
-        "spread": {"slope": spread, "bow": spread},
-        "chips": {"fraction": chips} if chips else None,
-        "missing": missing,
-    }
+    fields = {"seed": seed, "noise": noise, "noise_factor": noise_factor, "repeatability": repeatability}
     spec = spec_from(
         None,
         method=None if plan in PRESETS else plan,
@@ -199,7 +191,7 @@ def simulate(
         plan=settings,
         machine=None if machine is None else os.fspath(machine),
         effects=_flaws(effects),
-        fields=fields,
+        fields={**fields, "spread": spread, "chips": chips or None, "missing": missing},
     )
     simulated = simulated_by(spec)
     return Measurement((simulated.session,), (plan,), simulated.truth.document())

@@ -17,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.commanded import executed_message
+from machine_tool_calibration.nodes.descriptions import declare_site
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     STATE,
@@ -31,8 +32,8 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_of
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
+from machine_tool_calibration.simulation.site import Site, read_site
 
 _HEARTBEAT = 0.2  # s of the wall clock
 _DAY = 86_400.0  # s
@@ -64,6 +65,7 @@ class AxisSimulator(ManagedNode):
         self._turned: tuple[np.ndarray, Quaternion] | None = None
         self._turning = True
         self._known: object = None
+        self._moment = self.site.moment(0.0, home)
         self._random = np.random.default_rng([self.site.spec.seed, 23])
 
         self._states = self.create_publisher(JointState, "joint_states", STATE)
@@ -192,19 +194,16 @@ class AxisSimulator(ManagedNode):
         if self._ticks is not None:
             self._ticks.publish(ClockMessage(clock=to_message(self._simulated_now)))
 
-    def _moment(self, stamp: int) -> Moment:
-        since = seconds(stamp - self._start)
-        directions = self._motion.directions(since, self._directions)
-        return Moment(seconds(stamp - self._origin), self._motion.position(since), directions)
-
     def _publish_truth(self, stamp: int) -> None:
-        moment = self._moment(stamp)
+        since = seconds(stamp - self._start)
+        place, directions = self._motion.position(since), self._motion.directions(since, self._directions)
         # without effects the errors depend on the position alone
-        known = (moment.position, moment.direction, stamp if self.site.chosen else 0)
+        known = (place, directions, stamp if self.site.flaws else 0)
         if known != self._known:
-            self._known, self._point = known, self.site.functional_point(moment)
-            self._rotation = quaternion_of(self.site.tool_rotation(moment))
-            self._turned = None
+            self._known, self._turned = known, None
+            self._moment = self.site.moment(seconds(stamp - self._origin), place, directions)
+            self._point = self.site.functional_point(self._moment)[0]
+            self._rotation = quaternion_of(self.site.tool_rotation(self._moment)[0])
         self._truth.publish(pose_message(stamp, self._point + self._offset, self._rotation))
         if self._turning:
             self._publish_table(stamp)
@@ -213,7 +212,7 @@ class AxisSimulator(ManagedNode):
         if not self.site.table_axis:
             return
         if self._turned is None:
-            place, rotation = self.site.table(self._moment(stamp))
+            place, rotation = self.site.table(self._moment)
             self._turned = place, quaternion_of(rotation)
         self._table.publish(pose_message(stamp, *self._turned))
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import threading
 import time
 import uuid
@@ -105,6 +106,10 @@ class Client:
         self._probes: dict[str, Subscription] = {}
         self._known: set[str] = set()  # nodes that know the clients of their services
         self._goals: dict[str, Call] = {}  # which call began a calculation
+        self._spinning = self._is_interrupted = False
+        is_main = threading.current_thread() is threading.main_thread()
+        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._interrupt)
         self._subscribe(self.heard)
         self.node.every(_LOOK, self._look_around)
 
@@ -131,6 +136,8 @@ class Client:
     def close(self) -> None:
         """Leave the graph."""
         self._over.set()
+        if signal.getsignal(signal.SIGINT) == self._interrupt:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         if self._thread.is_alive():
             self._thread.join()
         self._executor.shutdown()
@@ -159,8 +166,19 @@ class Client:
                 return False
             if watched:
                 self._watch()
+            self._spinning = True
             self._executor.spin_once(timeout_sec=_SPIN)
+            self._spinning = False
+            if self._is_interrupted:
+                self._is_interrupted = False
+                raise KeyboardInterrupt
         return True
+
+    def _interrupt(self, *_: object) -> None:
+        """Ctrl-C waits while messages are handled: an exception that comes in the destructor of a future is lost."""
+        if not self._spinning:
+            raise KeyboardInterrupt
+        self._is_interrupted = True
 
     @property
     def readings(self) -> list[Reading]:

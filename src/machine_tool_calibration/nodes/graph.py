@@ -217,19 +217,15 @@ def managed_nodes(
     *,
     autostart: bool,
 ) -> list[Any]:
-    """The actions that start nodes of this package.
-
-    That they go to their active state is told them by a parameter: a transition that `launch` asks for by a service is
-    lost, now and then, where the node has not discovered `launch` yet.
-
-    A node that only listens is started again where it fails: it gets all readings anew. The launch goes on.
+    """The actions that start nodes of this package; one that only listens is started again where it fails.
 
     Args:
         parameters: of each node, by its name; they count more than those of the file.
         namespace: of all; `/clock` is remapped into it, as it is absolute and two graphs would share it.
         file: of ROS parameters.
         on_exit: called when one ends that does not only listen.
-        autostart: whether they are configured and activated; else a lifecycle manager does it.
+        autostart: whether they configure and activate themselves, which a parameter tells them: a transition that
+            `launch` asks for is lost, now and then, where the node has not discovered it yet.
     """
     from launch.actions import LogInfo
     from launch_ros.actions import LifecycleNode

@@ -25,10 +25,10 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
+from machine_tool_calibration.instruments.samples import Batch, DriverSource, NotYet, Recent, Window
 from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
-from machine_tool_calibration.nodes.descriptions import description_of
+from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
-from machine_tool_calibration.nodes.optics import make_optics
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     STATE,
@@ -41,9 +41,9 @@ from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import place_of, rotation_of
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.samples import Batch, DriverSource, NotYet, Recent, Window
-from machine_tool_calibration.nodes.simulated_source import SimulatedSource
-from machine_tool_calibration.nodes.site import Beam, Site, declare_site, read_site
+from machine_tool_calibration.simulation.interferometer import SimulatedSource
+from machine_tool_calibration.simulation.optics import make_optics
+from machine_tool_calibration.simulation.site import Beam, Site, read_site
 
 _GRACE = 0.5  # s of the wall clock: messages about the axes and the beam may arrive in either order
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,12 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, graph_parameters
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
-from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.nodes.stages import Stages
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation.site import SiteSpec
 
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 120.0  # s until all nodes have found each other, on a slow machine
@@ -32,6 +33,7 @@ _GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and 
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
 _ON_THE_WAY = 5.0
+_COUNTERS = ("resent", "stale", "unstable", "recoveries", "restarts")
 
 Progress = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
@@ -180,53 +182,34 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     procedure = read_procedure(file)
     if setting.parameters is not None and not setting.parameters.is_file():
         raise CalibrationError(f"{setting.parameters}: no such file")
-    total = len(plan(procedure).steps)
-    output = setting.output
-    output.mkdir(parents=True, exist_ok=True)
-    copy = output / "procedure.yaml"
-    shutil.copyfile(file, copy)
-    site = output / "site.yaml"
-    site.write_text(yaml.safe_dump(site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
-    begin = time.monotonic()
+    output, total = setting.output, len(plan(procedure).steps)
+    nodes, begin = _nodes(setting, file, procedure), time.monotonic()
     with claimed_domain(setting.domain) as domain:
-        nodes = _nodes(setting, copy, site, procedure.session.method)
         graph = Graph(nodes, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
         with graph, Client(domain, graph.namespace, watch=listeners.watch) as client:
-            try:
+            with _keeping(client, output, total):
                 _await_ready(client, list(nodes))
                 listeners.client = client
                 started = time.monotonic()
                 stages = _stages(client, procedure, setting)
                 _run(client, total, progress, stages)
                 measured = time.monotonic() - started
-                total = client.procedure.number("captured")
-                document = _identify(client, listeners, total, progress) if setting.identify else None
-            except (KeyboardInterrupt, CalibrationError) as error:
-                _catch_up(client)
-                kept = _save(client, output)
-                if kept is None:
-                    raise
-                why = str(error) or "interrupted"
-                where = f"{len(kept.readings)} of {total} readings are kept in {output / 'session'}"
-                raise type(error)(f"{why}; {where}") from error
-            progress("closing the recording", total, total)
+                captured = client.procedure.number("captured")
+                document = _identify(client, listeners, captured, progress) if setting.identify else None
+            progress("closing the recording", captured, captured)
             graph.stop(["recorder"])
             session = _save(client, output)
             if session is None:
                 raise CalibrationError("the procedure ended without a reading")
-            counters = {
-                name: client.procedure.number(name)
-                for name in ("resent", "stale", "unstable", "recoveries", "restarts")
-            }
+            counters = {name: client.procedure.number(name) for name in _COUNTERS}
     if document is not None:
         (output / "result.json").write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
-    bag = output / "bag"
     return Measured(
         output=output,
         session=session,
-        bag=bag if bag.exists() else None,
+        bag=_bag(output) if _bag(output).exists() else None,
         result=document,
         domain=domain,
         seconds=(time.monotonic() - begin, measured),
@@ -234,6 +217,21 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         remarks=tuple(listeners.remarks),
         reached=() if stages is None else tuple(stages.reached),
     )
+
+
+@contextmanager
+def _keeping(client: Client, output: Path, total: int) -> Iterator[None]:
+    """Whatever ends the measurement says where its readings are."""
+    try:
+        yield
+    except (KeyboardInterrupt, CalibrationError) as error:
+        # those that the procedure has told of may still be on their way
+        client.wait(lambda: client.heard.count[1] >= client.procedure.number("captured"), _ON_THE_WAY, watched=False)
+        kept = _save(client, output)
+        if kept is None:
+            raise
+        where = f"{len(kept.readings)} of {total} readings are kept in {output / 'session'}"
+        raise type(error)(f"{str(error) or 'interrupted'}; {where}") from error
 
 
 def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
@@ -250,14 +248,23 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     return {"seed": site.seed, "noise": noise, **document}
 
 
-def _nodes(setting: Setting, procedure: Path, site: Path, method: str) -> dict[str, dict[str, Any]]:
+def _bag(output: Path) -> Path:
+    return output / "bag"
+
+
+def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes to be started; what they read is put into the output's folder."""
+    setting.output.mkdir(parents=True, exist_ok=True)
+    copy, site = setting.output / "procedure.yaml", setting.output / "site.yaml"
+    shutil.copyfile(file, copy)
+    site.write_text(yaml.safe_dump(site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
     parameters = graph_parameters(
-        method,
-        procedure.resolve(),
+        procedure.session.method,
+        copy.resolve(),
         site.resolve(),
         simulated_time=setting.simulated_time,
         driver=setting.driver,
-        bag=(setting.output / "bag").resolve(),
+        bag=_bag(setting.output).resolve(),
     )
     parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
     parameters["procedure"] |= {"wait_between_setups": True} if setting.until is not None else {}
@@ -362,11 +369,6 @@ def _is_identified(client: Client, listeners: _Listeners) -> bool:
     """Have the machine's errors identified; false where the estimator was started again meanwhile."""
     before = len(listeners.remarks)
     return bool(client.outcome("estimator/identify", _IDENTIFY, lambda: len(listeners.remarks) != before))
-
-
-def _catch_up(client: Client) -> None:
-    """Hear the readings that the procedure has told of and that are still on their way."""
-    client.wait(lambda: client.heard.count[1] >= client.procedure.number("captured"), _ON_THE_WAY, watched=False)
 
 
 def _save(client: Client, output: Path) -> Session | None:

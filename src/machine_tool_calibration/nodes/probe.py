@@ -12,7 +12,7 @@ The readings are absolute: there is no datum to be set.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import monotonic
 
 import numpy as np
@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import SEARCH, NominalTouch, Part, judge
 from machine_tool_calibration.nodes.commanded import Executions
-from machine_tool_calibration.nodes.descriptions import description_of
+from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
@@ -44,55 +44,9 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Site, declare_site, read_site
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.simulation.disturbance import Sight
-from machine_tool_calibration.simulation.live import LiveMachine
-from machine_tool_calibration.simulation.sensors import probed
-
-_FORM_STREAM = 41
-
-
-class SimulatedPart:
-    """Exact geometry: true place of the sphere, true surface on the true table, with a scatter (`form`, m)."""
-
-    def __init__(self, site: Site, part: Part, form: float) -> None:
-        machine = replace(site.machine, rotation_sign=part.sign)
-        self.live = LiveMachine(machine, site.chosen, site.environment)
-        self.part = part
-        noise = site.spec.noise
-        self.noise = part.description.standard_uncertainty.displacement if noise is None else noise
-        points = part.description.workpiece
-        rng = np.random.default_rng([site.spec.seed, _FORM_STREAM])
-        self.form = form * rng.normal(size=len(points))
-        self._place = np.array([[*point.position, 0.0] for point in points])
-        self._normal = np.array([[*point.normal, 0.0] for point in points])
-        self._normal /= np.linalg.norm(self._normal, axis=1)[:, None]
-
-    def trigger(self, touch: NominalTouch, c: float, z: float, time: float, setup: int) -> float:
-        """Displacement at which the probe triggers, along the outward normal from the nominal surface, m.
-
-        Args:
-            touch: as planned.
-            c: commanded angle, rad.
-            z: commanded height, m.
-            time: s since the origin of the site's time.
-            setup: index of the setup.
-        """
-        normal = np.array([*touch.normal, 0.0])
-        command = np.array([*touch.centre, z])
-        direction = {axis: -1.0 if normal[k] > 0 else 1.0 for k, axis in enumerate("XY")}
-        scene = self.live.scene(time, command, direction, angle=c, setup=setup)
-        centre = self.live.functional_point(scene)[0]
-        nominal, outward = self._place[touch.point], self._normal[touch.point]
-        surface = self.live.on_table(scene, nominal + self.form[touch.point] * outward)
-        facing = self.live.machine.table_direction(outward, np.array([c]))
-        # The workpiece turns in the plane: heights are the probe's own.
-        surface[:, 2], facing[:, 2] = centre[2], 0.0
-        contact = float(probed(centre[None], normal[None], surface, facing, self.part.radius)[0])
-        sight = Sight(np.zeros(1), -normal[None], azimuth=np.arctan2(normal[1:2], normal[:1]))
-        return contact + float(self.live.added(scene, sight)[0])
-
+from machine_tool_calibration.simulation.part import SimulatedPart
+from machine_tool_calibration.simulation.site import Site, read_site
 
 _CHECK = 0.1  # s of the wall clock
 _AGAIN = 1.0  # s of the wall clock after which a command that the axes do not tell of is sent again

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
-from machine_tool_calibration.nodes.descriptions import description_of
+from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     STATE,
@@ -33,9 +33,9 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Beam, Moment, Site, declare_site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
+from machine_tool_calibration.simulation.site import Beam, Site, read_site
 
 _ANGLES = ("azimuth", "elevation")
 _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears where the beam is
@@ -143,13 +143,8 @@ class RotaryPointer(ManagedNode):
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""
         if self._session is None or not self._setup:
-            return self.site.beam(np.zeros(3), azimuth, elevation, Moment(0.0, {}, {}))
+            return self.site.true_beam(self.site.moment(0.0), azimuth, elevation, np.zeros(3))
         index = list(self._stations()).index(self._setup)
-        moment = Moment(
-            time=seconds(stamp - self._origin),
-            position={},
-            direction={},
-            setup=index,
-            setup_start=seconds(self._setup_starts[self._setup] - self._origin),
-        )
-        return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
+        start = seconds(self._setup_starts[self._setup] - self._origin)
+        moment = self.site.moment(seconds(stamp - self._origin), setup=index, start=start)
+        return self.site.true_beam(moment, azimuth, elevation, self.site.station(self._session, index))

@@ -24,7 +24,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.plan import plan
-from machine_tool_calibration.procedure.steps import Step, sensing_direction
+from machine_tool_calibration.procedure.steps import Step
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
@@ -239,7 +239,7 @@ def _nominal(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 
 def directly(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """No deviation, along the direction that is sensed."""
-    direction, n = sensing_direction(procedure.session.as_a(Direct)), len(steps)
+    direction, n = procedure.session.as_a(Direct).sense, len(steps)
     return np.zeros(n), {f"g{axis}": np.full(n, direction[j]) for j, axis in enumerate("xyz")}, {}
 
 

@@ -19,7 +19,7 @@ from machine_tool_calibration.procedure import events
 from machine_tool_calibration.procedure.events import Counters, DatumGroup, Pending, Phase, State, Timing, Visit
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.steps import Step, sensing_direction
+from machine_tool_calibration.procedure.steps import Step
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 
@@ -422,8 +422,8 @@ class Sequencer:
             columns["azimuth"], columns["elevation"] = self._pending.angles
         if isinstance(session, Direct):
             # what the instrument reads is the whole travel: the deviation is what is left without the commanded one
-            sense = sensing_direction(session)
-            columns |= dict(zip(("gx", "gy", "gz"), map(float, sense), strict=True))
+            sense = session.sense
+            columns |= dict(zip(("gx", "gy", "gz"), sense, strict=True))
             first = self._group.taken[0][0].position
             value -= sum(s * (step.position.get(a, 0.0) - first.get(a, 0.0)) for a, s in zip("xyz", sense, strict=True))
         columns["displacement"] = float(value)

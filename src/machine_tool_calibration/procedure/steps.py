@@ -9,7 +9,6 @@ from itertools import product
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.machine.chain import Chain
@@ -119,45 +118,13 @@ def _travel(procedure: Procedure, axis: str) -> tuple[float, float]:
     return procedure.session.machine.travel.get(axis, (-np.inf, np.inf))
 
 
-def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
-    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z."""
-    setup = description.setups[index]
-    suffix = setup.id.rsplit("_", 1)[-1]
-    order = suffix if sorted(suffix) == ["x", "y", "z"] and "_" in setup.id else "xyz"
-    signs = dict(zip("xyz", setup.direction, strict=True))
-    moving = [axis for axis in order if signs[axis]]
-    steps, start = dict(zip("xyz", description.step, strict=True)), dict(zip("xyz", setup.start, strict=True))
-    made = dict.fromkeys("xyz", 0)
-    positions = [start.copy()]
-    for _ in range(description.blocks):
-        for axis in moving:
-            made[axis] += 1
-            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
-            positions.append({a: round(start[a] + made[a] * steps[a] * signs[a], 12) for a in "xyz"})
-    return positions
-
-
-def sensing_direction(description: Direct) -> Array:
-    """(3,) direction along which an instrument of a direct session reads: that of its first term, as Y of EYX.
-
-    Raises:
-        SessionError: no term says so.
-    """
-    name = description.terms[0] if description.terms else ""
-    if len(name) != 3 or name[0] != "E" or name[1] not in "XYZ":
-        raise SessionError(
-            "session: terms must begin with a translation such as EXX: it says along which axis the instrument reads"
-        )
-    return np.asarray(np.eye(3)["XYZ".index(name[1])])
-
-
 def diagonal_steps(procedure: Procedure) -> Iterator[Step]:
     """Setup by setup, run by run; the path is zeroed at the start of each run."""
     session = procedure.session
     assert isinstance(session, StepDiagonal)
     runs = []
     for index, setup in enumerate(session.setups):
-        positions = diagonal_positions(session, index)
+        positions = session.positions(index)
         signs = {axis: sign or 1.0 for axis, sign in zip("xyz", setup.direction, strict=True)}
         runs += [(setup.id, repeat, None, positions, signs) for repeat in range(session.repeats)]
     yield from _steps(procedure, runs, points=False)
@@ -191,7 +158,7 @@ def direct_steps(procedure: Procedure) -> Iterator[Step]:
     """Every run goes forth and back, with an overrun at both ends (ISO 230-2)."""
     session = procedure.session
     assert isinstance(session, Direct)
-    sensing_direction(session)
+    _ = session.sense  # refused here, and not after the first reading
     forth = targets_of(procedure)
     each = product(session.setups, range(session.repeats))
     runs = [(setup.id, repeat, None, [*forth, *forth[::-1]], dict.fromkeys(forth[0], 1.0)) for setup, repeat in each]

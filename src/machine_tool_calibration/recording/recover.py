@@ -65,13 +65,10 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
     Raises:
         RecordingError: nothing can be saved, or the new bag cannot be written.
     """
-    path = Path(path)
     files = _files(path)
     if not any(_has_magic(file) for file in files):
         raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
-    problems: list[str] = []
-    lost = 0
-    added = set[str]()
+    problems, lost, added = list[str](), 0, set[str]()
     sizes = [file.stat().st_size for file in files]
     with BagWriter(output) as bag:
         for number, file in enumerate(files):
@@ -98,7 +95,7 @@ def recover(path: Path, output: Path, report: Callable[[float], object] = lambda
         reason = f": {problems[0]}" if problems else ""
         raise RecordingError(f"{path}: no message could be saved{reason}")
     return Recovered(
-        folder=Path(output),
+        folder=output,
         files=tuple(files),
         messages=sum(summary.messages for summary in saved),
         topics=topics,

@@ -7,6 +7,7 @@ One frozen record per measuring method; an unknown key is an error. SI units, an
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.contributor import Contributors
 from machine_tool_calibration.session.record import Record
@@ -144,6 +146,9 @@ class Setup(Record):
     id: Identifier
 
 
+_ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
+
+
 class DiagonalSetup(Setup):
     """A step diagonal or a linear run with a flat mirror.
 
@@ -157,6 +162,15 @@ class DiagonalSetup(Setup):
     direction: tuple[Sign, Sign, Sign]
     start: Vector3
     mirror: Literal["flat"] = "flat"
+
+    @property
+    def name_and_order(self) -> tuple[str, str]:
+        """The id without the order, and the order of the moves; one letter for a linear run."""
+        moving = "".join(axis for axis, sign in zip("xyz", self.direction, strict=True) if sign)
+        found = _ORDER.match(self.id)
+        stated = "".join(letter for letter in found["order"].lower() if letter in moving) if found else ""
+        # Letters that are not all moving axes, once each, are a name and no order.
+        return (found["name"], stated) if found and sorted(stated) == sorted(moving) else (self.id, moving)
 
 
 class StationSetup(Setup):
@@ -233,6 +247,18 @@ class StepDiagonal(Description):
     blocks: Annotated[int, Field(ge=1)]
     setups: Annotated[tuple[DiagonalSetup, ...], Field(min_length=1)]
 
+    def positions(self, index: int) -> list[dict[str, float]]:
+        """Commanded positions of a setup's run, m: single-axis moves, block after block."""
+        setup = self.setups[index]
+        start, made = dict(zip("xyz", setup.start, strict=True)), dict.fromkeys("xyz", 0.0)
+        steps = {axis: s * d for axis, s, d in zip("xyz", self.step, setup.direction, strict=True)}
+        positions = [start.copy()]
+        for axis in setup.name_and_order[1] * self.blocks:
+            made[axis] += 1.0
+            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
+            positions.append({a: round(start[a] + made[a] * steps[a], 12) for a in "xyz"})
+        return positions
+
 
 class TrackingInterferometer(Description):
     """Tracking interferometer, open-loop or with a beam that follows the target, Ibaraki et al. 2014."""
@@ -278,3 +304,18 @@ class Direct(Description):
     datum: Literal["none", "offset", "rigid"] = "none"  # what the instrument leaves open in every setup
     terms: tuple[str, ...] = ()  # the machine errors in the model
     setups: Annotated[tuple[DirectSetup, ...], Field(min_length=1)]
+
+    @property
+    def sense(self) -> Vector3:
+        """Direction along which the instrument of a procedure reads: that of the first term, as Y of EYX.
+
+        Raises:
+            SessionError: no term says so.
+        """
+        name = self.terms[0] if self.terms else ""
+        if len(name) != 3 or name[0] != "E" or name[1] not in "XYZ":
+            raise SessionError(
+                "session: terms must begin with a translation such as EXX: it says along which axis the instrument "
+                "reads"
+            )
+        return (float(name[1] == "X"), float(name[1] == "Y"), float(name[1] == "Z"))

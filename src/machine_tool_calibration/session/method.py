@@ -64,7 +64,6 @@ class MethodSpec:
     # of a session and its description, further setups that could be measured, as options
     further_places: ClassVar[str | None] = None
     pictures: ClassVar[str | None] = None  # module with `figures` of a result; those of its map and tables if absent
-    optics: ClassVar[str | None] = None  # of a site and a description, the simulated instrument's beam
 
     @property
     def name(self) -> str:

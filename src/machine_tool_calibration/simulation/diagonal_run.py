@@ -122,12 +122,7 @@ class DiagonalPlan(Plan):
             return path + disturbance.added(sight)
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            corner = np.asarray(self.corner)
-            errors = {}
-            for axis, letter in enumerate("xyz"):
-                at = corner + np.arange(self.blocks + 1)[:, None] * self.step[axis] * np.eye(3)[axis]
-                error = machine.position_error(at)
-                errors[letter] = (error - error[0]).tolist()
+            errors = {letter: self._axis_error(machine, axis).tolist() for axis, letter in enumerate("xyz")}
             return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
 
         description = {
@@ -135,19 +130,16 @@ class DiagonalPlan(Plan):
             "machine": self.machine(),
             "step": list(self.step),
             "blocks": self.blocks,
-            "setups": [
-                {
-                    "id": r.name,
-                    "kind": r.kind,
-                    "direction": r.sign.tolist(),
-                    "start": r.start.tolist(),
-                    "mirror": "flat",
-                }
-                for r in runs
-            ],
+            "setups": [run.described() for run in runs],
         }
         columns = axis_columns(position, direction)
         return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)
+
+    def _axis_error(self, machine: VirtualMachine, axis: int) -> Array:
+        """(blocks + 1, 3) position errors along an axis from the corner, less those of the corner, m."""
+        steps = np.arange(self.blocks + 1)[:, None] * self.step[axis] * np.eye(3)[axis]
+        error = machine.position_error(np.asarray(self.corner) + steps)
+        return np.asarray(error - error[0])
 
 
 @dataclass(frozen=True)
@@ -160,6 +152,10 @@ class _Run:
 
     def positions(self) -> Array:
         return self.start + self.moves
+
+    def described(self) -> dict[str, Any]:
+        start, direction = self.start.tolist(), self.sign.tolist()
+        return {"id": self.name, "kind": self.kind, "direction": direction, "start": start, "mirror": "flat"}
 
 
 def _moves(order: str, sign: Array, step: Array, count: int) -> Array:

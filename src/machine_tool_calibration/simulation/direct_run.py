@@ -143,9 +143,14 @@ class DirectPlan(Plan):
                 out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
             return out
 
+        description = self._described(datum)
+        columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
+        return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
+
+    def _described(self, datum: str) -> dict[str, Any]:
         name = self.axis.upper() if self.kind in ("iso230_2", "straightness") else self.kind
         instrument = self.instrument or _INSTRUMENT.get(self.kind)
-        description = {
+        return {
             "method": "direct",
             **({"instrument": instrument} if instrument else {}),
             "machine": self.machine(),
@@ -153,5 +158,3 @@ class DirectPlan(Plan):
             "terms": list(self.asked()),
             "setups": [{"id": name if self.mountings == 1 else f"{name}{i + 1}"} for i in range(self.mountings)],
         }
-        columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
-        return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)

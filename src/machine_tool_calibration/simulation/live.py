@@ -3,7 +3,7 @@
 
 ::
 
-    live = LiveMachine.prepare(machine, [choose_flaw("backlash_y", 2e-6)], environment)
+    live = LiveMachine(machine, [choose_flaw("backlash_y", 2e-6)], environment)
     now = live.scene(12.5, [0.1, 0.2, 0.0], direction={"X": 1, "Y": -1})
     live.functional_point(now)                     # (1, 3): with backlash, heat and all error motions
     origin, direction = live.beam(now, pointer, azimuth, elevation, true_station)
@@ -16,7 +16,6 @@ Everything takes many moments at once as well (a stretch of the displacement str
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,28 +27,24 @@ from machine_tool_calibration.simulation.scene import Environment, Scene
 from machine_tool_calibration.simulation.sensors import Pointer
 
 
-@dataclass(frozen=True)
 class LiveMachine:
     """A machine whose errors depend on time, temperature and direction.
 
-    Attributes:
-        machine: true errors, those of the flaws (extra error motions, squareness) included.
+    Args:
+        machine: true errors, without those of the flaws.
         flaws: what is put in.
         environment: temperatures, pressure and humidity over time.
+
+    Attributes:
+        machine: true errors, those of the flaws (extra error motions, squareness) included.
     """
 
-    machine: VirtualMachine
-    flaws: tuple[Chosen, ...] = ()
-    environment: Environment = field(default_factory=Environment)
-
-    @classmethod
-    def prepare(
-        cls, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
-    ) -> LiveMachine:
-        """A live machine whose flaws' error motions are put into the machine once."""
-        idle = cls(machine, tuple(flaws), environment or Environment())
-        fixed = idle.disturbance(idle.scene(0.0, np.zeros(3)))
-        return replace(idle, machine=machine.with_tables(fixed.tables).with_squareness(fixed.squareness))
+    def __init__(
+        self, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
+    ) -> None:
+        self.machine, self.flaws, self.environment = machine, tuple(flaws), environment or Environment()
+        fixed = self.disturbance(self.scene(0.0, np.zeros(3)))
+        self.machine = machine.with_tables(fixed.tables).with_squareness(fixed.squareness)
 
     def scene(
         self,

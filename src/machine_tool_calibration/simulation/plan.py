@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from string import ascii_uppercase
 from typing import Annotated, Any, Literal
@@ -94,6 +94,12 @@ class Plan(Record):
 def station_name(index: int) -> str:
     """Id of an instrument's setup: A to Z, then S27 and so on."""
     return ascii_uppercase[index] if index < len(ascii_uppercase) else f"S{index + 1}"
+
+
+def stated_places(ids: Iterable[str], places: Array, uncertainty: float) -> list[dict[str, Any]]:
+    """What a session says of places (k, 3), m, whose standard uncertainty is stated where there is one."""
+    own = {"position_uncertainty": uncertainty} if uncertainty > 0 else {}
+    return [{"id": name, "position": place, **own} for name, place in zip(ids, places.tolist(), strict=False)]
 
 
 def axis_columns(position: Array, direction: Mapping[str, Array]) -> dict[str, Array]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -132,6 +133,40 @@ _ANGLES: dict[str, tuple[float, ...]] = {
 }
 
 
+def touched(
+    machine: VirtualMachine,
+    disturbance: Disturbance,
+    nominal: Array,
+    outward: Array,
+    form: Array,
+    angle: Array,
+    actual: Array,
+    normal: Array,
+    radius: float,
+    curvature: Array | float = 0.0,
+) -> Array:
+    """(n,) displacements at which the probe triggers, along the planned normals, m.
+
+    Args:
+        machine: with all its errors.
+        disturbance: what else the flaws do.
+        nominal: (n, 3) points of the part in its own frame, m.
+        outward: (n, 3) their normals there, unit.
+        form: (n,) how far the part's surface is outside of them, m.
+        angle: (n,) commanded, of C, rad.
+        actual: (n, 3) where the sphere's centre really is when the probe is commanded to the nominal contact, m.
+        normal: (n, 3) planned outward normals in the machine frame, unit.
+        radius: of the sphere, m.
+        curvature: (n,) of the surface, 1/m.
+    """
+    place = disturbance.grown(nominal, "C") + form[:, None] * outward
+    shift = disturbance.axis.get("C", 0.0)
+    surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
+    facing = machine.table_direction(outward, angle, "C", shift)
+    sight = Sight(np.zeros(len(angle)), -normal, azimuth=np.arctan2(normal[:, 1], normal[:, 0]))
+    return probed(actual, normal, surface, facing, radius, curvature) + disturbance.added(sight)
+
+
 class ProbingPlan(Plan):
     """A part and the angles of C; without arguments the cross with two spheres at 0, 75, 130 and 210 degrees.
 
@@ -222,50 +257,11 @@ class ProbingPlan(Plan):
         scene = Scene(time, setup, repeat, command, angle, direction, environment, ends=self.travel())
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-            place = disturbance.grown(nominal[label], "C") + form[label][:, None] * outward[label]
-            shift = disturbance.axis.get("C", 0.0)
-            surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
-            facing = machine.table_direction(outward[label], angle, "C", shift)
             actual = centre + disturbance.functional_point(machine, command) - command
-            touched = probed(actual, normal, surface, facing, radius, bend[label])
-            sight = Sight(np.zeros(len(angle)), -normal, azimuth=np.arctan2(normal[:, 1], normal[:, 0]))
-            return touched + disturbance.added(sight)
-
-        def judged(machine: VirtualMachine) -> dict[str, Any]:
-            nodes = self.nodes()
-            x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes))
-            grid = np.column_stack([x, y, np.zeros(len(x))])
-            return {
-                "workpiece_error": form.tolist(),
-                "grid": grid[:, :2].tolist(),
-                "position_error": machine.position_error(grid)[:, :2].tolist(),
-                "c_errors": {"c": turns.tolist(), **_table_errors(machine, turns)},
-                "squareness": dict(machine.squareness),
-            }
-
-        def describe(machine: VirtualMachine) -> dict[str, Any]:
-            nodes = self.nodes().tolist()
-            known = {}
-            if self.known_uncertainty is not None:
-                true = float(machine.motion("EXX", np.array([nodes[-1]]))[0] - machine.motion("EXX", np.zeros(1))[0])
-                value = true + self.known_uncertainty * length_error
-                known = {"EXX": {"position": nodes[-1], "value": value, "standard_uncertainty": self.known_uncertainty}}
-            return {
-                "method": "probing",
-                "machine": {
-                    "chain": self.chain,
-                    "rotation_sign": self.sign,
-                    "travel": {"x": [nodes[0], nodes[-1]], "y": [nodes[0], nodes[-1]]},
-                    "table_grid": {"x": nodes, "y": nodes},
-                },
-                "probe": {"stylus_diameter": self.stylus_diameter},
-                "workpiece": [
-                    {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)}
-                    for p in part
-                ],
-                "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(turns)],
-                "known": known,
-            }
+            errors = (machine, disturbance)
+            return touched(
+                *errors, nominal[label], outward[label], form[label], angle, actual, normal, radius, bend[label]
+            )
 
         columns = {
             "c": angle,
@@ -274,7 +270,45 @@ class ProbingPlan(Plan):
             **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
         }
         labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
-        return Measurement(describe, scene, read, None, columns, labels, judged)
+        described, judged = partial(self._described, length_error), partial(self._judged, form)
+        return Measurement(described, scene, read, None, columns, labels, judged)
+
+    def _judged(self, form: Array, machine: VirtualMachine) -> dict[str, Any]:
+        """What the measurement should find."""
+        nodes, turns = self.nodes(), self.turns()
+        x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes))
+        grid = np.column_stack([x, y, np.zeros(len(x))])
+        return {
+            "workpiece_error": form.tolist(),
+            "grid": grid[:, :2].tolist(),
+            "position_error": machine.position_error(grid)[:, :2].tolist(),
+            "c_errors": {"c": turns.tolist(), **_table_errors(machine, turns)},
+            "squareness": dict(machine.squareness),
+        }
+
+    def _described(self, length_error: float, machine: VirtualMachine) -> dict[str, Any]:
+        """What the session says."""
+        nodes, known = self.nodes().tolist(), {}
+        if self.known_uncertainty is not None:
+            true = float(machine.motion("EXX", np.array([nodes[-1]]))[0] - machine.motion("EXX", np.zeros(1))[0])
+            value = true + self.known_uncertainty * length_error
+            known = {"EXX": {"position": nodes[-1], "value": value, "standard_uncertainty": self.known_uncertainty}}
+        return {
+            "method": "probing",
+            "machine": {
+                "chain": self.chain,
+                "rotation_sign": self.sign,
+                "travel": {"x": [nodes[0], nodes[-1]], "y": [nodes[0], nodes[-1]]},
+                "table_grid": {"x": nodes, "y": nodes},
+            },
+            "probe": {"stylus_diameter": self.stylus_diameter},
+            "workpiece": [
+                {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)}
+                for p in self.surface()
+            ],
+            "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(self.turns())],
+            "known": known,
+        }
 
 
 def _table_errors(machine: VirtualMachine, angle: Array) -> dict[str, list[float]]:

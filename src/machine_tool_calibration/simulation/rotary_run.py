@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import count
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,9 +15,16 @@ from machine_tool_calibration.session.record import Finite, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
-from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, since_first, station_name
+from machine_tool_calibration.simulation.plan import (
+    Measurement,
+    Plan,
+    Vector3,
+    since_first,
+    stated_places,
+    station_name,
+)
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
-from machine_tool_calibration.simulation.sensors import aim, distance
+from machine_tool_calibration.simulation.sensors import distance
 
 # The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
 _TARGETS = {
@@ -24,6 +33,21 @@ _TARGETS = {
     "K": (0.0249026, -0.1108575, 0.0152662),
 }
 _STATIONS = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1))
+
+
+def sighted(actual: Array, source: Array, axis: str, turned: Array) -> Sight:
+    """What a tracker reads of retroreflectors on a table, which turn with it.
+
+    Args:
+        actual: (n, 3) where they really are, m.
+        source: (n, 3) where the tracker stands, m.
+        axis: letter of the table's axis.
+        turned: (n,) angle of the table, counter-clockwise about it, rad.
+    """
+    line, path = actual - source, distance(actual, source)
+    first, second = (("ABC".index(axis) + k) % 3 for k in (1, 2))
+    incidence = np.arctan2(line[:, second], line[:, first]) - turned
+    return Sight(path, line / path[:, None], np.arctan2(line[:, 1], line[:, 0]), incidence)
 
 
 class RotaryPlan(Plan):
@@ -116,43 +140,23 @@ class RotaryPlan(Plan):
         scene = Scene(
             time, setup, repeat, np.zeros((len(time), 3)), angle, {self.axis: direction}, environment, self.axis
         )
-        first, second = (("ABC".index(self.axis) + k) % 3 for k in (1, 2))
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
             actual = disturbance.on_table(machine, target[label], angle, self.axis) + disturbance.point
             source = station[setup] + disturbance.station
-            path = distance(actual, source)
-            azimuth, _ = aim(source, actual)
-            # the retroreflectors turn with the table
-            incidence = np.arctan2(*(actual - source)[:, [second, first]].T) - machine.rotation_sign * angle
-            sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
-            return path + disturbance.added(sight)
+            sight = sighted(actual, source, self.axis, machine.rotation_sign * angle)
+            return sight.path + disturbance.added(replace(sight, change=since_first(sight.path, run)))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
-            at = np.unique(turns)
-            return {
-                "angles": at.tolist(),
-                "errors": {name: machine.motion(name, at).tolist() for name in motion_names(self.axis)},
-                "average_line": dict(machine.average_line),
-                "stations": station.tolist(),
-                "targets": {name: target[i].tolist() for i, name in enumerate(names)},
-            }
-
-        def uncertain(value: float) -> dict[str, float]:
-            return {"position_uncertainty": value} if value > 0 else {}
+            targets = dict(zip(names, target.tolist(), strict=True))
+            return {**self._errors(machine), "stations": station.tolist(), "targets": targets}
 
         description = {
             "method": "rotary_axis",
             "machine": {"chain": self.chain, "axis": self.axis},
             "rotation_sign": self.sign,
-            "targets": [
-                {"id": name, "position": stated[i].tolist(), **uncertain(self.target_uncertainty)}
-                for i, name in enumerate(names)
-            ],
-            "setups": [
-                {"id": station_name(i), "position": p.tolist(), **uncertain(self.station_uncertainty)}
-                for i, p in enumerate(estimate)
-            ],
+            "targets": stated_places(names, stated, self.target_uncertainty),
+            "setups": stated_places(map(station_name, count()), estimate, self.station_uncertainty),
         }
         letter = self.axis.lower()
         return Measurement(
@@ -164,6 +168,15 @@ class RotaryPlan(Plan):
             {"target": np.array(names, dtype=object)[label]},
             judged,
         )
+
+    def _errors(self, machine: VirtualMachine) -> dict[str, Any]:
+        """What the measurement should find of the axis."""
+        at = np.unique(self.turns())
+        return {
+            "angles": at.tolist(),
+            "errors": {name: machine.motion(name, at).tolist() for name in motion_names(self.axis)},
+            "average_line": dict(machine.average_line),
+        }
 
 
 def _about(p: tuple[float, float, float], axis: str) -> Vector3:

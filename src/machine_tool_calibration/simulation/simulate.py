@@ -113,22 +113,10 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
     clean = since_first(raw, measurement.datum)
 
     noise = plan.noise if spec.noise is None else spec.noise
-    total = raw + spec.noise_factor * noise * rng["noise"].normal(size=len(raw))
-    total = total + _spread(spec, measurement, rng["spread"])
-    hit, error = _chips(spec, measurement, rng["chips"])
-    displacement = since_first(total, measurement.datum) + error
-    displacement[rng["missing"].random(len(raw)) < spec.missing] = np.nan
+    displacement, hit = _read(spec, measurement, raw, noise, rng)
     session = Session(_describe(spec, measurement, flawed, noise), _readings(measurement, displacement), "simulation")
-    truth = Truth(
-        spec.seed,
-        flawed,
-        chosen,
-        clean,
-        clean - before,
-        np.flatnonzero(hit),
-        measurement.datum,
-        measurement.truth(flawed),
-    )
+    wrong, expected = np.flatnonzero(hit), measurement.truth(flawed)
+    truth = Truth(spec.seed, flawed, chosen, clean, clean - before, wrong, measurement.datum, expected)
     return Simulated(session, truth)
 
 
@@ -185,6 +173,18 @@ def _solve(peak: Callable[[float], float], size: float, amplitude: float) -> flo
         power = max(np.log(reached / peak(0.9 * size)) / -np.log(0.9), 0.5)
         size *= float((amplitude / reached) ** (1.0 / power))
     return size
+
+
+def _read(
+    spec: SimulationSpec, measurement: Measurement, raw: Array, noise: float, rng: Mapping[str, np.random.Generator]
+) -> tuple[Array, BoolArray]:
+    """(n,) readings with noise, spread, gross errors and losses, m, and which have a gross error."""
+    total = raw + spec.noise_factor * noise * rng["noise"].normal(size=len(raw))
+    total = total + _spread(spec, measurement, rng["spread"])
+    hit, error = _chips(spec, measurement, rng["chips"])
+    displacement = since_first(total, measurement.datum) + error
+    displacement[rng["missing"].random(len(raw)) < spec.missing] = np.nan
+    return displacement, hit
 
 
 def _spread(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Array:

@@ -121,21 +121,7 @@ def spec_from(
         CalibrationError: an unknown preset or method, a value out of range or implausible, neither file nor method nor
             preset.
     """
-    if preset is not None and preset not in PRESETS:
-        raise CalibrationError(f"no preset {preset!r}; there are {', '.join(PRESETS)}")
-    if method is not None and method not in PLANS:
-        raise CalibrationError(f"no method {method!r}; there are {', '.join(PLANS)}")
-    if preset is not None:
-        chosen = PRESETS[preset]
-        if method is not None and chosen.method != method:
-            raise CalibrationError(f"preset {preset} is of the method {chosen.method}, not {method}")
-        planned = chosen.model_dump(exclude_unset=True) | {"method": chosen.method}
-    elif method is not None and (base is None or base.plan.method != method):
-        planned = {"method": method}
-    elif base is not None:
-        planned = base.plan.model_dump(exclude_unset=True) | {"method": base.plan.method}
-    else:
-        raise CalibrationError("say what to simulate: a SPEC.yaml, --method or --preset")
+    planned = _planned(base, method, preset)
     content: dict[str, Any] = base.model_dump(exclude_unset=True, exclude={"plan"}) if base is not None else {}
     turning = {find_flaw(str(effect["id"])).axis for effect in effects} - {""}
     if planned["method"] == "rotary_axis" and len(turning) == 1:
@@ -148,6 +134,21 @@ def spec_from(
     spec = validated(SimulationSpec, content, "", unnamed=ALL_METHODS, refusal=CalibrationError)
     refuse_implausible(spec)
     return spec
+
+
+def _planned(base: SimulationSpec | None, method: str | None, preset: str | None) -> dict[str, Any]:
+    if preset is not None and preset not in PRESETS:
+        raise CalibrationError(f"no preset {preset!r}; there are {', '.join(PRESETS)}")
+    if method is not None and method not in PLANS:
+        raise CalibrationError(f"no method {method!r}; there are {', '.join(PLANS)}")
+    chosen = PRESETS[preset] if preset is not None else base.plan if base is not None else None
+    if preset is not None and method not in (None, PRESETS[preset].method):
+        raise CalibrationError(f"preset {preset} is of the method {PRESETS[preset].method}, not {method}")
+    if method is not None and (chosen is None or chosen.method != method):
+        return {"method": method}
+    if chosen is None:
+        raise CalibrationError("say what to simulate: a SPEC.yaml, --method or --preset")
+    return chosen.model_dump(exclude_unset=True) | {"method": chosen.method}
 
 
 class FlawSpec(Record):
@@ -187,6 +188,12 @@ class Spread(Record):
     slope: NotNegative = 0.0
     bow: NotNegative = 0.0
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_number(cls, value: Any) -> Any:
+        """One number is that of slope and bow."""
+        return {"slope": value, "bow": value} if isinstance(value, int | float) else value
+
 
 class Chips(Record):
     """Readings that are wrong by a gross amount: a chip under the stylus, a broken beam.
@@ -198,6 +205,12 @@ class Chips(Record):
 
     fraction: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.02
     size: Positive = 2e-5
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_number(cls, value: Any) -> Any:
+        """One number is the fraction."""
+        return {"fraction": value} if isinstance(value, int | float) else value
 
 
 class SimulationSpec(Record):

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import count
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,7 +14,16 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned, station_name
+from machine_tool_calibration.simulation.plan import (
+    Measurement,
+    Plan,
+    Vector3,
+    axis_columns,
+    since_first,
+    spanned,
+    stated_places,
+    station_name,
+)
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
@@ -23,6 +34,23 @@ _STATIONS: dict[int, tuple[tuple[float, float, float], ...]] = {
 _SIXTH = tuple(float(v) for v in np.linspace(0.0, 0.4, 6))
 _FIFTH = tuple(float(v) for v in np.linspace(0.0, 0.4, 5))
 Line = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
+
+
+def sighted(actual: Array, origin: Array, azimuth: Array, dimension: int, held: Array | None = None) -> Sight:
+    """What an interferometer reads of a retroreflector on the spindle.
+
+    Args:
+        actual: (n, 3) where the retroreflector really is, m.
+        origin: (n, 3) of the beam, m.
+        azimuth: (n,) as commanded, rad.
+        dimension: of the measurement, 2 or 3.
+        held: (n, 3) direction of a beam that is held on it; None for one that follows the target.
+    """
+    path = distance(actual, origin) if held is None else sensed_path(actual, origin, held)
+    direction = (actual - origin) / path[:, None] if held is None else held
+    # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
+    incidence = azimuth if dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
+    return Sight(path, direction, azimuth, incidence)
 
 
 class TrackingPlan(Plan, Pointer):
@@ -98,16 +126,11 @@ class TrackingPlan(Plan, Pointer):
             actual = disturbance.functional_point(machine, position)
             station = truth[setup] + disturbance.station
             if self.pointing == "tracking":
-                direction = (actual - station) / distance(actual, station)[:, None]
-                path = distance(actual, station)
+                sight = sighted(actual, station, azimuth, self.dimension)
             else:
-                origin, direction = self.beam(azimuth, elevation, station, disturbance.turn)
-                path = sensed_path(actual, origin, direction)
-            # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
-            incidence = azimuth if self.dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
-            first = np.unique(setup, return_index=True)[1]
-            sight = Sight(path, direction, azimuth, incidence, path - path[first][setup])
-            return path + disturbance.added(sight)
+                origin, held = self.beam(azimuth, elevation, station, disturbance.turn)
+                sight = sighted(actual, origin, azimuth, self.dimension, held)
+            return sight.path + disturbance.added(replace(sight, change=since_first(sight.path, setup)))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
             return {
@@ -121,11 +144,7 @@ class TrackingPlan(Plan, Pointer):
             "dimension": self.dimension,
             "pointing": self.pointing,
             "machine": self.machine(),
-            "setups": [
-                {"id": station_name(i), "position": [float(v) for v in p]}
-                | ({"position_uncertainty": self.station_uncertainty} if self.station_uncertainty > 0 else {})
-                for i, p in enumerate(estimate)
-            ],
+            "setups": stated_places(map(station_name, count()), estimate, self.station_uncertainty),
         }
         columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
         return Measurement(lambda machine: description, scene, read, setup, columns, truth=judged)

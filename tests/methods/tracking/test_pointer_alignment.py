@@ -17,11 +17,11 @@ from machine_tool_calibration.errors import CalibrationError, ModelError, Sessio
 from machine_tool_calibration.importing.own import read_alignment
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre, zero_angle
-from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.sensors import Pointer, sensed_path
+from machine_tool_calibration.simulation.site import Site, SiteSpec
 
 CONFIG = Path(__file__).parents[3] / "config" / "procedures"
 CENTRE = np.array([-0.3501, 0.0502, 0.0])
@@ -227,10 +227,10 @@ def searched(name: str, site: Site, folder: Path) -> Path:
     station = site.station(procedure.session, 0)
     rows = []
     for step in plan(procedure).steps:
-        moment = Moment(0.0, step.position, step.direction)
+        moment = site.moment(0.0, step.position, step.direction)
         azimuth = float(pointing(np.array([step.aim]), np.array(setup.position))[0][0])
-        beam = site.beam(station, azimuth, 0.0, moment)
-        read = (site.functional_point(moment) - beam.origin) @ beam.direction
+        beam = site.true_beam(moment, azimuth, 0.0, station)
+        read = (site.functional_point(moment)[0] - beam.origin) @ beam.direction
         rows.append([azimuth, step.position["x"], step.position["y"], step.repeat, read])
     names = ("azimuth", "x", "y", "repeat", "displacement")
     return written(folder, f"{name}.csv", dict(zip(names, np.array(rows).T, strict=True)))
@@ -246,12 +246,12 @@ def test_the_procedures_of_the_package_find_the_pointer_of_a_workshop(tmp_path: 
     turn, line = (read_alignment(searched(name, site, tmp_path)) for name in ("pointer_centre", "pointer_zero"))
     zero = zero_angle(line.place[:, 1], line.displacement, line.azimuth, line.run)
     # The normal of Y is that of the line on which the tool really moves there.
-    ends = [site.functional_point(Moment(0.0, {"x": 0.1, "y": y, "z": 0.0}, {})) for y in (0.0485, 0.0515)]
+    ends = [site.functional_point(site.moment(0.0, {"x": 0.1, "y": y, "z": 0.0}))[0] for y in (0.0485, 0.0515)]
     lean = float((ends[1] - ends[0])[0] / (ends[1] - ends[0])[1])
     assert zero.offset == pytest.approx(2e-4 + lean, abs=1e-6)
     centre = rotation_centre(turn.azimuth, turn.displacement, turn.place[0], turn.run, machine=5e-6, zero=zero)
     station = site.station(read_procedure(CONFIG / "pointer_centre.yaml").session, 0)[:2]
-    stands = site.functional_point(Moment(0.0, {"x": -0.35, "y": 0.05, "z": 0.0}, {}))[:2]
+    stands = site.functional_point(site.moment(0.0, {"x": -0.35, "y": 0.05, "z": 0.0}))[0, :2]
     # What is left is where the machine really stands, and the eccentricity turned by the lean of Y.
     assert centre.centre - station == pytest.approx(turn.place[0] - stands, abs=2e-8)
     assert (np.abs(centre.centre - station) < 3.0 * centre.u).all()

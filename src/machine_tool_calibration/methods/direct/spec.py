@@ -30,7 +30,6 @@ class DirectSpec(MethodSpec):
     no_tables = "the session names no terms (such as terms: [EXX, C0Y]) to be determined"
     steps = "machine_tool_calibration.procedure.steps:direct_steps"
     planned = "machine_tool_calibration.planning.forecast:directly"
-    optics = "machine_tool_calibration.nodes.optics:Along"
     pictures = "machine_tool_calibration.plots.direct"
 
     def mounted(self, description: Direct) -> str:

@@ -39,7 +39,6 @@ class RotarySpec(MethodSpec):
     steps = "machine_tool_calibration.procedure.steps:rotary_steps"
     further_places = "machine_tool_calibration.planning.places:further_stations"
     planned = "machine_tool_calibration.planning.forecast:to_table"
-    optics = "machine_tool_calibration.nodes.optics:OnTable"
     pictures = "machine_tool_calibration.plots.rotary_axis"
 
     def columns(self, description: RotaryAxis) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,6 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.session.description import DiagonalSetup, StepDiagonal
 from machine_tool_calibration.session.session import Readings, Session
 
-_ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
 # A reading this close to a block position, as a share of the step, was taken there.
 _AT_BLOCK = 1e-2
 
@@ -61,13 +59,7 @@ def _run(setup: DiagonalSetup, description: StepDiagonal) -> Run:
         raise SessionError(f"setup {setup.id!r}: a linear run moves one axis, {what}")
     if setup.kind == "diagonal" and len(moving) < 2:
         raise SessionError(f"setup {setup.id!r}: a diagonal moves two or three axes, {what}")
-    name, order = setup.id, moving
-    found = _ORDER.match(setup.id)
-    if found:
-        stated = "".join(letter for letter in found["order"].lower() if letter in moving)
-        # Letters that are not all moving axes, once each, are a name and no order.
-        if sorted(stated) == sorted(moving):
-            name, order = found["name"], stated
+    name, order = setup.name_and_order
     beam = motion / np.linalg.norm(motion)
     return Run(setup.id, name, order, setup.kind == "diagonal", np.asarray(setup.start), motion, beam, sign)
 

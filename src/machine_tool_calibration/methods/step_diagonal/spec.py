@@ -62,7 +62,6 @@ class DiagonalSpec(MethodSpec):
     steps = "machine_tool_calibration.procedure.steps:diagonal_steps"
     further_places = "machine_tool_calibration.planning.places:further_runs"
     planned = "machine_tool_calibration.planning.forecast:along_diagonals"
-    optics = "machine_tool_calibration.nodes.optics:FlatMirror"
 
     @suspected()
     def magnitudes(self, session: Session, place: Place) -> None:

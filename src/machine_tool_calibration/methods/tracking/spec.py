@@ -67,7 +67,6 @@ class TrackingSpec(MethodSpec):
     steps = "machine_tool_calibration.procedure.steps:path_steps"
     further_places = "machine_tool_calibration.planning.places:further_stations"
     planned = "machine_tool_calibration.planning.forecast:from_stations"
-    optics = "machine_tool_calibration.nodes.optics:on_tool"
     pictures = "machine_tool_calibration.plots.tracking"
 
     def columns(self, description: TrackingInterferometer) -> tuple[str, ...]:

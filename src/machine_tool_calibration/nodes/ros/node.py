@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar, cast
@@ -12,6 +13,7 @@ from typing import Any, TypeVar, cast
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -31,6 +33,7 @@ _REASON_LENGTH = 200  # characters of a reason
 # A service's usual queue holds 10 requests of all its clients, and each client's 10 answers, those to the other clients
 # among them: what comes in a burst beyond that is lost without a word.
 CALLS = QoSProfile(depth=1000)
+_FAREWELL = 0.5  # s in which the last messages arrive; one that has been killed never has them
 _OF_ROS = ("use_sim_time", "start_type_description_service")  # parameters that every node has
 
 
@@ -323,6 +326,9 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
     def _leave_graph(self) -> None:
         self._is_active = False
         gone = set(self._entities()) - self._kept
+        deadline = time.monotonic() + _FAREWELL
+        for publisher in gone.intersection(self.publishers):  # with it goes what its subscribers do not have yet
+            publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
         for entities, destroy in (
             (self.timers, self.destroy_timer),
             (self.subscriptions, self.destroy_subscription),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated machine and instrument behind the nodes: one description (YAML), shared by all simulating nodes.
+"""The simulated workshop behind the nodes: one description (YAML), shared by all simulating nodes.
 
 Every quantity is a pure function of what is passed in, so that separate processes see the same world, and a process
 that restarts sees it again. What is random (the machine's errors, the environment, where the stations really are) comes
@@ -8,12 +8,12 @@ from the seed.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -23,18 +23,13 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
-from machine_tool_calibration.simulation.disturbance import Sight
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.live import LiveMachine
-from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_record
-from machine_tool_calibration.simulation.scene import Environment, Scene, random_environment
+from machine_tool_calibration.simulation.scene import Scene, random_environment
 from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.nodes.ros.node import GuardedNode
 
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
@@ -72,25 +67,6 @@ class SiteSpec(Record):
 
 
 @dataclass(frozen=True)
-class Moment:
-    """Under which conditions something is looked at.
-
-    Attributes:
-        time: s since the origin of the site's time.
-        position: commanded position of each axis, m or rad.
-        direction: sign of each axis's last move.
-        setup: index of the instrument's setup.
-        setup_start: when that setup's first reading was taken, s.
-    """
-
-    time: float
-    position: Mapping[str, float]
-    direction: Mapping[str, int]
-    setup: int = 0
-    setup_start: float = 0.0
-
-
-@dataclass(frozen=True)
 class Beam:
     """The true beam: its origin (3,), m, and its unit direction (3,)."""
 
@@ -106,18 +82,11 @@ NO_BEAM = Beam(np.full(3, np.nan), np.full(3, np.nan))
 """Stands for the beam of an instrument that has not been told of any, or whose beam is fixed."""
 
 
-class Site:
+class Site(LiveMachine):
     """The simulated world.
 
     Args:
         spec: what is true.
-
-    Attributes:
-        spec: what is true.
-        chosen: the effects at work.
-        environment: temperatures, pressure and humidity over time.
-        machine: with all its errors, those of the effects included.
-        pointer: true errors of the rotary pointer.
 
     Raises:
         CalibrationError: the machine cannot be built or an effect is unknown.
@@ -125,17 +94,12 @@ class Site:
 
     def __init__(self, spec: SiteSpec) -> None:
         self.spec = spec
-        of_machine, of_environment = np.random.SeedSequence(spec.seed).spawn(2)
-        self.chosen: tuple[Chosen, ...] = tuple(self._choose(effect, i) for i, effect in enumerate(spec.effects))
-        self.environment: Environment = random_environment(
-            np.random.default_rng(of_environment), swing=spec.environment_swing
+        of_machine, of_environment = map(np.random.default_rng, np.random.SeedSequence(spec.seed).spawn(2))
+        super().__init__(
+            build_machine(spec.machine, chain=_DEFAULT_CHAIN, travel=_DEFAULT_TRAVEL, seed=of_machine),
+            [self._choose(effect, index) for index, effect in enumerate(spec.effects)],
+            random_environment(of_environment, swing=spec.environment_swing),
         )
-        machine = build_machine(
-            spec.machine, chain=_DEFAULT_CHAIN, travel=_DEFAULT_TRAVEL, seed=np.random.default_rng(of_machine)
-        )
-        self.live = LiveMachine.prepare(machine, self.chosen, self.environment)
-        self.machine: VirtualMachine = self.live.machine
-        self.pointer = spec.pointer
 
     def _choose(self, effect: FlawSpec, index: int) -> Chosen:
         if effect.amplitude is not None:
@@ -168,34 +132,40 @@ class Site:
         """What the sensors of the environment show, by column name."""
         return {name: float(values[0]) for name, values in self.environment(np.array([time])).items()}
 
-    def scene(self, moment: Moment) -> Scene:
-        """The simulator's view of a moment."""
+    def moment(
+        self,
+        time: float,
+        position: Mapping[str, float] = MappingProxyType({}),
+        direction: Mapping[str, int] = MappingProxyType({}),
+        setup: int = 0,
+        start: float = 0.0,
+    ) -> Scene:
+        """The conditions of one moment.
+
+        Args:
+            time: s since the origin of the site's time.
+            position: commanded, of each axis by its small letter, m or rad; 0 where absent.
+            direction: sign of each axis's last move, likewise; +1 where absent.
+            setup: index of the instrument's setup.
+            start: when that setup's first reading was taken, s.
+        """
         axis = self.table_axis or "C"
-        return self.live.scene(
-            moment.time,
-            [moment.position.get(name, 0.0) for name in "xyz"],
-            {name.upper(): float(sign) for name, sign in moment.direction.items()},
-            angle=moment.position.get(axis.lower(), 0.0),
+        return self.scene(
+            time,
+            [position.get(name, 0.0) for name in "xyz"],
+            {name.upper(): float(sign) for name, sign in direction.items()},
+            angle=position.get(axis.lower(), 0.0),
             axis=axis,
-            setup=moment.setup,
-            start=moment.setup_start,
+            setup=setup,
+            start=start,
         )
 
-    def functional_point(self, moment: Moment) -> Array:
-        """(3,) where the functional point really is, m, workpiece frame."""
-        return np.asarray(self.live.functional_point(self.scene(moment))[0])
-
-    def tool_rotation(self, moment: Moment) -> Array:
-        """(3, 3) rotation of the tool with respect to the workpiece."""
-        return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
-
-    def table(self, moment: Moment) -> tuple[Array, Array]:
+    def table(self, moment: Scene) -> tuple[Array, Array]:
         """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""
-        scene = self.scene(moment)
-        disturbance = self.live.disturbance(scene)
+        disturbance = self.disturbance(moment)
         corners = np.vstack([np.zeros(3), np.eye(3)])
-        angle, shift = np.repeat(scene.angle, 4), disturbance.axis.get(scene.axis, 0.0)
-        placed = disturbance.with_table(self.machine.on_table(corners, angle, scene.axis, shift))
+        angle, shift = np.repeat(moment.angle, 4), disturbance.axis.get(moment.axis, 0.0)
+        placed = disturbance.with_table(self.machine.on_table(corners, angle, moment.axis, shift))
         return placed[0], (placed[1:] - placed[0]).T
 
     def station(self, description: Description, index: int) -> Array:
@@ -222,38 +192,10 @@ class Site:
         angle = np.random.default_rng([self.spec.seed, 17, index]).uniform(0.0, 2.0 * np.pi)
         return self.spec.mirror_tilt * np.array([np.cos(angle), np.sin(angle)])
 
-    def beam(self, station: Array, azimuth: float, elevation: float, moment: Moment) -> Beam:
-        """The true beam for commanded angles, rad, of a pointer whose true rotation centre is `station` (3,)."""
-        origin, direction = self.live.beam(self.scene(moment), self.pointer, azimuth, elevation, station)
+    def true_beam(self, moment: Scene, azimuth: float, elevation: float, station: Array) -> Beam:
+        """The beam for commanded angles, rad, of the pointer whose true rotation centre is at a station (3,)."""
+        origin, direction = self.beam(moment, self.spec.pointer, azimuth, elevation, station)
         return Beam(origin[0], direction[0])
-
-    def added(
-        self, moment: Moment, path: float, direction: Array, azimuth: float, first: float, incidence: float
-    ) -> float:
-        """What air and instrument add to a path, m.
-
-        Args:
-            moment: the conditions.
-            path: geometric, m.
-            direction: (3,) along which a displacement is sensed.
-            azimuth: commanded, rad.
-            first: path of the setup's first reading, m.
-            incidence: angle at the retroreflector, rad.
-        """
-        one = (np.array([value]) for value in (azimuth, incidence, path - first))
-        sight = Sight(np.array([path]), direction[None], *one)
-        return float(self.live.added(self.scene(moment), sight)[0])
-
-
-def declare_site(
-    node: GuardedNode, description: str = "YAML file with what is true in the simulated workshop; empty: the usual one"
-) -> tuple[str, int]:
-    """Declare `site` and `time_origin`: the file, and the ROS time at which the site's time is zero, ns."""
-    file = node.declare("site", "", description)
-    origin = node.declare(
-        "time_origin", 0.0, "ROS time at which the site's time is zero; 0: this node's start", "s", (0.0, None)
-    )
-    return file, round(origin * 1e9) or time.time_ns()
 
 
 def read_site(path: str) -> SiteSpec:

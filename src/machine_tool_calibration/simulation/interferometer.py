@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.nodes.optics import OnTool, Optics, Pose
-from machine_tool_calibration.nodes.ros.messages import nanoseconds, seconds
-from machine_tool_calibration.nodes.samples import NOTHING, Batch, NotYet, Window
-from machine_tool_calibration.nodes.site import NO_BEAM, Beam, Moment, Site
+from machine_tool_calibration.instruments.samples import NOTHING, Batch, NotYet, Window
+from machine_tool_calibration.simulation.optics import OnTool, Optics, Pose
+from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.site import NO_BEAM, Beam, Site
 
+_NANO = 1_000_000_000
 _IDENTITY = np.eye(3)
 _TURBULENCE = 0.5  # s: within this the air's noise hardly changes, beyond it is independent
 _RADIUS = 2e-3  # m: farther beside the beam the retroreflector does not return it
@@ -42,11 +44,11 @@ class SimulatedSource:
     def __init__(self, site: Site, origin: int, rate: float, sample_noise: float, keep: int = 4000) -> None:
         self.site = site
         self.hardware_id = "simulated interferometer"
-        self.optics: Optics = OnTool(site, tracking=False)
+        self.optics: Optics = OnTool(site)
         self.blocked = False
         self.setup, self.setup_index = "", 0
         self.first: float | None = None
-        self._origin, self._step = origin, nanoseconds(1.0 / rate)
+        self._origin, self._step = origin, round(_NANO / rate)
         self._sample_noise = sample_noise
         self._poses: deque[Pose] = deque(maxlen=keep)
         self._beam = NO_BEAM
@@ -94,8 +96,9 @@ class SimulatedSource:
 
     # --- geometry
 
-    def _moment(self, time: int) -> Moment:
-        return Moment(seconds(time - self._origin), {}, {}, self.setup_index, seconds(self._setup_start - self._origin))
+    def _moment(self, time: int) -> Scene:
+        since, start = (time - self._origin) / _NANO, (self._setup_start - self._origin) / _NANO
+        return self.site.moment(since, setup=self.setup_index, start=start)
 
     def _target(self, pose: Pose) -> Array:
         return self.optics.target(pose, self._beam, self._moment(pose.stamp))
@@ -117,14 +120,13 @@ class SimulatedSource:
         middle = len(times) // 2
         moment, pose = self._moment(int(times[middle])), self._poses[-1]
         targets = self._targets(times)
-        paths = self.optics.paths(targets, pose, self._beam, moment)
+        paths = self.optics.sight(targets, pose, self._beam, moment).path
         if self.first is None:
             self.first = float(paths[middle])
-        if not self.site.chosen:
+        if not self.site.flaws:
             return paths
-        look = self.optics.look(targets[middle], pose, self._beam, moment)
-        path = float(paths[middle])
-        return paths + self.site.added(moment, path, look.direction, look.azimuth, self.first, look.incidence)
+        one = self.optics.sight(targets[middle : middle + 1], pose, self._beam, moment)
+        return np.asarray(paths + self.site.added(moment, replace(one, change=one.path - self.first)))
 
     def need_answers(self) -> None:
         """Refuse a reading as long as it is not known where the target and the beam are.
@@ -159,7 +161,7 @@ class SimulatedSource:
         if not self.setup:
             raise NotYet("other", "it is not known at which setup the instrument stands")
         last = self._poses[-1]
-        end, start = last.stamp, last.stamp - nanoseconds(length)
+        end, start = last.stamp, last.stamp - round(_NANO * length)
         before = self._poses[-2] if len(self._poses) > 1 else Pose(start, last.place, last.rotation)
         if self._beside(last) > _RADIUS:
             raise NotYet("beam", "the beam is beside the retroreflector")
@@ -216,7 +218,7 @@ class SimulatedSource:
 
     def _noise(self, count: int) -> Array:
         """White noise of the samples, and the air's, which is correlated in time."""
-        step = self._step * 1e-9 / _TURBULENCE
+        step = self._step / _NANO / _TURBULENCE
         kicks = self.site.noise * np.sqrt(-np.expm1(-2.0 * step)) * self._random.normal(size=count)
         # air[k] = decay air[k-1] + kick[k], summed up; a batch is shorter than the gap that restarts the stream
         growth = np.exp(step * np.arange(1, count + 1))
@@ -234,7 +236,7 @@ class SimulatedSource:
             self._beside_since = now
 
     def _is_beside(self, now: int) -> bool:
-        if self._beside_since is None or now - self._beside_since < nanoseconds(_GRACE):
+        if self._beside_since is None or now - self._beside_since < _NANO * _GRACE:
             return False
         self._lost = "the beam is beside the retroreflector"
         return True
