@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The listener beside a graph: whatever it is sent, in a namespace, with nodes of other names. See also test_whole."""
 
+import signal
 from contextlib import closing
 
 import pytest
@@ -67,3 +68,18 @@ def test_a_namespace_that_is_none_is_refused_in_one_line(bench):
     with pytest.raises(CalibrationError, match=r"^'a b' is no namespace \(.*must not contain") as refused:
         Client(bench.domain, "a b")
     assert "\n" not in str(refused.value)
+
+
+class Fragile:
+    """Ctrl-C comes while it is destroyed, where Python ignores every exception."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interruption_within_a_destructor_is_not_lost(bench):
+    with Client(bench.domain) as client:
+        client.node.every(0.01, Fragile)
+        with pytest.raises(KeyboardInterrupt):
+            client.wait(lambda: False, PATIENCE)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

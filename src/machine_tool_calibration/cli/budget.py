@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.output import (
     PATH,
     PictureFile,
@@ -49,7 +49,6 @@ def budget_option(text: str) -> Callable[[Any], Any]:
 @seed_option
 @click.option("--plot", type=PictureFile("budget.png"), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
 @model_options
-@history_option
 @json_option
 def command(
     measurements: tuple[Path, ...],

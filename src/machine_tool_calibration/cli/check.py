@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, new_model_options
 from machine_tool_calibration.cli.logbook import machine_option
 from machine_tool_calibration.cli.output import PATH, Report, json_option, progress_bar, seed_option, tell
 from machine_tool_calibration.errors import CalibrationError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.argument("earlier", metavar="MAP", type=PATH)
 @click.argument("measurement", metavar="SESSION", type=PATH)
 @machine_option
-@model_options
+@new_model_options
 @seed_option
 @json_option
 def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wanted, seed: int, as_json: bool) -> None:

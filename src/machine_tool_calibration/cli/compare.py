@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
 from machine_tool_calibration.reports.documents import write_table
 
@@ -15,7 +15,6 @@ from machine_tool_calibration.reports.documents import write_table
 @click.command("compare")
 @sessions_argument
 @model_options
-@history_option
 @click.option(
     "--against", multiple=True, metavar="COLUMN", help="Draw the residuals against this covariate; repeatable."
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, no_model
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, no_model
 from machine_tool_calibration.cli.output import (
     PATH,
     PictureFile,
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 @click.argument("first", type=PATH)
 @click.argument("second", type=PATH)
 @model_options
-@history_option
 @seed_option
 @click.option("--plot", type=PictureFile(), help="Draw both maps into this file (png, svg, pdf).")
 @json_option

@@ -11,7 +11,7 @@ import click
 
 from machine_tool_calibration.budget.conformity import RULES
 from machine_tool_calibration.cli.budget import budget_option
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import PATH, json_option, note, progress_bar, seed_option, tell
 
 if TYPE_CHECKING:
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 )
 @seed_option
 @model_options
-@history_option
 @json_option
 def command(
     measurements: tuple[Path, ...],

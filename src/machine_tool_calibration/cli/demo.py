@@ -25,6 +25,7 @@ from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
+from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.site import Site, SiteSpec, read_site
 
 if TYPE_CHECKING:
@@ -116,9 +117,7 @@ def error_against_truth(measured: Measured, result: Result) -> MapError:
 
 def _positions(site: Site, points: Array) -> Array:
     """(n, 3) true error of the tool's position at commanded points, m."""
-    upwards = dict.fromkeys("xyz", 1)
-    rows = [dict(zip("xyz", (float(v) for v in row), strict=True)) for row in points]
-    return np.asarray(np.vstack([site.functional_point(site.moment(0.0, row, upwards)) for row in rows]) - points)
+    return np.asarray(site.functional_point(site.scene(0.0, points)) - points)
 
 
 def _carried(site: Site, result: Result) -> tuple[Array, Array]:
@@ -130,34 +129,23 @@ def _carried(site: Site, result: Result) -> tuple[Array, Array]:
     """
     content, points = result.error_map.content, result.error_map.points
     angles = np.asarray(content["c"], dtype=float)
+    angle = np.repeat(angles, len(points) // len(angles))
     sign = float(result.fit.model.observations.session.rotation_sign)
-    out, free = np.zeros_like(points), np.zeros((6, *points.shape))
-    of_point = np.repeat(angles, len(points) // len(angles))
-    for c in angles:
-        origin, turn = site.table(site.moment(0.0, {"c": float(c)}, {"c": 1}))
-        cosine, sine = np.cos(sign * c), np.sin(sign * c)
-        ideal = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        mine = of_point == c
-        out[mine] = points[mine] @ (turn @ ideal.T - np.eye(3)).T + origin
-        for j in range(3):
-            free[j, mine] = ideal[:, j]
-            free[3 + j, mine] = np.cross(ideal[:, j], points[mine])
-    return out, free
+    moment = site.scene(0.0, np.zeros((len(points), 3)), {"C": 1.0}, angle=angle)
+    error = site.on_table(moment, turn(points, "C", -sign * angle)) - points
+    shifts = np.stack([turn(np.tile(axis, (len(points), 1)), "C", sign * angle) for axis in np.eye(3)])
+    return error, np.concatenate([shifts, np.cross(shifts, points)])
 
 
 def _deviations(site: Site, result: Result) -> MapError:
     """Deviations along what each reading senses, as the model says and as they are; their mean taken out."""
     observations = result.fit.model.observations
-    readings, names = observations.readings, "xyz"
-    true = []
-    for k, position in enumerate(observations.position):
-        commanded = dict(zip(names, (float(v) for v in position), strict=True))
-        approach = {a: int(readings.columns[f"dir_{a}"][k]) for a in names if f"dir_{a}" in readings.columns}
-        moment = site.moment(float(readings.column("time")[k]), commanded, dict.fromkeys(names, 1) | approach)
-        true.append((site.functional_point(moment)[0] - position) @ observations.direction[k])
-    actual = np.array(true) - np.mean(true)
+    readings, position = observations.readings, observations.position
+    approach = {axis.upper(): readings.columns[f"dir_{axis}"] for axis in "xyz" if f"dir_{axis}" in readings.columns}
+    actual = site.functional_point(site.scene(readings.column("time"), position, approach))
+    true = np.einsum("ni,ni->n", actual - position, observations.direction)
     found = readings.displacement - result.fit.residuals
-    return MapError((found - found.mean() - actual)[:, None], rms(actual))
+    return MapError((found - found.mean() - (true - true.mean()))[:, None], rms(true - true.mean()))
 
 
 # What may be hidden with each method, with the smallest and the largest size; and what is measured.

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FOLDER, json_option, note_written, progress_bar, tell
 
 
 @click.command("diagnose")
 @sessions_argument
 @model_options
-@history_option
 @click.option(
     "--details",
     is_flag=True,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Wanted:
-    """The model that the options of `model_options` and `history_option` ask for.
+    """The model that the options of `model_options` ask for.
 
     Attributes:
         effects: ids of the effects in it.
@@ -161,7 +161,12 @@ effects_file_option = click.option(
     multiple=True,
     help="YAML file with effects of your own; they are looked for like the built-in ones.",
 )
-_model_options = options(
+_history_option = click.option(
+    "--from-history",
+    is_flag=True,
+    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
+)
+_new_model_options = options(
     click.option(
         "--keep",
         metavar="[SESSION:]ROW",
@@ -172,18 +177,10 @@ _model_options = options(
     effects_file_option,
     model_option,
 )
-history_option = click.option(
-    "--from-history",
-    is_flag=True,
-    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
-)
 
 
-def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--effect`, `--effects-file`, `--model` and `--keep` to a verb, as the keyword argument `wanted`.
-
-    It holds what `history_option` says as well.
-    """
+def new_model_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--effect`, `--effects-file`, `--model` and `--keep` to a verb, as the keyword argument `wanted`."""
 
     @wraps(function)
     def collected(
@@ -197,4 +194,9 @@ def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
     ) -> Any:
         return function(wanted=Wanted(effects, files, model, keep, from_history), **more)
 
-    return _model_options(collected)
+    return _new_model_options(collected)
+
+
+def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same with `--from-history`."""
+    return new_model_options(_history_option(function))

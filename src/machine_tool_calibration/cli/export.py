@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import (
     FOLDER,
@@ -83,7 +83,6 @@ mtcal export session --format isg --from-history   with the effects that `mtcal 
     help="Folder of the files; by default compensation_FORMAT. Files that are there are not overwritten.",
 )
 @model_options
-@history_option
 @click.option("--plot", is_flag=True, help=f"Draw the errors before and after: {_PICTURE} in the folder.")
 @topic_option
 @json_option

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.output import (
     FILE,
     PATH,
@@ -92,7 +92,6 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 )
 @seed_option
 @model_options
-@history_option
 @click.option("-p", "--plot", type=PictureFile(), help="Draw them into this file (png, svg, pdf).")
 @json_option
 def command(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.many import fit_one, followed, workers_options
 from machine_tool_calibration.cli.output import FILE, FOLDER, json_option, note, note_written, tell
 
@@ -23,7 +23,6 @@ from machine_tool_calibration.cli.output import FILE, FOLDER, json_option, note,
 @click.option("--largest-u", metavar="VALUE", help="Attention where U (k = 2) of a length is more, such as 3um.")
 @click.option("--language", default="en", show_default=True, metavar="en|de", help="Of the page.")
 @model_options
-@history_option
 @workers_options
 @json_option
 def command(

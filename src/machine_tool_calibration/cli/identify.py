@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.many import fit_one, followed, workers_options
 from machine_tool_calibration.cli.output import (
     FILE,
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 @click.command("identify")
 @click.argument("sessions", metavar="SESSION…", nargs=-1, required=True, type=PATH)
 @model_options
-@history_option
 @click.option("--keep-all", is_flag=True, help="Use all readings, also those that stand out of all others.")
 @click.option("-o", "--output", type=PATH, help="Folder for the result document and the pictures.")
 @click.option(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
+from machine_tool_calibration.cli.diagnosing import Wanted, new_model_options, sessions_argument
 from machine_tool_calibration.cli.output import (
     FOLDER,
     json_option,
@@ -58,7 +58,7 @@ def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[l
 
 @click.command("improve")
 @sessions_argument
-@model_options
+@new_model_options
 @click.option(
     "-o",
     "--output",

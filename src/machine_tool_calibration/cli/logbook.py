@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.output import (
     FILE,
     PATH,
@@ -43,7 +43,6 @@ def command() -> None:
 @click.option("--date", help="When it was measured (ISO 8601), unless `about` says it.")
 @click.option("--instrument", help="Which instrument read, unless `about` says it, such as a serial number.")
 @model_options
-@history_option
 @json_option
 def add(
     book: Path,

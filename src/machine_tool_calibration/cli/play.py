@@ -19,8 +19,6 @@ from machine_tool_calibration.errors import CalibrationError
 @click.option(
     "--fast", is_flag=True, help="As fast as the subscribers take it; waits some seconds for the first of them."
 )
-@click.option("--offset", type=click.FloatRange(min=0), default=0.0, help="Where in the bag to begin, s.")
-@click.option("--loop", "-l", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option("--paused", "-p", is_flag=True, help="Wait for the service player/resume.")
 @click.option(
     "--delay",
@@ -50,12 +48,11 @@ def command(
     """Play a recording: publish its messages at their pace, with /clock.
 
     TOPICS are names in the bag, all by default. Messages go out as they are stored; latched topics are latched again.
-    The services player/pause, player/resume and player/step (one message while paused) steer it; player/status tells
-    where it stands.
+    The services player/pause and player/resume steer it; player/status tells where it stands.
 
     \b
     mtcal play bag
-    mtcal play bag --rate 10 --offset 60
+    mtcal play bag --rate 10
     mtcal play bag /session /reading --fast --keep     feed a live estimator
     """
     from machine_tool_calibration.nodes.player import Player

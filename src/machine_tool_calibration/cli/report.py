@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.budget import budget_option
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written, progress_bar, seed_option
 
 
@@ -27,7 +27,6 @@ from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written
 @budget_option("YAML file with contributors to the uncertainty (`mtcal budget`); repeatable.")
 @click.option("--tolerances", type=PATH, help="YAML file with tolerances (`mtcal conformity`).")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
-@history_option
 @model_options
 @seed_option
 def command(

@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
-    dated,
-    duration_message,
     from_message,
     joint_state,
     positions,
+    seconds,
+    trajectory,
 )
 from machine_tool_calibration.procedure.events import Aim
 
@@ -163,10 +163,4 @@ class Executions:
 
 def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
     """The message of `axes/executed`: when, ns, and where a command began, and each of its points that was reached."""
-    names = list(points[0][1]) if points else []
-    message = JointTrajectory(joint_names=names)
-    for time, place in points:
-        positions = [float(place[name]) for name in names]
-        since = duration_message(time - command)
-        message.points.append(JointTrajectoryPoint(positions=positions, time_from_start=since))
-    return dated(message, command)
+    return trajectory(command, ((place, seconds(time - command)) for time, place in points))

@@ -189,7 +189,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
         progress("starting the nodes", 0, total)
         listeners = _Listeners(graph, output)
         with graph, Client(domain, graph.namespace, watch=listeners.watch) as client:
-            with _keeping(client, output, total):
+            with _keeping(client, listeners, output, total):
                 _await_ready(client, list(nodes))
                 listeners.client = client
                 started = time.monotonic()
@@ -220,8 +220,8 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
 
 
 @contextmanager
-def _keeping(client: Client, output: Path, total: int) -> Iterator[None]:
-    """Whatever ends the measurement says where its readings are."""
+def _keeping(client: Client, listeners: _Listeners, output: Path, total: int) -> Iterator[None]:
+    """Whatever ends the measurement says where its readings are, and what was missed."""
     try:
         yield
     except (KeyboardInterrupt, CalibrationError) as error:
@@ -231,7 +231,7 @@ def _keeping(client: Client, output: Path, total: int) -> Iterator[None]:
         if kept is None:
             raise
         where = f"{len(kept.readings)} of {total} readings are kept in {output / 'session'}"
-        raise type(error)(f"{str(error) or 'interrupted'}; {where}") from error
+        raise type(error)("; ".join((str(error) or "interrupted", where, *listeners.remarks))) from error
 
 
 def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:

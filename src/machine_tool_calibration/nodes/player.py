@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `player`: publishes what a bag holds, at its pace or any other.
 
-Messages are published as they are stored, without being decoded. What was latched is latched again, also what stands
-before the offset. The last publication of a topic is waited for before its queue would overflow, so a reliable
-subscriber loses nothing at full speed either.
+Messages are published as they are stored, without being decoded. What was latched is latched again. The last
+publication of a topic is waited for before its queue would overflow, so a reliable subscriber loses nothing at full
+speed either.
 """
 
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,8 +109,6 @@ class Player(ManagedNode):
         self._rate = self.declare(
             "rate", 1.0, "seconds of the bag per second; 0: as fast as possible", within=(0.0, None)
         )
-        self._offset = self.declare("offset", 0.0, "where in the bag to begin", "s", (0.0, None))
-        self._loop = self.declare("loop", False, "begin again at the end")
         self._paused = self.declare("paused", False, "wait for the service player/resume")
         self._frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", "Hz", (0.0, 10000.0))
         self._wanted = self.declare("topics", [""], "names of the topics to play; all if there are none")
@@ -126,11 +122,6 @@ class Player(ManagedNode):
         if not self._path:
             raise CalibrationError("the parameter bag is missing: which recording is to be played?")
         self.bag = BagReader(Path(self._path))
-        self._start = self.bag.first + round(self._offset * 1e9)
-        if self.bag.messages_in_all and self._start > self.bag.last:
-            raise CalibrationError(
-                f"{self._path}: lasts {self.bag.duration:.3f} s; the offset {self._offset:g} s is behind its end"
-            )
 
     def activate(self) -> None:
         """See `ManagedNode`."""
@@ -140,15 +131,14 @@ class Player(ManagedNode):
         self._period = round(1e9 / self._frequency) if self._frequency else 0
         self._last_clock: int | None = None
         self._status = StatusTopic(self, "player", clock=time.time_ns)
-        for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
+        for name, action in (("pause", self._pause), ("resume", self._resume)):
             offer(self, f"~/{name}", action)
         begin = time.monotonic_ns() + round(self._delay * 1e9)
-        self._pace = Pace(self._rate, self._start, begin, paused=self._paused)
+        self._pace = Pace(self._rate, self.bag.first, begin, paused=self._paused)
         self._wait_until = 0 if self._rate else begin + _FIRST
-        self._messages: Iterator[Message] = iter(())
-        self._next: Message | None = None
-        self._ended = False
-        self._rewind()
+        self._messages = self.bag.messages(self._outlets)
+        self._next = next(self._messages, None)
+        self._ended = self._next is None
         self.every(_TICK, self._tick)
         self.every(_SHOW, self._show)
         if self._time_topic is not None:
@@ -186,25 +176,6 @@ class Player(ManagedNode):
                 offered.latched,
             )
         return outlets
-
-    def _rewind(self) -> None:
-        """To the offset; what was latched before it is sent at once."""
-        self._messages = self.bag.messages(self._outlets)
-        self._next = None
-        latched: dict[str, deque[Message]] = {
-            name: deque(maxlen=outlet.depth) for name, outlet in self._outlets.items() if outlet.latched
-        }
-        for message in self._messages:
-            if message.log_time >= self._start:
-                self._next = message
-                break
-            if message.topic in latched:
-                latched[message.topic].append(message)
-        earlier = sorted((m for held in latched.values() for m in held), key=lambda message: message.log_time)
-        for message in earlier:
-            self._publish(message)
-        self._ended = self._next is None
-        self._last_clock = None
 
     def _tick(self) -> None:
         """Send all that is due."""
@@ -247,10 +218,6 @@ class Player(ManagedNode):
         self.sent += 1
 
     def _end(self) -> None:
-        if self._loop:
-            self._pace.set(self._start, time.monotonic_ns())
-            self._rewind()
-            return
         self._ended = True
         if not self._is_heard():
             self.get_logger().warning("nobody listened")
@@ -263,7 +230,7 @@ class Player(ManagedNode):
     def _stop(self, error: RecordingError) -> None:
         self.trouble = str(error)
         self.get_logger().error(self.trouble)
-        self._next, self._loop = None, False
+        self._next = None
         self._end()
 
     def _tell_time(self, at: int | None = None) -> None:
@@ -290,18 +257,6 @@ class Player(ManagedNode):
         self._show()
         return "playing"
 
-    def _step(self) -> str:
-        message = self._next
-        if not self._pace.paused or message is None:
-            raise CalibrationError("only a paused replay can be stepped" if message else "no message is left")
-        self._pace.set(message.log_time, time.monotonic_ns())
-        try:
-            self._advance(message)
-        except RecordingError as error:
-            self._stop(error)
-        self._show()
-        return message.topic
-
     @property
     def state(self) -> str:
         """playing, paused, finished or failed."""
@@ -312,6 +267,7 @@ class Player(ManagedNode):
         return "paused" if self._pace.paused else "playing"
 
     def _show(self) -> None:
+        self._is_heard()  # latched messages are heard after the end as well
         position = min(max(self._pace.position(time.monotonic_ns()), self.bag.first), self.bag.last)
         entries = {
             "state": self.state,
