@@ -35,15 +35,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MapError:
-    """Difference of an identified map from the truth, after the datum has been taken out.
+    """Difference of an identified map from the truth, after the datum has been taken out."""
 
-    Attributes:
-        difference: (n, d) identified minus true position error, m.
-        before: RMS length of the difference for a map that says that the machine has no errors, m.
-    """
-
-    difference: Array
-    before: float
+    difference: Array  # (n, d) identified minus true position error, m
+    before: float  # RMS length of the difference for a map that says that the machine has no errors, m
 
     @property
     def rms(self) -> float:
@@ -167,25 +162,15 @@ _PROCEDURES = {
 
 @dataclass(frozen=True)
 class _Demonstration:
-    """What came of the demonstration.
+    """What came of the demonstration."""
 
-    Attributes:
-        seed: repeats it.
-        hidden: effect and its size; None if nothing was hidden.
-        measured: the measurement, with the first model's result.
-        improvement: the loop.
-        before: the first model's map against the truth.
-        after: the last model's.
-        pictures: files.
-    """
-
-    seed: int
-    hidden: FlawSpec | None
-    measured: Measured
-    improvement: Improvement
-    before: MapError
-    after: MapError
-    pictures: list[Path]
+    seed: int  # repeats it
+    hidden: FlawSpec | None  # effect and its size; None if nothing was hidden
+    measured: Measured  # the measurement, with the first model's result
+    improvement: Improvement  # the loop
+    before: MapError  # the first model's map against the truth
+    after: MapError  # the last model's
+    pictures: list[Path]  # files
 
 
 @click.command("demo")

@@ -24,21 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Wanted:
-    """The model that the options of `model_options` ask for.
+    """The model that the options of `model_options` ask for."""
 
-    Attributes:
-        effects: ids of the effects in it.
-        files: YAML files with effects of the user's own.
-        model: variant of the method's model; None for its default.
-        keep: readings that are not to be set aside, as `--keep` names them.
-        from_history: whether it is the one in use of the history.
-    """
-
-    effects: tuple[str, ...]
-    files: tuple[Path, ...]
-    model: str | None
-    keep: tuple[str, ...]
-    from_history: bool = False
+    effects: tuple[str, ...]  # ids of the effects in it
+    files: tuple[Path, ...]  # YAML files with effects of the user's own
+    model: str | None  # variant of the method's model; None for its default
+    keep: tuple[str, ...]  # readings that are not to be set aside, as `--keep` names them
+    from_history: bool = False  # whether it is the one in use of the history
 
     def open(self, paths: Sequence[Path], topics: dict[str, str] | None = None) -> Measured:
         """Read measurements, and choose the model to fit to them.

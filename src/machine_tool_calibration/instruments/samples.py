@@ -32,23 +32,14 @@ NOTHING = Batch(np.zeros(0, np.int64), np.zeros(0))
 
 @dataclass(frozen=True)
 class Window:
-    """Averaged samples.
+    """Averaged samples."""
 
-    Attributes:
-        start: time of the first sample, ns.
-        end: time of the last, ns.
-        path: their mean, m, from the source's own zero.
-        spread: their standard deviation, m.
-        samples: how many.
-        inputs: newest simulated inputs used, by name, ns.
-    """
-
-    start: int
-    end: int
-    path: float
-    spread: float
-    samples: int
-    inputs: dict[str, int] = field(default_factory=dict)
+    start: int  # time of the first sample, ns
+    end: int  # time of the last, ns
+    path: float  # their mean, m, from the source's own zero
+    spread: float  # their standard deviation, m
+    samples: int  # how many
+    inputs: dict[str, int] = field(default_factory=dict)  # newest simulated inputs used, by name, ns
 
     @property
     def stamp(self) -> int:

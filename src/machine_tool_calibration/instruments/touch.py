@@ -27,19 +27,12 @@ _EARLY = 1e-3  # m outside of it: a trigger farther out is not of this surface
 
 @dataclass(frozen=True)
 class NominalTouch:
-    """A touch as it is planned, machine frame.
+    """A touch as it is planned, machine frame."""
 
-    Attributes:
-        point: place of the point in the workpiece's list.
-        centre: (2,) centre of the sphere at the nominal surface, m.
-        normal: (2,) outward normal.
-        standoff: distance of the sphere from the nominal surface where the touch begins, m.
-    """
-
-    point: int
-    centre: Array
-    normal: Array
-    standoff: float
+    point: int  # place of the point in the workpiece's list
+    centre: Array  # (2,) centre of the sphere at the nominal surface, m
+    normal: Array  # (2,) outward normal
+    standoff: float  # distance of the sphere from the nominal surface where the touch begins, m
 
     def at(self, displacement: float) -> dict[str, float]:
         """Position of X and Y with the sphere that far outside the nominal surface, m."""
@@ -49,13 +42,9 @@ class NominalTouch:
 
 @dataclass(frozen=True)
 class Part:
-    """The workpiece on the table, as the probe knows it.
+    """The workpiece on the table, as the probe knows it."""
 
-    Attributes:
-        description: points, stylus and sense of rotation.
-    """
-
-    description: Probing
+    description: Probing  # points, stylus and sense of rotation
 
     @property
     def radius(self) -> float:

@@ -11,17 +11,12 @@ _AXES = "XYZABC"
 
 @dataclass(frozen=True)
 class Chain:
-    """Axes on the workpiece's side and on the tool's side of the bed.
+    """Axes on the workpiece's side and on the tool's side of the bed."""
 
-    Attributes:
-        workpiece_side: axes from the workpiece to the bed.
-        tool_side: axes from the bed to the tool.
-        tool_offset: from the point to which the axes' positions refer to the functional point, x, y, z, m; it is part
-            of every lever arm (Abbe).
-    """
-
-    workpiece_side: tuple[str, ...]
-    tool_side: tuple[str, ...]
+    workpiece_side: tuple[str, ...]  # axes from the workpiece to the bed
+    tool_side: tuple[str, ...]  # axes from the bed to the tool
+    # from the point to which the axes' positions refer to the functional point, x, y, z, m; it is part of every lever
+    # arm (Abbe)
     tool_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod

@@ -30,25 +30,15 @@ from machine_tool_calibration.session.collect import Reading, live_session
 
 @dataclass(frozen=True)
 class Request:
-    """What to calculate from.
+    """What to calculate from."""
 
-    Attributes:
-        text: the session's description.
-        readings: in the order of time.
-        model: variant of the method's model; None for its default.
-        effects: ids of the effects in the model.
-        files: of the user's own effects.
-        magnification: of errors as arrows; 0 for a round number.
-        now: gives the stamp of what is found, ns.
-    """
-
-    text: str
-    readings: list[Reading]
-    model: str | None
-    effects: tuple[str, ...]
-    files: tuple[str, ...]
-    magnification: float
-    now: Callable[[], int]
+    text: str  # the session's description
+    readings: list[Reading]  # in the order of time
+    model: str | None  # variant of the method's model; None for its default
+    effects: tuple[str, ...]  # ids of the effects in the model
+    files: tuple[str, ...]  # of the user's own effects
+    magnification: float  # of errors as arrows; 0 for a round number
+    now: Callable[[], int]  # gives the stamp of what is found, ns
 
     def chosen(self) -> FitRequest:
         """The readings as a session, and the model; raises where they do not make one yet, or as `own_effects`."""
@@ -58,21 +48,13 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a calculation gave.
+    """What a calculation gave."""
 
-    Attributes:
-        words: a sentence about it.
-        values: for programs, SI.
-        messages: to be published, by topic.
-        accepted: effects that a diagnosis accepted; None if none was made.
-        effects: of the model from now on; None where they stay.
-    """
-
-    words: str
-    values: Mapping[str, object]
-    messages: Mapping[str, Any]
-    accepted: tuple[str, ...] | None = None
-    effects: tuple[str, ...] | None = None
+    words: str  # a sentence about it
+    values: Mapping[str, object]  # for programs, SI
+    messages: Mapping[str, Any]  # to be published, by topic
+    accepted: tuple[str, ...] | None = None  # effects that a diagnosis accepted; None if none was made
+    effects: tuple[str, ...] | None = None  # of the model from now on; None where they stay
 
 
 def identified(request: Request, progress: Progress) -> Outcome:

@@ -49,17 +49,11 @@ def _id(index: float | None, ids: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class PointerCommand:
-    """A command to the pointer.
+    """A command to the pointer."""
 
-    Attributes:
-        stamp: its identity, ns.
-        point: (3,) the target, m, machine frame.
-        index: place of the setup in the description.
-    """
-
-    stamp: int
-    point: Array
-    index: float
+    stamp: int  # its identity, ns
+    point: Array  # (3,) the target, m, machine frame
+    index: float  # place of the setup in the description
 
     def setup(self, ids: Sequence[str]) -> str:
         """Id of the setup from which to point; empty where it is none of these."""
@@ -110,21 +104,14 @@ _SAME_PLACE = 1e-5  # m or rad: encoders show a place again within this
 
 @dataclass(frozen=True)
 class Executed:
-    """What has been done of a command.
+    """What has been done of a command."""
 
-    Attributes:
-        command: its stamp, ns.
-        began: when the motion began, ns.
-        reached: when each of the command's points was reached, ns, as far as they were.
-        places: position by axis where it began, and at those points; none before the first command.
-        epoch: changes where the axes did not come from where they stood: they were started anew, or moved otherwise.
-    """
-
-    command: int
-    began: int
-    reached: tuple[int, ...]
+    command: int  # its stamp, ns
+    began: int  # when the motion began, ns
+    reached: tuple[int, ...]  # when each of the command's points was reached, ns, as far as they were
+    # position by axis where it began, and at those points; none before the first command
     places: tuple[Mapping[str, float], ...]
-    epoch: str
+    epoch: str  # changes where the axes did not come from where they stood: they were started anew, or moved otherwise
 
     def arrival(self, points: Sequence[Mapping[str, float]]) -> int | None:
         """When the last of these positions was reached, ns; a dwell there counts as reached. None if it was not."""

@@ -33,27 +33,16 @@ _CALLS = 6
 
 @dataclass(frozen=True)
 class NodeState:
-    """What a node said of itself.
+    """What a node said of itself."""
 
-    Attributes:
-        node: its name, without the graph's namespace.
-        kind: what the status is about, such as `instrument` or `axes`, whatever the node's name.
-        level: 0 as it should be, 1 waiting or stopped, 2 error.
-        message: one sentence.
-        entries: values by key.
-        device: behind the node.
-        at: when it was heard, s of a clock that never jumps.
-        repeats: whether it is said once a second, so that silence means something.
-    """
-
-    node: str
-    kind: str
-    level: int = 0
-    message: str = ""
-    entries: Mapping[str, str] = field(default_factory=dict)
-    device: str = ""
-    at: float = 0.0
-    repeats: bool = False
+    node: str  # its name, without the graph's namespace
+    kind: str  # what the status is about, such as `instrument` or `axes`, whatever the node's name
+    level: int = 0  # 0 as it should be, 1 waiting or stopped, 2 error
+    message: str = ""  # one sentence
+    entries: Mapping[str, str] = field(default_factory=dict)  # values by key
+    device: str = ""  # behind the node
+    at: float = 0.0  # when it was heard, s of a clock that never jumps
+    repeats: bool = False  # whether it is said once a second, so that silence means something
 
     def number(self, key: str) -> int:
         """A count among the values; 0 where it is missing or none."""
@@ -90,19 +79,12 @@ class Call:
 
 @dataclass(frozen=True)
 class Published:
-    """What an estimator published last.
+    """What an estimator published last."""
 
-    Attributes:
-        number: grows with every message.
-        error_map: columns of the topic `error_map`, m.
-        residuals: columns of the topic `residuals`, SI.
-        document: text of the topic `error_map/result`.
-    """
-
-    number: int = 0
-    error_map: Mapping[str, Array] = field(default_factory=dict)
-    residuals: Mapping[str, Array] = field(default_factory=dict)
-    document: str = ""
+    number: int = 0  # grows with every message
+    error_map: Mapping[str, Array] = field(default_factory=dict)  # columns of the topic `error_map`, m
+    residuals: Mapping[str, Array] = field(default_factory=dict)  # columns of the topic `residuals`, SI
+    document: str = ""  # text of the topic `error_map/result`
 
 
 class Heard:

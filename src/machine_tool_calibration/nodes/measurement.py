@@ -41,65 +41,38 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Setting:
-    """How a measurement is run.
+    """How a measurement is run."""
 
-    Attributes:
-        output: folder for everything that is written; must be free.
-        site: what is true in the simulated workshop; its machine's chain and travel come from the procedure.
-        simulated_time: run as fast as the machine can, instead of in real time.
-        driver: `simulated`, or the YAML file of a real instrument's driver.
-        namespace: of the graph.
-        domain: ROS domain id; a free one by default.
-        record: whether the recorder runs.
-        identify: whether the errors are identified at the end.
-        model: variant of the model; empty: the default.
-        effects: effects added to the model.
-        external: nodes that run elsewhere and are not started.
-        parameters: a ROS parameter file for the nodes.
-        until: what is to be reached; the measurement ends with the setup after which it is. All of the procedure if
-            absent.
-    """
-
-    output: Path
+    output: Path  # folder for everything that is written; must be free
+    # what is true in the simulated workshop; its machine's chain and travel come from the procedure
     site: SiteSpec = field(default_factory=SiteSpec)
-    simulated_time: bool = True
-    driver: str = "simulated"
-    namespace: str = ""
-    domain: int | None = None
-    record: bool = True
-    identify: bool = True
-    model: str = ""
-    effects: tuple[str, ...] = ()
-    external: tuple[str, ...] = ()
-    parameters: Path | None = None
+    simulated_time: bool = True  # run as fast as the machine can, instead of in real time
+    driver: str = "simulated"  # `simulated`, or the YAML file of a real instrument's driver
+    namespace: str = ""  # of the graph
+    domain: int | None = None  # ROS domain id; a free one by default
+    record: bool = True  # whether the recorder runs
+    identify: bool = True  # whether the errors are identified at the end
+    model: str = ""  # variant of the model; empty: the default
+    effects: tuple[str, ...] = ()  # effects added to the model
+    external: tuple[str, ...] = ()  # nodes that run elsewhere and are not started
+    parameters: Path | None = None  # a ROS parameter file for the nodes
+    # what is to be reached; the measurement ends with the setup after which it is. All of the procedure if absent
     until: Until | None = None
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a measurement has left.
+    """What a measurement has left."""
 
-    Attributes:
-        output: folder of everything.
-        session: what was measured.
-        bag: the recording, if there is one.
-        result: the result document, if the errors were identified.
-        domain: ROS domain id of the graph.
-        seconds: from the start of the graph, and of the procedure alone.
-        counters: what did not go straight, by name.
-        remarks: a sentence for each time that a node that only listens ended and was started again.
-        reached: after each setup what was known, where something was to be reached.
-    """
-
-    output: Path
-    session: Session
-    bag: Path | None
-    result: dict[str, Any] | None
-    domain: int
-    seconds: tuple[float, float]
-    counters: dict[str, int]
-    remarks: tuple[str, ...]
-    reached: tuple[Reached, ...] = ()
+    output: Path  # folder of everything
+    session: Session  # what was measured
+    bag: Path | None  # the recording, if there is one
+    result: dict[str, Any] | None  # the result document, if the errors were identified
+    domain: int  # ROS domain id of the graph
+    seconds: tuple[float, float]  # from the start of the graph, and of the procedure alone
+    counters: dict[str, int]  # what did not go straight, by name
+    remarks: tuple[str, ...]  # a sentence for each time that a node that only listens ended and was started again
+    reached: tuple[Reached, ...] = ()  # after each setup what was known, where something was to be reached
 
     @property
     def session_folder(self) -> Path:

@@ -57,31 +57,18 @@ _ATTEMPTS = 2  # touches tried before a point is given up
 
 @dataclass
 class _Cycle:
-    """One touch under way: approach, trigger, back off.
+    """One touch under way: approach, trigger, back off."""
 
-    Attributes:
-        touch: as planned.
-        position: where it began, by axis.
-        command: to the axes; its stamp names it.
-        epoch: of the axes as it began; empty if it is not known.
-        sent: when the command was sent last, s of a clock that only goes on.
-        displacement: where the probe triggers, m; NaN where it does not.
-        problem: why the touch does not count; empty if it does.
-        attempt: from 1.
-        begin: ROS time at which it began, ns.
-        moment: when it triggers, ns.
-    """
-
-    touch: NominalTouch
-    position: dict[str, float]
-    command: JointTrajectory
-    epoch: str
-    sent: float
-    displacement: float
-    problem: str
-    attempt: int
-    begin: int
-    moment: int
+    touch: NominalTouch  # as planned
+    position: dict[str, float]  # where it began, by axis
+    command: JointTrajectory  # to the axes; its stamp names it
+    epoch: str  # of the axes as it began; empty if it is not known
+    sent: float  # when the command was sent last, s of a clock that only goes on
+    displacement: float  # where the probe triggers, m; NaN where it does not
+    problem: str  # why the touch does not count; empty if it does
+    attempt: int  # from 1
+    begin: int  # ROS time at which it began, ns
+    moment: int  # when it triggers, ns
 
 
 class Probe(ManagedNode):

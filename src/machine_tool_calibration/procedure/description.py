@@ -24,28 +24,20 @@ _Count = Annotated[int, Field(ge=1, le=1000)]
 
 
 class Choices(Record):
-    """What the user can do, beside what the procedure says already; all of that is a candidate, too.
+    """What the user can do, beside what the procedure says already; all of that is a candidate, too."""
 
-    Attributes:
-        setups: entries of `session.setups`. In each, `{first, last, count}` stands for equally spaced numbers and
-            `{any: [...]}` for one of a list: every combination is a candidate.
-        targets: entries of `session.targets`, written in the same way.
-        features: features of the workpiece that may be left out; all others are measured in any case.
-        repeats: how often a setup may be measured; as the session says if absent.
-        most_setups: no more setups than these; as many as the session has if absent.
-        most_targets: no more targets, or features of those that may be left out; as many as there are if absent.
-        mounting: time that each setup takes beside moving and waiting, s.
-        seconds: time for everything; what the procedure takes as it stands if absent.
-    """
-
+    # entries of `session.setups`. In each, `{first, last, count}` stands for equally spaced numbers and `{any: [...]}`
+    # for one of a list: every combination is a candidate
     setups: tuple[dict[str, Any], ...] = ()
-    targets: tuple[dict[str, Any], ...] = ()
+    targets: tuple[dict[str, Any], ...] = ()  # entries of `session.targets`, written in the same way
+    # features of the workpiece that may be left out; all others are measured in any case
     features: tuple[str, ...] = ()
-    repeats: tuple[_Count, ...] = ()
-    most_setups: _Count | None = None
+    repeats: tuple[_Count, ...] = ()  # how often a setup may be measured; as the session says if absent
+    most_setups: _Count | None = None  # no more setups than these; as many as the session has if absent
+    # no more targets, or features of those that may be left out; as many as there are if absent
     most_targets: _Count | None = None
-    mounting: NotNegative = 0.0
-    seconds: Positive | None = None
+    mounting: NotNegative = 0.0  # time that each setup takes beside moving and waiting, s
+    seconds: Positive | None = None  # time for everything; what the procedure takes as it stands if absent
 
 
 def expanded(template: Any) -> Iterator[Any]:
@@ -90,27 +82,22 @@ class Spread(Record):
 
 
 class Path(Record):
-    """The targets of one run, in their order.
+    """The targets of one run, in their order."""
 
-    Attributes:
-        grid: positions of each axis; the first axis named runs fastest.
-        points: or the targets one by one, each a position of the same axes.
-        order: `lines`: each line of the grid begins at the same end; `serpentine`: every second line runs back.
-        alternate: every second repetition runs the path backwards.
-        both_ways: every run of a rotary axis turns back through the same angles, so that time and angle are
-            distinguished.
-        targets: of a rotary axis: the axis turns once for each target (`one_by_one`), or every target is read at each
-            angle (`at_every_angle`), for an instrument that finds a target again.
-        azimuth: directions in which a pointer holds its beam at every target, rad, rather than towards it: to find its
-            rotation centre and zero angle.
-    """
-
+    # positions of each axis; the first axis named runs fastest
     grid: Annotated[dict[str, Spread | tuple[Finite, ...]], Field(min_length=1)] | None = None
+    # or the targets one by one, each a position of the same axes
     points: Annotated[tuple[dict[str, Finite], ...], Field(min_length=1)] | None = None
+    # `lines`: each line of the grid begins at the same end; `serpentine`: every second line runs back
     order: Literal["lines", "serpentine"] = "lines"
-    alternate: bool = True
+    alternate: bool = True  # every second repetition runs the path backwards
+    # every run of a rotary axis turns back through the same angles, so that time and angle are distinguished
     both_ways: bool = False
+    # of a rotary axis: the axis turns once for each target (`one_by_one`), or every target is read at each angle
+    # (`at_every_angle`), for an instrument that finds a target again
     targets: Literal["one_by_one", "at_every_angle"] = "one_by_one"
+    # directions in which a pointer holds its beam at every target, rad, rather than towards it: to find its rotation
+    # centre and zero angle
     azimuth: Spread | Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
@@ -137,19 +124,13 @@ _FROM_SESSION = Path.model_construct(
 
 
 class Motion(Record):
-    """How the axes move and wait.
+    """How the axes move and wait."""
 
-    Attributes:
-        speed: greatest speed of each axis, m/s or rad/s.
-        acceleration: greatest acceleration of each axis, m/s^2 or rad/s^2.
-        dwell: time held at each target, s: settling and averaging must fit in.
-        approach: length of the short move that takes up the play before the first target, m or rad.
-    """
-
-    speed: dict[str, Positive] = Field(default_factory=dict)
+    speed: dict[str, Positive] = Field(default_factory=dict)  # greatest speed of each axis, m/s or rad/s
+    # greatest acceleration of each axis, m/s^2 or rad/s^2
     acceleration: dict[str, Positive] = Field(default_factory=dict)
-    dwell: Positive = 1.0
-    approach: NotNegative = 0.005
+    dwell: Positive = 1.0  # time held at each target, s: settling and averaging must fit in
+    approach: NotNegative = 0.005  # length of the short move that takes up the play before the first target, m or rad
 
 
 class _File(Record):
@@ -164,21 +145,13 @@ class _File(Record):
 
 
 class Procedure(Record):
-    """A measurement to be made.
+    """A measurement to be made."""
 
-    Attributes:
-        name: for folders and messages.
-        session: what `session.yaml` will say.
-        path: the targets of one run; without targets for a step diagonal, where they follow from the session.
-        motion: speeds, accelerations and waiting times.
-        choices: what else could be measured, to choose the best of (`mtcal plan --optimise`).
-    """
-
-    name: str
-    session: Description
-    path: Path
-    motion: Motion
-    choices: Choices = Choices()
+    name: str  # for folders and messages
+    session: Description  # what `session.yaml` will say
+    path: Path  # the targets of one run; without targets for a step diagonal, where they follow from the session
+    motion: Motion  # speeds, accelerations and waiting times
+    choices: Choices = Choices()  # what else could be measured, to choose the best of (`mtcal plan --optimise`)
 
 
 def read_procedure(file: FilePath) -> Procedure:

@@ -37,25 +37,16 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class Timing:
-    """How long to wait, in seconds of the wall clock, and how exactly the beam must point.
+    """How long to wait, in seconds of the wall clock, and how exactly the beam must point."""
 
-    Attributes:
-        resend: a command without an answer is sent again after this.
-        answer: a request to the instrument without an answer is sent again after this; longer than it takes to answer.
-        patience: then an error is stated after this.
-        paced: whether moves take as long as they say; not in simulated time.
-        pointing_tolerance: greatest deviation of the beam's angles from the commanded ones, rad.
-        revisits: after a lost beam, so many targets are measured again to find the new datum.
-        wait_between_setups: pause before each new setup, so that the instrument can be moved.
-    """
-
-    resend: float = 1.0
+    resend: float = 1.0  # a command without an answer is sent again after this
+    # a request to the instrument without an answer is sent again after this; longer than it takes to answer
     answer: float = 5.0
-    patience: float = 15.0
-    paced: bool = True
-    pointing_tolerance: float = 1e-4
-    revisits: int = 4
-    wait_between_setups: bool = False
+    patience: float = 15.0  # then an error is stated after this
+    paced: bool = True  # whether moves take as long as they say; not in simulated time
+    pointing_tolerance: float = 1e-4  # greatest deviation of the beam's angles from the commanded ones, rad
+    revisits: int = 4  # after a lost beam, so many targets are measured again to find the new datum
+    wait_between_setups: bool = False  # pause before each new setup, so that the instrument can be moved
 
 
 @dataclass
@@ -71,16 +62,11 @@ class Counters:
 
 @dataclass
 class Visit:
-    """One stop at a target.
+    """One stop at a target."""
 
-    Attributes:
-        step: the target.
-        datum: whether the path is zeroed here.
-        revisit: reading that was taken here before the datum was lost, m; NaN for a reading that is still to come.
-    """
-
-    step: Step
-    datum: bool
+    step: Step  # the target
+    datum: bool  # whether the path is zeroed here
+    # reading that was taken here before the datum was lost, m; NaN for a reading that is still to come
     revisit: float = math.nan
 
 
@@ -120,49 +106,31 @@ class Pending:
 
 @dataclass
 class DatumGroup:
-    """Readings that share one datum.
+    """Readings that share one datum."""
 
-    Attributes:
-        datum: identity of the datum in force; empty if there is none.
-        offset: added to the instrument's reading, so that it continues the group's first datum, m.
-        taken: steps and readings so far.
-        differences: old minus new reading of the targets that were measured again.
-    """
-
-    datum: str = ""
-    offset: float = 0.0
-    taken: list[tuple[Step, float]] = field(default_factory=list)
+    datum: str = ""  # identity of the datum in force; empty if there is none
+    offset: float = 0.0  # added to the instrument's reading, so that it continues the group's first datum, m
+    taken: list[tuple[Step, float]] = field(default_factory=list)  # steps and readings so far
+    # old minus new reading of the targets that were measured again
     differences: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Arrived:
-    """The axes stand at the end of a commanded motion.
+    """The axes stand at the end of a commanded motion."""
 
-    Attributes:
-        command: stamp of the command.
-        arrived: since when they stand.
-        held: until when that is known; later than `arrived` where simulated time has been advanced over the dwell.
-        epoch: identity of the axes' controller since its start; empty where it has none.
-    """
-
-    command: int
-    arrived: int
-    held: int
-    epoch: str = ""
+    command: int  # stamp of the command
+    arrived: int  # since when they stand
+    held: int  # until when that is known; later than `arrived` where simulated time has been advanced over the dwell
+    epoch: str = ""  # identity of the axes' controller since its start; empty where it has none
 
 
 @dataclass(frozen=True)
 class MovedAway:
-    """The axes are not where the last command brought them: another one commands them, or they were started anew.
+    """The axes are not where the last command brought them: another one commands them, or they were started anew."""
 
-    Attributes:
-        stamp: when it is so.
-        epoch: as of `Arrived`.
-    """
-
-    stamp: int
-    epoch: str = ""
+    stamp: int  # when it is so
+    epoch: str = ""  # as of `Arrived`
 
 
 @dataclass(frozen=True)
@@ -185,26 +153,16 @@ class Aimed:
 
 @dataclass(frozen=True)
 class Captured:
-    """A reading.
+    """A reading."""
 
-    Attributes:
-        token: of the request.
-        stamp: middle of the averaged window.
-        start: its beginning.
-        end: its end.
-        displacement: m, from the datum.
-        datum: identity of that datum.
-        columns: the environment at that moment, by column name.
-        inputs: newest simulated inputs that the reading used, by name; a real instrument has none.
-    """
-
-    token: int
-    stamp: int
-    start: int
-    end: int
-    displacement: float
-    datum: str
-    columns: Mapping[str, float] = field(default_factory=dict)
+    token: int  # of the request
+    stamp: int  # middle of the averaged window
+    start: int  # its beginning
+    end: int  # its end
+    displacement: float  # m, from the datum
+    datum: str  # identity of that datum
+    columns: Mapping[str, float] = field(default_factory=dict)  # the environment at that moment, by column name
+    # newest simulated inputs that the reading used, by name; a real instrument has none
     inputs: Mapping[str, int] = field(default_factory=dict)
 
 

@@ -26,20 +26,13 @@ class Move:
     """A straight move of several axes that start, travel and arrive together.
 
     The path parameter runs from 0 to 1 with a trapezoidal speed (a triangular one when the move is short).
-
-    Attributes:
-        start: position of each axis at the beginning, m or rad.
-        end: position of each axis at the end; the same axes.
-        duration: time from start to standstill, s.
-        ramp: time of the acceleration, and of the deceleration, s.
-        speed0: path parameter's rate at the beginning, 1/s; not 0 for a move that brakes.
     """
 
-    start: Mapping[str, float]
-    end: Mapping[str, float]
-    duration: float
-    ramp: float
-    speed0: float = 0.0
+    start: Mapping[str, float]  # position of each axis at the beginning, m or rad
+    end: Mapping[str, float]  # position of each axis at the end; the same axes
+    duration: float  # time from start to standstill, s
+    ramp: float  # time of the acceleration, and of the deceleration, s
+    speed0: float = 0.0  # path parameter's rate at the beginning, 1/s; not 0 for a move that brakes
 
     def _parameter(self, time: float) -> tuple[float, float]:
         """The path parameter and its rate at a time since the start."""
@@ -116,17 +109,11 @@ _SAME_TIME = 1e-12  # s; two ends closer than this are one
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Moves one after the other, each from standstill to standstill.
+    """Moves one after the other, each from standstill to standstill."""
 
-    Attributes:
-        moves: with their beginning, s since the start of the trajectory.
-        arrival: when the axes reach their last position, s.
-        end: when the last dwell is over, s.
-    """
-
-    moves: tuple[tuple[float, Move], ...]
-    arrival: float
-    end: float
+    moves: tuple[tuple[float, Move], ...]  # with their beginning, s since the start of the trajectory
+    arrival: float  # when the axes reach their last position, s
+    end: float  # when the last dwell is over, s
 
     @classmethod
     def through(

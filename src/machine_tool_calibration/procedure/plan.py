@@ -22,19 +22,12 @@ _ACCELERATION = {"linear": 1.0, "rotary": 5.0}
 
 @dataclass(frozen=True)
 class Plan:
-    """All steps of a procedure, in the order in which they are measured.
+    """All steps of a procedure, in the order in which they are measured."""
 
-    Attributes:
-        procedure: what was asked for.
-        steps: one for each reading.
-        limits: speed and acceleration of each axis.
-        ends: time from the start to the end of each step, of its moves and its wait, s.
-    """
-
-    procedure: Procedure
-    steps: tuple[Step, ...]
-    limits: Mapping[str, AxisLimits]
-    ends: tuple[float, ...]
+    procedure: Procedure  # what was asked for
+    steps: tuple[Step, ...]  # one for each reading
+    limits: Mapping[str, AxisLimits]  # speed and acceleration of each axis
+    ends: tuple[float, ...]  # time from the start to the end of each step, of its moves and its wait, s
 
     @property
     def duration(self) -> float:

@@ -28,31 +28,18 @@ Position = Mapping[str, float]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One target to be measured.
+    """One target to be measured."""
 
-    Attributes:
-        number: place in the plan, from 0.
-        setup: id of the instrument's setup.
-        repeat: repetition of that setup, from 0.
-        position: commanded position of each axis, m or rad.
-        direction: sign of each axis's last move before the reading, +1 or -1.
-        via: positions to be passed on the way, which fix the direction of approach.
-        aim: commanded target, m, machine frame; None for a probe.
-        points: whether a pointer directs the beam at it; otherwise the beam is fixed for each setup.
-        datum: whether the path is zeroed here, before the reading.
-        target: index of the target on the table, or of the workpiece's point.
-    """
-
-    number: int
-    setup: str
-    repeat: int
-    position: Position
-    direction: Mapping[str, int]
-    via: tuple[Position, ...] = ()
-    aim: tuple[float, float, float] | None = None
-    points: bool = True
-    datum: bool = False
-    target: int | None = None
+    number: int  # place in the plan, from 0
+    setup: str  # id of the instrument's setup
+    repeat: int  # repetition of that setup, from 0
+    position: Position  # commanded position of each axis, m or rad
+    direction: Mapping[str, int]  # sign of each axis's last move before the reading, +1 or -1
+    via: tuple[Position, ...] = ()  # positions to be passed on the way, which fix the direction of approach
+    aim: tuple[float, float, float] | None = None  # commanded target, m, machine frame; None for a probe
+    points: bool = True  # whether a pointer directs the beam at it; otherwise the beam is fixed for each setup
+    datum: bool = False  # whether the path is zeroed here, before the reading
+    target: int | None = None  # index of the target on the table, or of the workpiece's point
 
 
 def touch_steps(procedure: Procedure) -> Iterator[Step]:

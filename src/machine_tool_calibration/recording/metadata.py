@@ -19,27 +19,16 @@ FOREVER = 9_223_372_036_854_775_807  # ns; also the start of a recording without
 
 @dataclass(frozen=True)
 class Qos:
-    """One publisher's offered quality of service, with rmw's names of the policies.
+    """One publisher's offered quality of service, with rmw's names of the policies."""
 
-    Attributes:
-        history: keep_last, keep_all, system_default or unknown (what discovery tells).
-        depth: of keep_last.
-        reliability: reliable or best_effort.
-        durability: volatile or transient_local.
-        deadline: ns.
-        lifespan: ns.
-        liveliness: automatic or manual_by_topic.
-        lease: lease duration of the liveliness, ns.
-    """
-
-    history: str = "keep_last"
-    depth: int = 10
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    deadline: int = FOREVER
-    lifespan: int = FOREVER
-    liveliness: str = "automatic"
-    lease: int = FOREVER
+    history: str = "keep_last"  # keep_last, keep_all, system_default or unknown (what discovery tells)
+    depth: int = 10  # of keep_last
+    reliability: str = "reliable"  # reliable or best_effort
+    durability: str = "volatile"  # volatile or transient_local
+    deadline: int = FOREVER  # ns
+    lifespan: int = FOREVER  # ns
+    liveliness: str = "automatic"  # automatic or manual_by_topic
+    lease: int = FOREVER  # lease duration of the liveliness, ns
 
     @property
     def latched(self) -> bool:
@@ -121,23 +110,14 @@ _DISTRO = "jazzy"
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag.
+    """A topic of a bag."""
 
-    Attributes:
-        name: absolute name.
-        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not say.
-        type_hash: `RIHS01_…`; empty if the bag does not say.
-        qos: what the publishers offered.
-        messages: how many there are.
-        encoding: of its messages.
-    """
-
-    name: str
-    type: str
-    type_hash: str
-    qos: tuple[Qos, ...]
-    messages: int
-    encoding: str = "cdr"
+    name: str  # absolute name
+    type: str  # such as `sensor_msgs/msg/JointState`; empty if the bag does not say
+    type_hash: str  # `RIHS01_…`; empty if the bag does not say
+    qos: tuple[Qos, ...]  # what the publishers offered
+    messages: int  # how many there are
+    encoding: str = "cdr"  # of its messages
 
 
 @dataclass

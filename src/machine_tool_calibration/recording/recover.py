@@ -31,27 +31,16 @@ _LARGEST_CUT = 64 << 20  # bytes
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was saved.
+    """What was saved."""
 
-    Attributes:
-        folder: the new bag.
-        files: files that were read.
-        messages: messages that were saved.
-        topics: number of topics.
-        first: time of the first message, ns.
-        last: time of the last message, ns.
-        lost_bytes: bytes at the files' ends, and of damaged chunks, that could not be read.
-        problems: one line for each place that was damaged.
-    """
-
-    folder: Path
-    files: tuple[Path, ...]
-    messages: int
-    topics: int
-    first: int
-    last: int
-    lost_bytes: int
-    problems: tuple[str, ...]
+    folder: Path  # the new bag
+    files: tuple[Path, ...]  # files that were read
+    messages: int  # messages that were saved
+    topics: int  # number of topics
+    first: int  # time of the first message, ns
+    last: int  # time of the last message, ns
+    lost_bytes: int  # bytes at the files' ends, and of damaged chunks, that could not be read
+    problems: tuple[str, ...]  # one line for each place that was damaged
 
 
 def recover(path: Path, output: Path, report: Callable[[float], object] = lambda share: None) -> Recovered:

@@ -29,33 +29,27 @@ class DiagonalPlan(Plan):
 
     The paper runs three (ppp, npp, pnp), in 12 blocks of 10 mm. Three leave angular errors to be taken for straightness
     where the fourth distinguishes them; 10 blocks of 12 mm make up for its readings.
-
-    Attributes:
-        step: length of a move along x, y, z, m.
-        blocks: number of blocks.
-        corner: lowest corner of the measured volume, m.
-        diagonals: signs of the motion along x, y, z (p or n); 0 for an axis that stands still, as in `pp0`
-            and `np0` of a measurement in the XY plane.
-        orders: orders of the single-axis moves; each diagonal is run in each of them.
-        linear: axes that are also measured one by one, along the edges from the corner.
-        offset_linear: further linear runs, where other axes stand at the far end: `xy` is a run along x at the end of
-            y, `xyz` one at the ends of y and z. There the angular errors show through lever arms.
-        mirror_tilt: angle between each setup's mirror normal and its beam, in a random direction, rad.
-        beam_error: standard deviation of the beam's direction off the actual diagonal, rad.
-        distance: from the laser to the mirror at the start of a run, m.
     """
 
     method: Literal["step_diagonal"] = "step_diagonal"
-    step: tuple[Positive, Positive, Positive] = (0.012, 0.012, 0.012)
-    blocks: Annotated[int, Field(ge=1, le=100_000)] = 10
-    corner: Vector3 = (0.0, 0.0, 0.0)
+    step: tuple[Positive, Positive, Positive] = (0.012, 0.012, 0.012)  # length of a move along x, y, z, m
+    blocks: Annotated[int, Field(ge=1, le=100_000)] = 10  # number of blocks
+    corner: Vector3 = (0.0, 0.0, 0.0)  # lowest corner of the measured volume, m
+    # signs of the motion along x, y, z (p or n); 0 for an axis that stands still, as in `pp0` and `np0` of a
+    # measurement in the XY plane
     diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp", "nnp")
+    # orders of the single-axis moves; each diagonal is run in each of them
     orders: Annotated[tuple[Order, ...], Field(min_length=1)] = ("xyz",)
+    # axes that are also measured one by one, along the edges from the corner
     linear: tuple[Letter, ...] = ("x", "y", "z")
+    # further linear runs, where other axes stand at the far end: `xy` is a run along x at the end of y, `xyz` one at
+    # the ends of y and z. There the angular errors show through lever arms
     offset_linear: tuple[Offset, ...] = ()
+    # angle between each setup's mirror normal and its beam, in a random direction, rad
     mirror_tilt: Annotated[float, Field(ge=0, lt=1)] = 1e-3
+    # standard deviation of the beam's direction off the actual diagonal, rad
     beam_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    distance: Positive = 0.3
+    distance: Positive = 0.3  # from the laser to the mirror at the start of a run, m
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
     interval: Positive = 12.0
     pause: Annotated[float, Field(ge=0)] = 108.0

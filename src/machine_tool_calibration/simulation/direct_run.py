@@ -29,42 +29,29 @@ _INSTRUMENT: dict[str, Instrument] = {
 
 
 class DirectPlan(Plan):
-    """Deviations of the functional point along stated directions.
-
-    Attributes:
-        kind: `iso230_2`: an axis in both directions, `repeats` runs (ISO 230-2); `straightness`: a
-            straightedge along an axis; `grid_plate`: a two-dimensional grid encoder, two readings a point;
-            `drilled_plate`: a part drilled once and measured on a coordinate measuring machine, two
-            readings a hole; `points`: `points` and `directions` as given.
-        axis: the axis that moves (iso230_2, straightness).
-        sense: the direction that is read (straightness).
-        start, end: ends of the measured line, or of both sides of the plate, m.
-        count: positions on the line, or along each side of the plate.
-        points: functional points, m.
-        directions: the direction in which each is read (unit vectors).
-        instrument: what reads; the kind's usual one if absent, none is named for `points`.
-        datum: what the instrument leaves open; the kind's usual one if absent.
-        misplacement: standard deviation of the part's or instrument's position, m; its orientation is off
-            by twice that per 0.1 m.
-        terms: machine errors that the session asks for; the kind's usual ones if absent.
-        both_ways: every run goes back (always so for iso230_2).
-        mountings: how often part or instrument is set up; each is a setup with its own misplacement.
-    """
+    """Deviations of the functional point along stated directions."""
 
     method: Literal["direct"] = "direct"
+    # `iso230_2`: an axis in both directions, `repeats` runs (ISO 230-2); `straightness`: a straightedge along an axis;
+    # `grid_plate`: a two-dimensional grid encoder, two readings a point; `drilled_plate`: a part drilled once and
+    # measured on a coordinate measuring machine, two readings a hole; `points`: `points` and `directions` as given
     kind: Kind = "iso230_2"
-    axis: Literal["x", "y", "z"] = "x"
-    sense: Literal["x", "y", "z"] = "y"
+    axis: Literal["x", "y", "z"] = "x"  # the axis that moves (iso230_2, straightness)
+    sense: Literal["x", "y", "z"] = "y"  # the direction that is read (straightness)
+    # ends of the measured line, or of both sides of the plate, m
     start: Finite = 0.0
     end: Finite = 0.4
-    count: Annotated[int, Field(ge=2, le=1000)] = 11
-    points: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
+    count: Annotated[int, Field(ge=2, le=1000)] = 11  # positions on the line, or along each side of the plate
+    points: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None  # functional points, m
+    # the direction in which each is read (unit vectors)
     directions: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
-    instrument: Instrument | None = None
-    datum: Datum | None = None
+    instrument: Instrument | None = None  # what reads; the kind's usual one if absent, none is named for `points`
+    datum: Datum | None = None  # what the instrument leaves open; the kind's usual one if absent
+    # standard deviation of the part's or instrument's position, m; its orientation is off by twice that per 0.1 m
     misplacement: Annotated[float, Field(ge=0)] = 2e-5
-    terms: tuple[str, ...] | None = None
-    both_ways: bool = False
+    terms: tuple[str, ...] | None = None  # machine errors that the session asks for; the kind's usual ones if absent
+    both_ways: bool = False  # every run goes back (always so for iso230_2)
+    # how often part or instrument is set up; each is a setup with its own misplacement
     mountings: Annotated[int, Field(ge=1, le=1000)] = 1
     repeats: Annotated[int, Field(ge=1, le=10000)] = 1
     interval: Positive = 5.0

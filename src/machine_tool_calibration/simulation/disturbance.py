@@ -16,65 +16,44 @@ from machine_tool_calibration.simulation.motions import Table, rotate
 
 @dataclass(frozen=True)
 class Sight:
-    """What the instrument looks at in each reading; what a method lacks is zero.
+    """What the instrument looks at in each reading; what a method lacks is zero."""
 
-    Attributes:
-        path: (n,) length from the instrument (rotation centre, or the mirror at the start of a run) to the
-            target, m.
-        direction: (n, 3) unit vector along which a displacement is sensed.
-        azimuth: (n,) azimuth of that direction (of the commanded beam, for a pointer), rad.
-        incidence: (n,) direction from which the beam meets the retroreflector, in the frame that carries
-            it: an azimuth in the plane or on a table, an angle to the spindle's axis in space, rad.
-        change: (n,) path minus that of the run's first reading, m.
-    """
-
+    # (n,) length from the instrument (rotation centre, or the mirror at the start of a run) to the target, m
     path: Array
-    direction: Array
+    direction: Array  # (n, 3) unit vector along which a displacement is sensed
+    # (n,) azimuth of that direction (of the commanded beam, for a pointer), rad
     azimuth: Array = field(default_factory=lambda: np.zeros(1))
+    # (n,) direction from which the beam meets the retroreflector, in the frame that carries it: an azimuth in the plane
+    # or on a table, an angle to the spindle's axis in space, rad
     incidence: Array = field(default_factory=lambda: np.zeros(1))
-    change: Array = field(default_factory=lambda: np.zeros(1))
+    change: Array = field(default_factory=lambda: np.zeros(1))  # (n,) path minus that of the run's first reading, m
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Deviations from the ideal, each (n,) unless said otherwise; 0.0 where there are none.
+    """Deviations from the ideal, each (n,) unless said otherwise; 0.0 where there are none."""
 
-    Attributes:
-        axis: carriage or table ahead of its command along its own motion, by axis letter, m or rad.
-        point: (n, 3) shift of the functional point, m.
-        station: (n, 3) shift of the station's rotation centre, m.
-        turn: turn of the beam's azimuth, rad.
-        optical: relative excess of the optical over the geometric path.
-        dead: excess of the optical path outside the measured one, m.
-        mirror: (n, 2) further tilt of the flat mirror's normal off the beam, towards its left and upwards, rad.
-        growth: relative growth of the workpiece about the table's centre.
-        table_radial: relative growth of the table's targets away from the axis.
-        table_axial: relative growth along the axis.
-        reading: added to the reading as a function of what the instrument looks at.
-        tables: further error motions of the machine.
-        errors: further error motions of an axis at each reading, whatever its position, by axis letter: (n, 6) EX, EY,
-            EZ (m) and EA, EB, EC (rad).
-        table_shift: (n, 3) shift of the rotary table's axis, m.
-        table_tilt: (n, 3) small rotation of it about the machine's zero, rad.
-        squareness: further squareness, rad.
-    """
-
+    # carriage or table ahead of its command along its own motion, by axis letter, m or rad
     axis: Mapping[str, Array] = field(default_factory=dict)
-    point: Array | float = 0.0
-    station: Array | float = 0.0
-    turn: Array | float = 0.0
-    optical: Array | float = 0.0
-    dead: Array | float = 0.0
+    point: Array | float = 0.0  # (n, 3) shift of the functional point, m
+    station: Array | float = 0.0  # (n, 3) shift of the station's rotation centre, m
+    turn: Array | float = 0.0  # turn of the beam's azimuth, rad
+    optical: Array | float = 0.0  # relative excess of the optical over the geometric path
+    dead: Array | float = 0.0  # excess of the optical path outside the measured one, m
+    # (n, 2) further tilt of the flat mirror's normal off the beam, towards its left and upwards, rad
     mirror: Array | float = 0.0
-    growth: Array | float = 0.0
-    table_radial: Array | float = 0.0
-    table_axial: Array | float = 0.0
+    growth: Array | float = 0.0  # relative growth of the workpiece about the table's centre
+    table_radial: Array | float = 0.0  # relative growth of the table's targets away from the axis
+    table_axial: Array | float = 0.0  # relative growth along the axis
+    # added to the reading as a function of what the instrument looks at
     reading: tuple[Callable[[Sight], Array], ...] = ()
-    tables: tuple[tuple[str, Table], ...] = ()
-    squareness: Mapping[str, float] = field(default_factory=dict)
+    tables: tuple[tuple[str, Table], ...] = ()  # further error motions of the machine
+    squareness: Mapping[str, float] = field(default_factory=dict)  # further squareness, rad
+    # further error motions of an axis at each reading, whatever its position, by axis letter: (n, 6) EX, EY, EZ (m) and
+    # EA, EB, EC (rad)
     errors: Mapping[str, Array] = field(default_factory=dict)
-    table_shift: Array | float = 0.0
-    table_tilt: Array | float = 0.0
+    table_shift: Array | float = 0.0  # (n, 3) shift of the rotary table's axis, m
+    table_tilt: Array | float = 0.0  # (n, 3) small rotation of it about the machine's zero, rad
 
     def functional_point(self, machine: VirtualMachine, command: Array) -> Array:
         """(n, 3) where the functional point really is in the workpiece frame when x, y, z (n, 3) are commanded, m."""

@@ -29,30 +29,19 @@ STATIONS = ("tracking_interferometer", "rotary_axis")
 
 @dataclass(frozen=True)
 class Flaw:
-    """How one effect disturbs a measurement.
+    """How one effect disturbs a measurement."""
 
-    Attributes:
-        id: the catalogue's id, or one that begins with `unlisted_`.
-        formula: what it does, in words or as a formula of its size.
-        unit: unit of the size.
-        typical: a size that shows in a measurement.
-        disturb: (size, parameters, scene) -> disturbance; element by element, so that one reading at a
-            time gives the same as all at once.
-        defaults: parameters that the user may set, with their values.
-        draw: (source of chance, scene or None) -> parameters that are random unless set.
-        methods: the methods in which it can occur.
-        axis: letter of the rotary axis on which it occurs; empty: any.
-    """
-
-    id: str
-    formula: str
-    unit: str
-    typical: float
+    id: str  # the catalogue's id, or one that begins with `unlisted_`
+    formula: str  # what it does, in words or as a formula of its size
+    unit: str  # unit of the size
+    typical: float  # a size that shows in a measurement
+    # (size, parameters, scene) -> disturbance; element by element, so that one reading at a time gives the same as all
+    # at once
     disturb: Disturb
-    defaults: Parameters = field(default_factory=dict)
-    draw: Draw | None = None
-    methods: tuple[str, ...] = ALL_METHODS
-    axis: str = ""
+    defaults: Parameters = field(default_factory=dict)  # parameters that the user may set, with their values
+    draw: Draw | None = None  # (source of chance, scene or None) -> parameters that are random unless set
+    methods: tuple[str, ...] = ALL_METHODS  # the methods in which it can occur
+    axis: str = ""  # letter of the rotary axis on which it occurs; empty: any
 
     @property
     def listed(self) -> bool:

@@ -47,26 +47,20 @@ class VirtualMachine:
 
     Squareness turns an axis's direction of motion and nothing that it carries: C0Y turns d of Y about +Z
     (e_x = -y C0Y), B0Z turns d of Z about +Y (e_x = +z B0Z), A0Z turns d of Z about +X (e_y = -z A0Z).
-
-    Attributes:
-        chain: the chain of axes.
-        motions: error motions by axis letter.
-        squareness: A0Z, B0Z, C0Y (or A0Y, C0X, B0X), rad.
-        average_line: position and orientation of a rotary axis's average line in the machine frame:
-            X0C, Y0C (m), A0C, B0C (rad), likewise for A and B.
-        travel: lower and upper end by axis letter, m or rad.
-        rotation_sign: +1 where a rotary axis commanded positive turns the workpiece counter-clockwise
-            seen from the positive end of its axis, -1 clockwise.
-        tool_offset: from the last carriage to the functional point, m.
     """
 
-    chain: Chain
-    motions: Mapping[str, AxisMotion] = field(default_factory=dict)
-    squareness: Mapping[str, float] = field(default_factory=dict)
+    chain: Chain  # the chain of axes
+    motions: Mapping[str, AxisMotion] = field(default_factory=dict)  # error motions by axis letter
+    squareness: Mapping[str, float] = field(default_factory=dict)  # A0Z, B0Z, C0Y (or A0Y, C0X, B0X), rad
+    # position and orientation of a rotary axis's average line in the machine frame: X0C, Y0C (m), A0C, B0C (rad),
+    # likewise for A and B
     average_line: Mapping[str, float] = field(default_factory=dict)
+    # lower and upper end by axis letter, m or rad
     travel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # +1 where a rotary axis commanded positive turns the workpiece counter-clockwise seen from the positive end of its
+    # axis, -1 clockwise
     rotation_sign: int = 1
-    tool_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tool_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the last carriage to the functional point, m
 
     def __post_init__(self) -> None:
         for axis, motion in self.motions.items():

@@ -23,31 +23,18 @@ from machine_tool_calibration.simulation.motions import AxisMotion, Table, motio
 
 
 class Amplitudes(Record):
-    """Largest absolute value of each kind of error; the sizes of a good machining centre by default.
+    """Largest absolute value of each kind of error; the sizes of a good machining centre by default."""
 
-    Attributes:
-        positioning: EXX, EYY, EZZ, m.
-        straightness: EYX, EZX and so on, m.
-        angular: EAX … ECZ, rad.
-        squareness: A0Z, B0Z, C0Y, rad (uniform between plus and minus this).
-        rotary_translation: EXC, EYC, EZC, m.
-        rotary_tilt: EAC, EBC, rad.
-        rotary_angle: ECC, rad.
-        line_position: X0C, Y0C, m (uniform).
-        line_orientation: A0C, B0C, rad (uniform).
-        knots: nodes of a linear axis's splines; more give shorter waves.
-    """
-
-    positioning: NotNegative = 5e-6
-    straightness: NotNegative = 3e-6
-    angular: NotNegative = 1e-5
-    squareness: NotNegative = 1e-5
-    rotary_translation: NotNegative = 4e-6
-    rotary_tilt: NotNegative = 1e-5
-    rotary_angle: NotNegative = 1.5e-5
-    line_position: NotNegative = 0.0
-    line_orientation: NotNegative = 0.0
-    knots: Annotated[int, Field(ge=2, le=200)] = 7
+    positioning: NotNegative = 5e-6  # EXX, EYY, EZZ, m
+    straightness: NotNegative = 3e-6  # EYX, EZX and so on, m
+    angular: NotNegative = 1e-5  # EAX … ECZ, rad
+    squareness: NotNegative = 1e-5  # A0Z, B0Z, C0Y, rad (uniform between plus and minus this)
+    rotary_translation: NotNegative = 4e-6  # EXC, EYC, EZC, m
+    rotary_tilt: NotNegative = 1e-5  # EAC, EBC, rad
+    rotary_angle: NotNegative = 1.5e-5  # ECC, rad
+    line_position: NotNegative = 0.0  # X0C, Y0C, m (uniform)
+    line_orientation: NotNegative = 0.0  # A0C, B0C, rad (uniform)
+    knots: Annotated[int, Field(ge=2, le=200)] = 7  # nodes of a linear axis's splines; more give shorter waves
 
 
 def random_machine(
@@ -124,30 +111,21 @@ class TableSpec(Record):
 
 
 class MachineSpec(Record):
-    """A machine's true errors.
+    """A machine's true errors."""
 
-    Attributes:
-        chain: chain of axes; the measurement's own if absent.
-        travel: ends of the axes, m; the measurement's own if absent.
-        rotation_sign: +1 counter-clockwise, -1 clockwise for a rotary axis commanded positive.
-        seed: of the random errors; the simulation's own if absent.
-        random: sizes of random errors (an empty mapping: those of an ordinary machining centre); `null`: no
-            random errors. Without this key the errors are random, of sizes that suit the measurement.
-        motions: error motions by name, added to the random ones.
-        squareness: likewise, rad.
-        average_line: X0C, Y0C, A0C, B0C, likewise, m and rad.
-        tool_offset: from the last carriage to the functional point, m.
-    """
-
-    chain: str | None = None
+    chain: str | None = None  # chain of axes; the measurement's own if absent
+    # ends of the axes, m; the measurement's own if absent
     travel: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
+    # +1 counter-clockwise, -1 clockwise for a rotary axis commanded positive
     rotation_sign: Literal[-1, 1] | None = None
-    seed: Annotated[int, Field(ge=0)] | None = None
+    seed: Annotated[int, Field(ge=0)] | None = None  # of the random errors; the simulation's own if absent
+    # sizes of random errors (an empty mapping: those of an ordinary machining centre); `null`: no random errors.
+    # Without this key the errors are random, of sizes that suit the measurement
     random: Amplitudes | None = Amplitudes()
-    motions: dict[str, TableSpec] = Field(default_factory=dict)
-    squareness: dict[str, Finite] = Field(default_factory=dict)
-    average_line: dict[str, Finite] = Field(default_factory=dict)
-    tool_offset: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    motions: dict[str, TableSpec] = Field(default_factory=dict)  # error motions by name, added to the random ones
+    squareness: dict[str, Finite] = Field(default_factory=dict)  # likewise, rad
+    average_line: dict[str, Finite] = Field(default_factory=dict)  # X0C, Y0C, A0C, B0C, likewise, m and rad
+    tool_offset: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)  # from the last carriage to the functional point, m
 
 
 def build_machine(

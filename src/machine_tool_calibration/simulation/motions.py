@@ -77,17 +77,12 @@ def motion_names(axis: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Table:
-    """One error motion as values at nodes.
+    """One error motion as values at nodes."""
 
-    Attributes:
-        nodes: (k,) increasing positions of the axis, m or rad.
-        values: (k,) error motion there, m (EX, EY, EZ) or rad (EA, EB, EC).
-        interpolation: `cubic` (natural spline), `linear`, or `periodic` (spline; the nodes span one
-            turn and the first and last values agree). Outside its nodes a motion keeps its end value.
-    """
-
-    nodes: tuple[float, ...]
-    values: tuple[float, ...]
+    nodes: tuple[float, ...]  # (k,) increasing positions of the axis, m or rad
+    values: tuple[float, ...]  # (k,) error motion there, m (EX, EY, EZ) or rad (EA, EB, EC)
+    # `cubic` (natural spline), `linear`, or `periodic` (spline; the nodes span one turn and the first and last values
+    # agree). Outside its nodes a motion keeps its end value
     interpolation: Interpolation = "cubic"
 
     def __post_init__(self) -> None:
@@ -147,15 +142,10 @@ def _value(breaks: Array, pieces: Array, x: Array) -> Array:
 
 @dataclass(frozen=True)
 class AxisMotion:
-    """The six error motions of one axis, evaluated together; a motion without tables is zero.
+    """The six error motions of one axis, evaluated together; a motion without tables is zero."""
 
-    Attributes:
-        axis: `X`, `Y`, `Z`, `A`, `B` or `C`.
-        tables: (name, table) pairs; several tables of one name add up.
-    """
-
-    axis: str
-    tables: tuple[tuple[str, Table], ...] = ()
+    axis: str  # `X`, `Y`, `Z`, `A`, `B` or `C`
+    tables: tuple[tuple[str, Table], ...] = ()  # (name, table) pairs; several tables of one name add up
 
     def __post_init__(self) -> None:
         names = motion_names(self.axis)

@@ -21,25 +21,18 @@ from machine_tool_calibration.simulation.scene import Environment, Scene
 
 @dataclass(frozen=True)
 class Measurement:
-    """A planned measurement, ready to be read.
+    """A planned measurement, ready to be read."""
 
-    Attributes:
-        describe: machine -> content of `session.yaml` without `format`, `repeats` and the uncertainty.
-        scene: commands and conditions of each reading.
-        read: (machine, disturbance) -> (n,) readings from geometry, before the datum, m.
-        datum: (n,) readings of the same number are changes since the first of them; None where the
-            readings are absolute.
-        columns: numeric columns of the session besides time and environment.
-        labels: text columns.
-        truth: machine -> what the measurement should find, for judging.
-    """
-
+    # machine -> content of `session.yaml` without `format`, `repeats` and the uncertainty
     describe: Callable[[VirtualMachine], Mapping[str, Any]]
-    scene: Scene
+    scene: Scene  # commands and conditions of each reading
+    # (machine, disturbance) -> (n,) readings from geometry, before the datum, m
     read: Callable[[VirtualMachine, Disturbance], Array]
+    # (n,) readings of the same number are changes since the first of them; None where the readings are absolute
     datum: IntArray | None
-    columns: Mapping[str, Array]
-    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    columns: Mapping[str, Array]  # numeric columns of the session besides time and environment
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text columns
+    # machine -> what the measurement should find, for judging
     truth: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}
 
 
@@ -52,23 +45,15 @@ Vector3 = tuple[Finite, Finite, Finite]
 
 
 class Plan(Record):
-    """Where and when readings are taken.
+    """Where and when readings are taken."""
 
-    Attributes:
-        repeats: how often each setup is run.
-        interval: time between readings, s.
-        pause: time to set up the instrument anew, s.
-        noise: usual standard uncertainty of a reading, m.
-        sign: sense in which a rotary axis commanded positive turns the workpiece (+1: counter-clockwise).
-        chain: chain of axes.
-    """
-
-    repeats: Annotated[int, Field(ge=1, le=10000)] = 1
-    interval: Positive = 4.0
-    pause: NotNegative = 600.0
-    noise: Positive = 3e-7
+    repeats: Annotated[int, Field(ge=1, le=10000)] = 1  # how often each setup is run
+    interval: Positive = 4.0  # time between readings, s
+    pause: NotNegative = 600.0  # time to set up the instrument anew, s
+    noise: Positive = 3e-7  # usual standard uncertainty of a reading, m
+    # sense in which a rotary axis commanded positive turns the workpiece (+1: counter-clockwise)
     sign: Literal[-1, 1] = 1
-    chain: str = "w-C-b-Y-X-Z-t"
+    chain: str = "w-C-b-Y-X-Z-t"  # chain of axes
 
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the linear axes' travel, by letter, m."""

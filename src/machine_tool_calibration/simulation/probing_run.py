@@ -22,21 +22,13 @@ from machine_tool_calibration.simulation.sensors import probed
 
 
 class PartPoint(Record):
-    """A nominal point of a part's surface in the workpiece frame at c = 0.
+    """A nominal point of a part's surface in the workpiece frame at c = 0."""
 
-    Attributes:
-        id: name of the point.
-        feature: what it belongs to.
-        position: x, y, m.
-        normal: outward from the material, unit.
-        curvature: of the surface, 1/m: positive for a pin, negative for a hole.
-    """
-
-    id: str
-    feature: str = "work"
-    position: tuple[Finite, Finite]
-    normal: tuple[Finite, Finite]
-    curvature: Finite = 0.0
+    id: str  # name of the point
+    feature: str = "work"  # what it belongs to
+    position: tuple[Finite, Finite]  # x, y, m
+    normal: tuple[Finite, Finite]  # outward from the material, unit
+    curvature: Finite = 0.0  # of the surface, 1/m: positive for a pin, negative for a hole
 
     @model_validator(mode="after")
     def _check(self) -> PartPoint:
@@ -168,31 +160,20 @@ def touched(
 
 
 class ProbingPlan(Plan):
-    """A part and the angles of C; without arguments the cross with two spheres at 0, 75, 130 and 210 degrees.
-
-    Attributes:
-        part: `cross`, `pins`, `cam` or `disc`.
-        points: points of another part.
-        angles: commanded angles of C, rad.
-        grid: nodes of the error tables of X and Y, m.
-        form: standard deviation of each point's form error, m.
-        stylus_diameter: m.
-        known_uncertainty: of the one measured length, m; None: it is not measured.
-        tables: the machine's true motions are `smooth`, or `linear` between the nodes of the grid, as a
-            look-up table is.
-        columns: x and y of the session are where the sphere's `centre` is commanded to (where the axes
-            stand), or the nominal `contact`; the machine's errors act at the same place.
-    """
+    """A part and the angles of C; without arguments the cross with two spheres at 0, 75, 130 and 210 degrees."""
 
     method: Literal["probing"] = "probing"
-    part: Literal["cross", "pins", "cam", "disc"] = "cross"
-    points: tuple[PartPoint, ...] | None = None
-    angles: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
-    grid: Annotated[tuple[Finite, ...], Field(min_length=2)] | None = None
-    form: Annotated[float, Field(ge=0)] = 3e-6
-    stylus_diameter: Positive = 0.006
-    known_uncertainty: Positive | None = 2e-7
+    part: Literal["cross", "pins", "cam", "disc"] = "cross"  # `cross`, `pins`, `cam` or `disc`
+    points: tuple[PartPoint, ...] | None = None  # points of another part
+    angles: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None  # commanded angles of C, rad
+    grid: Annotated[tuple[Finite, ...], Field(min_length=2)] | None = None  # nodes of the error tables of X and Y, m
+    form: Annotated[float, Field(ge=0)] = 3e-6  # standard deviation of each point's form error, m
+    stylus_diameter: Positive = 0.006  # m
+    known_uncertainty: Positive | None = 2e-7  # of the one measured length, m; None: it is not measured
+    # the machine's true motions are `smooth`, or `linear` between the nodes of the grid, as a look-up table is
     tables: Literal["smooth", "linear"] = "smooth"
+    # x and y of the session are where the sphere's `centre` is commanded to (where the axes stand), or the nominal
+    # `contact`; the machine's errors act at the same place
     columns: Literal["centre", "contact"] = "contact"
     interval: Positive = 10.0
     pause: Annotated[float, Field(ge=0)] = 0.0

@@ -55,29 +55,23 @@ class RotaryPlan(Plan):
 
     For an axis A or B the default targets and stations are those for C with the coordinates turned round, so
     that they lie about that axis in the same way.
-
-    Attributes:
-        axis: the rotary axis.
-        targets: by id, in the table frame at zero, nominal, m.
-        stations: nominal positions, m.
-        angles: commanded angles, rad; 18 steps of 20 degrees if absent.
-        both_ways: each run goes back through the same angles, so that what drifts with time is not taken for an
-            error of the angle, and backlash shows.
-        at_every_angle: every target is read at each angle, as in the paper; otherwise the axis turns once for each.
-        station_uncertainty: standard deviation of the stated stations per coordinate, m.
-        target_uncertainty: likewise of the stated targets.
-        hidden: target id -> (from, to): angles at which it cannot be seen, rad.
     """
 
     method: Literal["rotary_axis"] = "rotary_axis"
-    axis: Literal["A", "B", "C"] = "C"
-    targets: dict[str, Vector3] | None = None
-    stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
+    axis: Literal["A", "B", "C"] = "C"  # the rotary axis
+    targets: dict[str, Vector3] | None = None  # by id, in the table frame at zero, nominal, m
+    stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None  # nominal positions, m
+    # commanded angles, rad; 18 steps of 20 degrees if absent
     angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
+    # each run goes back through the same angles, so that what drifts with time is not taken for an error of the angle,
+    # and backlash shows
     both_ways: bool = True
+    # every target is read at each angle, as in the paper; otherwise the axis turns once for each
     at_every_angle: bool = False
+    # standard deviation of the stated stations per coordinate, m
     station_uncertainty: Annotated[float, Field(ge=0)] = 2e-4
-    target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5
+    target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5  # likewise of the stated targets
+    # target id -> (from, to): angles at which it cannot be seen, rad
     hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
     interval: Positive = 3.0
     pause: Annotated[float, Field(ge=0)] = 900.0

@@ -29,17 +29,11 @@ _SWING = {"air_pressure": 60.0, "relative_humidity": 0.02}
 
 @dataclass(frozen=True)
 class Drift:
-    """A quantity over time: mean + slope·t + sum of a·sin(2 pi t / period + phase).
+    """A quantity over time: mean + slope·t + sum of a·sin(2 pi t / period + phase)."""
 
-    Attributes:
-        mean: in the quantity's unit.
-        waves: (a, period in s, phase in rad) of each wave.
-        slope: steady change per second.
-    """
-
-    mean: float
-    waves: tuple[tuple[float, float, float], ...] = ()
-    slope: float = 0.0
+    mean: float  # in the quantity's unit
+    waves: tuple[tuple[float, float, float], ...] = ()  # (a, period in s, phase in rad) of each wave
+    slope: float = 0.0  # steady change per second
 
     def __call__(self, time: Array) -> Array:
         """Values at times (n,), s."""
@@ -97,31 +91,19 @@ _STANDARD = {"air_pressure": 101325.0, "relative_humidity": 0.5}
 
 @dataclass(frozen=True)
 class Scene:
-    """Commands and conditions of n readings in the order of time.
+    """Commands and conditions of n readings in the order of time."""
 
-    Attributes:
-        time: (n,) s.
-        setup: (n,) index of the setup.
-        repeat: (n,) repetition.
-        position: (n, 3) commanded x, y, z, m; zero for an axis that does not move.
-        angle: (n,) commanded angle of the rotary axis, rad.
-        direction: sign of the last move by axis letter, (n,).
-        environment: temperatures, pressure and humidity over time.
-        axis: letter of the rotary axis.
-        ends: lower and upper end of each axis's travel by letter.
-        start: (n,) time of the first reading of that setup, s; found from the readings if absent.
-    """
-
-    time: Array
-    setup: IntArray
-    repeat: IntArray
-    position: Array
-    angle: Array
-    direction: Mapping[str, Array] = field(default_factory=dict)
-    environment: Environment = field(default_factory=Environment)
-    axis: str = "C"
+    time: Array  # (n,) s
+    setup: IntArray  # (n,) index of the setup
+    repeat: IntArray  # (n,) repetition
+    position: Array  # (n, 3) commanded x, y, z, m; zero for an axis that does not move
+    angle: Array  # (n,) commanded angle of the rotary axis, rad
+    direction: Mapping[str, Array] = field(default_factory=dict)  # sign of the last move by axis letter, (n,)
+    environment: Environment = field(default_factory=Environment)  # temperatures, pressure and humidity over time
+    axis: str = "C"  # letter of the rotary axis
+    # lower and upper end of each axis's travel by letter
     ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    start: Array | None = None
+    start: Array | None = None  # (n,) time of the first reading of that setup, s; found from the readings if absent
 
     def __len__(self) -> int:
         return len(self.time)

@@ -78,20 +78,14 @@ def distance(target: Array, origin: Array) -> Array:
 
 
 class Pointer(Record):
-    """The true errors of the rotary pointer.
+    """The true errors of the rotary pointer."""
 
-    Attributes:
-        zero_offset: the beam's azimuth is greater than commanded by this, rad.
-        elevation_offset: likewise its elevation, rad.
-        radial: radial error motion of the azimuth axis as harmonics of the azimuth: (cos, sin) parts by
-            order, m. The rotation centre moves *against* the beam as seen from above, so that the path grows by
-            (sum of c cos(k azimuth) + s sin(k azimuth)) cos(elevation).
-        eccentricity: the beam passes this far beside the rotation centre, to its left, m.
-    """
-
-    zero_offset: Finite = 0.0
-    elevation_offset: Finite = 0.0
-    eccentricity: Finite = 0.0
+    zero_offset: Finite = 0.0  # the beam's azimuth is greater than commanded by this, rad
+    elevation_offset: Finite = 0.0  # likewise its elevation, rad
+    eccentricity: Finite = 0.0  # the beam passes this far beside the rotation centre, to its left, m
+    # radial error motion of the azimuth axis as harmonics of the azimuth: (cos, sin) parts by order, m. The rotation
+    # centre moves *against* the beam as seen from above, so that the path grows by (sum of c cos(k azimuth) + s sin(k
+    # azimuth)) cos(elevation)
     radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     def beam(self, azimuth: Array, elevation: Array, station: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:

@@ -25,26 +25,17 @@ from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth of a simulated session.
+    """The truth of a simulated session."""
 
-    Attributes:
-        seed: of the simulation.
-        machine: with all its errors, those of the effects included (extra error motions, squareness).
-        effects: what was put in.
-        clean: (n,) readings without noise, spread and gross errors, m, in the session's datum.
-        signal: (n,) what the effects changed in the clean readings, m.
-        outliers: rows with a gross error.
-        datum: (n,) readings of the same number are changes since the first of them; None: absolute readings.
-        expected: what the measurement should find, as the method states it: `position_error` at `points`, `stations`, …
-    """
-
-    seed: int
-    machine: VirtualMachine
-    effects: tuple[Chosen, ...]
-    clean: Array
-    signal: Array
-    outliers: IntArray
+    seed: int  # of the simulation
+    machine: VirtualMachine  # with all its errors, those of the effects included (extra error motions, squareness)
+    effects: tuple[Chosen, ...]  # what was put in
+    clean: Array  # (n,) readings without noise, spread and gross errors, m, in the session's datum
+    signal: Array  # (n,) what the effects changed in the clean readings, m
+    outliers: IntArray  # rows with a gross error
+    # (n,) readings of the same number are changes since the first of them; None: absolute readings
     datum: IntArray | None = None
+    # what the measurement should find, as the method states it: `position_error` at `points`, `stations`, …
     expected: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:

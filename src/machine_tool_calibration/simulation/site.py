@@ -38,32 +38,22 @@ _TURNS = (-20.0 * np.pi, 20.0 * np.pi)
 
 
 class SiteSpec(Record):
-    """What is true in the simulated workshop.
+    """What is true in the simulated workshop."""
 
-    Attributes:
-        seed: of all that is random.
-        machine: chain, travel and true errors; random errors of a good machining centre by default.
-        effects: physical effects at work, by the catalogue's ids.
-        pointer: true errors of the rotary pointer.
-        station_uncertainty: standard deviation of a true station from its estimate per coordinate, m; each setup's
-            own `position_uncertainty` if absent.
-        target_uncertainty: likewise of a target on the table.
-        mirror_tilt: angle between a flat mirror's normal and its beam, in a random direction, rad.
-        noise: standard deviation of a captured reading, m; the session's declared uncertainty if absent.
-        repeatability: standard deviation of the machine's position at each visit, per coordinate, m.
-        environment_swing: factor on all changes of temperature, pressure and humidity.
-    """
-
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0)] = 0  # of all that is random
+    # chain, travel and true errors; random errors of a good machining centre by default
     machine: MachineSpec = MachineSpec()
-    effects: tuple[FlawSpec, ...] = ()
-    pointer: Pointer = Pointer()
+    effects: tuple[FlawSpec, ...] = ()  # physical effects at work, by the catalogue's ids
+    pointer: Pointer = Pointer()  # true errors of the rotary pointer
+    # standard deviation of a true station from its estimate per coordinate, m; each setup's own `position_uncertainty`
+    # if absent
     station_uncertainty: NotNegative | None = None
-    target_uncertainty: NotNegative | None = None
-    mirror_tilt: NotNegative = 1e-3
+    target_uncertainty: NotNegative | None = None  # likewise of a target on the table
+    mirror_tilt: NotNegative = 1e-3  # angle between a flat mirror's normal and its beam, in a random direction, rad
+    # standard deviation of a captured reading, m; the session's declared uncertainty if absent
     noise: NotNegative | None = None
-    repeatability: NotNegative = 0.0
-    environment_swing: NotNegative = 1.0
+    repeatability: NotNegative = 0.0  # standard deviation of the machine's position at each visit, per coordinate, m
+    environment_swing: NotNegative = 1.0  # factor on all changes of temperature, pressure and humidity
 
 
 @dataclass(frozen=True)

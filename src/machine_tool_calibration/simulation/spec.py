@@ -152,18 +152,13 @@ def _planned(base: SimulationSpec | None, method: str | None, preset: str | None
 
 
 class FlawSpec(Record):
-    """One effect to put in.
+    """One effect to put in."""
 
-    Attributes:
-        id: the catalogue's id (RESULT.md), or an `unlisted_…` one.
-        size: coefficient of the effect's formula, in its unit; typical if neither is given.
-        amplitude: instead of the size: the largest change of any reading that the effect shall make, m.
-        parameters: the effect's further coefficients (`tau`, `lead`, `phase`, …).
-    """
-
-    id: str
-    size: Finite | None = None
+    id: str  # the catalogue's id (RESULT.md), or an `unlisted_…` one
+    size: Finite | None = None  # coefficient of the effect's formula, in its unit; typical if neither is given
+    # instead of the size: the largest change of any reading that the effect shall make, m
     amplitude: Positive | None = None
+    # the effect's further coefficients (`tau`, `lead`, `phase`, …)
     parameters: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -177,16 +172,11 @@ class Spread(Record):
     """Irreproducibility between setups (mounting, slow heat): standard deviations per mounting, m.
 
     A mounting is a stretch of consecutive readings of one setup.
-
-    Attributes:
-        offset: one shift of all readings (seen only where readings are absolute).
-        slope: readings drift from -slope to +slope over the setup.
-        bow: a parabola over the setup, from +bow through -bow/2 to +bow.
     """
 
-    offset: NotNegative = 0.0
-    slope: NotNegative = 0.0
-    bow: NotNegative = 0.0
+    offset: NotNegative = 0.0  # one shift of all readings (seen only where readings are absolute)
+    slope: NotNegative = 0.0  # readings drift from -slope to +slope over the setup
+    bow: NotNegative = 0.0  # a parabola over the setup, from +bow through -bow/2 to +bow
 
     @model_validator(mode="before")
     @classmethod
@@ -196,15 +186,10 @@ class Spread(Record):
 
 
 class Chips(Record):
-    """Readings that are wrong by a gross amount: a chip under the stylus, a broken beam.
+    """Readings that are wrong by a gross amount: a chip under the stylus, a broken beam."""
 
-    Attributes:
-        fraction: of all readings, each by chance.
-        size: scale of the error, m: between one and three times this, outwards for a probe.
-    """
-
-    fraction: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.02
-    size: Positive = 2e-5
+    fraction: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.02  # of all readings, each by chance
+    size: Positive = 2e-5  # scale of the error, m: between one and three times this, outwards for a probe
 
     @model_validator(mode="before")
     @classmethod
@@ -214,34 +199,21 @@ class Chips(Record):
 
 
 class SimulationSpec(Record):
-    """Everything that decides a simulated session; the same spec gives the same session.
+    """Everything that decides a simulated session; the same spec gives the same session."""
 
-    Attributes:
-        plan: geometry and order of the readings; its `method` chooses the method.
-        seed: of all that is random. Machine, set-up, environment, effects and noise have their own
-            streams: adding an effect changes neither the machine nor the noise.
-        machine: true errors; random ones of a good machining centre if absent.
-        effects: what is put in.
-        noise: standard uncertainty of a reading, m, as declared; the method's usual one if absent.
-        noise_factor: the actual noise over the declared one (0: no noise).
-        repeatability: standard deviation of the machine's position at each visit, per coordinate, m.
-        spread: irreproducibility between setups.
-        chips: gross errors.
-        missing: fraction of readings that are lost.
-        environment_swing: factor on all changes of temperature, pressure and humidity.
-    """
-
-    plan: AnyPlan
+    plan: AnyPlan  # geometry and order of the readings; its `method` chooses the method
+    # of all that is random. Machine, set-up, environment, effects and noise have their own streams: adding an effect
+    # changes neither the machine nor the noise
     seed: Annotated[int, Field(ge=0)] = 0
-    machine: MachineSpec = MachineSpec()
-    effects: tuple[FlawSpec, ...] = ()
-    noise: Positive | None = None
-    noise_factor: NotNegative = 1.0
-    repeatability: NotNegative = 0.0
-    spread: Spread = Spread()
-    chips: Chips | None = None
-    missing: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
-    environment_swing: NotNegative = 1.0
+    machine: MachineSpec = MachineSpec()  # true errors; random ones of a good machining centre if absent
+    effects: tuple[FlawSpec, ...] = ()  # what is put in
+    noise: Positive | None = None  # standard uncertainty of a reading, m, as declared; the method's usual one if absent
+    noise_factor: NotNegative = 1.0  # the actual noise over the declared one (0: no noise)
+    repeatability: NotNegative = 0.0  # standard deviation of the machine's position at each visit, per coordinate, m
+    spread: Spread = Spread()  # irreproducibility between setups
+    chips: Chips | None = None  # gross errors
+    missing: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0  # fraction of readings that are lost
+    environment_swing: NotNegative = 1.0  # factor on all changes of temperature, pressure and humidity
 
     @property
     def method(self) -> str:

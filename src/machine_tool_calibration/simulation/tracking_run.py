@@ -54,25 +54,20 @@ def sighted(actual: Array, origin: Array, azimuth: Array, dimension: int, held: 
 
 
 class TrackingPlan(Plan, Pointer):
-    """Stations and targets; without them a square of 0.4 m (2-D) or a cube of 0.4 m (3-D) from four stations.
-
-    Attributes:
-        stations: nominal rotation centres, m.
-        x, y, z: lines of a grid of targets, m; x runs fastest.
-        points: targets one by one instead of a grid, m.
-        station_uncertainty: the estimated stations are off by this (standard deviation per coordinate), m.
-        order: every second repeat runs backwards (`alternate`), or all run alike (`same`).
-    """
+    """Stations and targets; without them a square of 0.4 m (2-D) or a cube of 0.4 m (3-D) from four stations."""
 
     method: Literal["tracking_interferometer"] = "tracking_interferometer"
     dimension: Literal[2, 3] = 2
     pointing: Literal["open_loop", "tracking"] = "open_loop"
-    stations: tuple[Vector3, ...] | None = None
+    stations: tuple[Vector3, ...] | None = None  # nominal rotation centres, m
+    # lines of a grid of targets, m; x runs fastest
     x: Line | None = None
     y: Line | None = None
     z: Line | None = None
-    points: tuple[Vector3, ...] | None = None
+    points: tuple[Vector3, ...] | None = None  # targets one by one instead of a grid, m
+    # the estimated stations are off by this (standard deviation per coordinate), m
     station_uncertainty: NotNegative = 1.2e-5
+    # every second repeat runs backwards (`alternate`), or all run alike (`same`)
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
     noise: Positive = 3e-7

@@ -17,36 +17,24 @@ class InstrumentError(CalibrationError):
 
 @dataclass(frozen=True)
 class Sample:
-    """One reading as the instrument sent it.
+    """One reading as the instrument sent it."""
 
-    Attributes:
-        time: when it arrived, s, on the driver's clock (`time.monotonic` unless another was given).
-        displacement: the reading, m; None when the instrument says that it is not valid.
-        beam: False when the instrument says that the beam is broken: its count is lost, a new datum is needed.
-        status: the instrument's own word, empty if it has none.
-    """
-
-    time: float
-    displacement: float | None
+    time: float  # when it arrived, s, on the driver's clock (`time.monotonic` unless another was given)
+    displacement: float | None  # the reading, m; None when the instrument says that it is not valid
+    # False when the instrument says that the beam is broken: its count is lost, a new datum is needed
     beam: bool = True
-    status: str = ""
+    status: str = ""  # the instrument's own word, empty if it has none
 
 
 @dataclass(frozen=True)
 class Health:
-    """The state of the link, for diagnostics.
+    """The state of the link, for diagnostics."""
 
-    Attributes:
-        state: `streaming`, `silent` (connected, but no sample for longer than the driver allows) or `disconnected`.
-        rejected: the last line that was no reading, shortened; empty if there was none.
-        reconnections: number of times that the link was lost and made again.
-        problem: why the link is down; empty if it is up.
-    """
-
+    # `streaming`, `silent` (connected, but no sample for longer than the driver allows) or `disconnected`
     state: LinkState
-    rejected: str = ""
-    reconnections: int = 0
-    problem: str = ""
+    rejected: str = ""  # the last line that was no reading, shortened; empty if there was none
+    reconnections: int = 0  # number of times that the link was lost and made again
+    problem: str = ""  # why the link is down; empty if it is up
 
 
 @runtime_checkable

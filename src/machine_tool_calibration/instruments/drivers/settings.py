@@ -69,26 +69,18 @@ class Connection(Record):
 
 
 class Line(Record):
-    """One line of the instrument.
+    """One line of the instrument."""
 
-    Attributes:
-        pattern: regular expression that the whole line (without blanks around it) matches, with the group `value` and,
-            where the instrument sends them, `status` and `beam`.
-        beam_broken: expression of a line that says that the beam is broken and carries no value.
-        ignore: expression of lines that are no readings and no garbage either: greetings, acknowledgements.
-        terminator: what ends a line.
-        status_ok: the words of `status` with which a value is valid; any word if not given.
-        beam_ok: the words of `beam` that mean an unbroken beam.
-        max_length: a longer line is garbage, bytes.
-    """
-
+    # regular expression that the whole line (without blanks around it) matches, with the group `value` and, where the
+    # instrument sends them, `status` and `beam`
     pattern: str
-    beam_broken: str | None = None
+    beam_broken: str | None = None  # expression of a line that says that the beam is broken and carries no value
+    # expression of lines that are no readings and no garbage either: greetings, acknowledgements
     ignore: str | None = None
-    terminator: Annotated[Ascii, Field(max_length=4)] = "\n"
-    status_ok: tuple[str, ...] | None = None
-    beam_ok: tuple[str, ...] = ()
-    max_length: Annotated[int, Field(ge=8, le=65536)] = 256
+    terminator: Annotated[Ascii, Field(max_length=4)] = "\n"  # what ends a line
+    status_ok: tuple[str, ...] | None = None  # the words of `status` with which a value is valid; any word if not given
+    beam_ok: tuple[str, ...] = ()  # the words of `beam` that mean an unbroken beam
+    max_length: Annotated[int, Field(ge=8, le=65536)] = 256  # a longer line is garbage, bytes
 
     @field_validator("pattern", "beam_broken", "ignore")
     @classmethod
@@ -114,15 +106,10 @@ class Line(Record):
 
 
 class Value(Record):
-    """What the number means: displacement = value · scale · unit.
+    """What the number means: displacement = value · scale · unit."""
 
-    Attributes:
-        unit: unit of the number.
-        scale: factor, such as 0.5 for a count of a folded path, -1 for the opposite sense.
-    """
-
-    unit: Literal["m", "mm", "um", "nm", "in"]
-    scale: Finite = 1.0
+    unit: Literal["m", "mm", "um", "nm", "in"]  # unit of the number
+    scale: Finite = 1.0  # factor, such as 0.5 for a count of a folded path, -1 for the opposite sense
 
     @field_validator("scale")
     @classmethod
@@ -133,40 +120,23 @@ class Value(Record):
 
 
 class Request(Record):
-    """For an instrument that answers and does not stream.
+    """For an instrument that answers and does not stream."""
 
-    Attributes:
-        text: what asks for one reading, with its terminator.
-        interval: least time from one request to the next, s.
-    """
-
-    text: Ascii
-    interval: NotNegative = 0.0
+    text: Ascii  # what asks for one reading, with its terminator
+    interval: NotNegative = 0.0  # least time from one request to the next, s
 
 
 class Timeouts(Record):
-    """Times, s.
+    """Times, s."""
 
-    Attributes:
-        connect: for a connection to be made.
-        answer: for the answer to a request.
-        silence: without a sample for this long, the instrument counts as silent.
-        reconnect: pause before a lost connection is tried again.
-    """
-
-    connect: Positive = 5.0
-    answer: Positive = 1.0
-    silence: Positive = 2.0
-    reconnect: Positive = 1.0
+    connect: Positive = 5.0  # for a connection to be made
+    answer: Positive = 1.0  # for the answer to a request
+    silence: Positive = 2.0  # without a sample for this long, the instrument counts as silent
+    reconnect: Positive = 1.0  # pause before a lost connection is tried again
 
 
 class AsciiLineSettings(Record):
-    """An instrument that sends readings as lines of ASCII text.
-
-    Attributes:
-        start: text sent after connecting, such as a command to begin streaming.
-        hardware_id: of the instrument in diagnostics, such as its serial number; where it is connected if not given.
-    """
+    """An instrument that sends readings as lines of ASCII text."""
 
     format: Literal["mtcal-driver/1"]
     driver: Literal["ascii_line"]
@@ -174,6 +144,7 @@ class AsciiLineSettings(Record):
     line: Line
     value: Value
     request: Request | None = None
-    start: Ascii | None = None
+    start: Ascii | None = None  # text sent after connecting, such as a command to begin streaming
     timeouts: Timeouts = Timeouts()
+    # of the instrument in diagnostics, such as its serial number; where it is connected if not given
     hardware_id: str = ""

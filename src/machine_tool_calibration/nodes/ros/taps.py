@@ -40,47 +40,28 @@ _TICKS_KEPT = 2_000
 
 @dataclass(frozen=True)
 class Taken:
-    """A serialized message; times in ns.
+    """A serialized message; times in ns."""
 
-    Attributes:
-        topic: absolute name.
-        data: as it came.
-        received: by the system's clock.
-        sent: by the system's clock; when it was received, if the middleware does not tell.
-        number: that the publisher gave it.
-        simulated: what the simulated clock showed when it was sent; 0 if that is not known.
-    """
-
-    topic: str
-    data: bytes
-    received: int
-    sent: int
-    number: int
-    simulated: int = 0
+    topic: str  # absolute name
+    data: bytes  # as it came
+    received: int  # by the system's clock
+    sent: int  # by the system's clock; when it was received, if the middleware does not tell
+    number: int  # that the publisher gave it
+    simulated: int = 0  # what the simulated clock showed when it was sent; 0 if that is not known
 
 
 @dataclass
 class Tap:
-    """One subscribed topic.
+    """One subscribed topic."""
 
-    Attributes:
-        topic: absolute name.
-        type: such as `sensor_msgs/msg/JointState`.
-        request: what it asks of publishers.
-        offered: what they offer, as far as they were discovered.
-        type_hash: that the publishers tell.
-        messages: taken so far.
-        lost: that the publisher sent after the first one taken and that never came.
-    """
-
-    topic: str
-    type: str
-    request: Qos
+    topic: str  # absolute name
+    type: str  # such as `sensor_msgs/msg/JointState`
+    request: Qos  # what it asks of publishers
     subscription: Subscription
-    offered: tuple[Qos, ...] = ()
-    type_hash: str = ""
-    messages: int = 0
-    lost: int = 0
+    offered: tuple[Qos, ...] = ()  # what they offer, as far as they were discovered
+    type_hash: str = ""  # that the publishers tell
+    messages: int = 0  # taken so far
+    lost: int = 0  # that the publisher sent after the first one taken and that never came
     _last: int = field(default=0, repr=False)
 
     @property

@@ -51,24 +51,15 @@ Vector2 = tuple[Finite, Finite]
 
 
 class Line(Record):
-    """A straight wall.
-
-    Attributes:
-        name: of the feature.
-        start: x, y.
-        end: x, y.
-        material: on which side of the way from start to end it is.
-        spacing: distance of points, or
-        count: how many.
-    """
+    """A straight wall."""
 
     kind: Literal["line"]
-    name: str = "work"
-    start: Vector2
-    end: Vector2
-    material: Literal["left", "right"]
-    spacing: Length | None = None
-    count: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    name: str = "work"  # of the feature
+    start: Vector2  # x, y
+    end: Vector2  # x, y
+    material: Literal["left", "right"]  # on which side of the way from start to end it is
+    spacing: Length | None = None  # distance of points, or
+    count: Annotated[int, Field(ge=1, le=100_000)] | None = None  # how many
 
     @model_validator(mode="after")
     def _check(self) -> Line:
@@ -84,22 +75,14 @@ class Line(Record):
 
 
 class Circle(Record):
-    """A round feature: a pin, disc or sphere is touched from outside, a hole from inside; a sphere on its equator.
-
-    Attributes:
-        name: of the feature.
-        centre: x, y.
-        diameter: of the circle in the plane of probing.
-        count: points, equally spaced.
-        first: angle of the first one, rad.
-    """
+    """A round feature: a pin, disc or sphere is touched from outside, a hole from inside; a sphere on its equator."""
 
     kind: Literal["pin", "disc", "sphere", "hole"]
-    name: str = "work"
-    centre: Vector2
-    diameter: Length
-    count: Annotated[int, Field(ge=1, le=100_000)]
-    first: Finite = 0.0
+    name: str = "work"  # of the feature
+    centre: Vector2  # x, y
+    diameter: Length  # of the circle in the plane of probing
+    count: Annotated[int, Field(ge=1, le=100_000)]  # points, equally spaced
+    first: Finite = 0.0  # angle of the first one, rad
 
     def contour(self, unit: float) -> Contour:
         """The circle, m; the points lie in the middle of as many equal parts of it."""
@@ -140,18 +123,12 @@ class Outline(_Drawn):
 
 
 class File(_Drawn):
-    """Outlines from a file, DXF or CSV with the columns x and y; spacing is in the description's unit.
-
-    Attributes:
-        path: of the file, from the description's own folder.
-        layer: of a DXF; all if absent.
-        unit: of the file's lengths; a DXF says its own.
-    """
+    """Outlines from a file, DXF or CSV with the columns x and y; spacing is in the description's unit."""
 
     kind: Literal["file"]
-    path: str
-    layer: str | None = None
-    unit: Literal["m", "mm", "inch"] | None = None
+    path: str  # of the file, from the description's own folder
+    layer: str | None = None  # of a DXF; all if absent
+    unit: Literal["m", "mm", "inch"] | None = None  # of the file's lengths; a DXF says its own
 
 
 class Points(Record):
@@ -239,18 +216,12 @@ _UNITS = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
 
 
 class Workpiece(Record):
-    """A workpiece as a drawing describes it, in the workpiece frame at c = 0; the axis of C is the origin.
-
-    Attributes:
-        unit: of all lengths.
-        stylus_diameter: points at which this sphere would touch elsewhere first are left out.
-        features: in the order in which their points are numbered.
-    """
+    """A workpiece as a drawing describes it, in the workpiece frame at c = 0; the axis of C is the origin."""
 
     format: Literal["mtcal-workpiece/1"]
-    unit: Literal["m", "mm", "inch"] = "m"
-    stylus_diameter: Positive | None = None
-    features: Annotated[tuple[Feature, ...], Field(min_length=1)]
+    unit: Literal["m", "mm", "inch"] = "m"  # of all lengths
+    stylus_diameter: Positive | None = None  # points at which this sphere would touch elsewhere first are left out
+    features: Annotated[tuple[Feature, ...], Field(min_length=1)]  # in the order in which their points are numbered
 
 
 def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:

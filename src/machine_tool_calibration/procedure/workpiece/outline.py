@@ -17,15 +17,10 @@ _MOST_POINTS = 100_000
 
 @dataclass(frozen=True)
 class Straight:
-    """A straight line.
+    """A straight line."""
 
-    Attributes:
-        start: x, y, m.
-        end: x, y, m.
-    """
-
-    start: tuple[float, float]
-    end: tuple[float, float]
+    start: tuple[float, float]  # x, y, m
+    end: tuple[float, float]  # x, y, m
 
     @property
     def length(self) -> float:
@@ -55,19 +50,12 @@ class Straight:
 
 @dataclass(frozen=True)
 class Arc:
-    """An arc of a circle.
+    """An arc of a circle."""
 
-    Attributes:
-        centre: x, y, m.
-        radius: m.
-        first: angle of the start about +Z from +X, rad.
-        sweep: angle travelled, positive counter-clockwise, at most a full turn, rad.
-    """
-
-    centre: tuple[float, float]
-    radius: float
-    first: float
-    sweep: float
+    centre: tuple[float, float]  # x, y, m
+    radius: float  # m
+    first: float  # angle of the start about +Z from +X, rad
+    sweep: float  # angle travelled, positive counter-clockwise, at most a full turn, rad
 
     @property
     def length(self) -> float:
@@ -123,15 +111,10 @@ _TOUCH = 1e-6
 
 @dataclass(frozen=True)
 class Contour:
-    """Segments of which each begins where the one before ends.
+    """Segments of which each begins where the one before ends."""
 
-    Attributes:
-        segments: in the order of travel.
-        is_closed: whether the last one ends where the first begins.
-    """
-
-    segments: tuple[Segment, ...]
-    is_closed: bool
+    segments: tuple[Segment, ...]  # in the order of travel
+    is_closed: bool  # whether the last one ends where the first begins
 
     @property
     def area(self) -> float:
@@ -147,15 +130,10 @@ class Contour:
 
 @dataclass(frozen=True)
 class Touched:
-    """Points of a surface.
+    """Points of a surface."""
 
-    Attributes:
-        position: (n, 2) m.
-        normal: (n, 2) unit vectors from the material outwards.
-    """
-
-    position: Array
-    normal: Array
+    position: Array  # (n, 2) m
+    normal: Array  # (n, 2) unit vectors from the material outwards
 
     def select(self, keep: BoolArray) -> Touched:
         """Some of the points."""
