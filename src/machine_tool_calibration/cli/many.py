@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.output import console, note, options
+from machine_tool_calibration.cli.output import bar, note, options
 
 if TYPE_CHECKING:
     from machine_tool_calibration.cli.diagnosing import Wanted
@@ -59,27 +59,16 @@ def _chosen(wanted: Wanted, keep_all: bool, measured: Measured) -> FitRequest:
 
 def followed(finished: Iterable[One], count: int) -> Iterator[One]:
     """The same, with how many of `count` are finished and the time that is left, on standard error."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    screen = console(stderr=True)
-    if not screen.is_terminal:
-        yield from _lines(finished, count)
-        return
-    columns = (TextColumn("sessions"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
-    with Progress(*columns, console=screen, transient=True, speed_estimate_period=300.0) as shown:
-        task = shown.add_task("", total=count)
-        for one in finished:
-            yield one
-            shown.advance(task)
-
-
-def _lines(finished: Iterable[One], count: int) -> Iterator[One]:
     from machine_tool_calibration.reports.quantities import duration
 
     begun = said = time.monotonic()
-    for done, one in enumerate(finished, start=1):
-        yield one
-        now = time.monotonic()
-        if now - said >= _LINE and done < count:
-            said = now
-            note(f"{done} of {count} sessions, {duration((now - begun) / done * (count - done))} left")
+    with bar("sessions", counted=True) as update:
+        for done, one in enumerate(finished, start=1):
+            yield one
+            now = time.monotonic()
+            left = f"{duration((now - begun) / done * (count - done))} left"
+            if update is not None:
+                update(description=f"sessions, {left}", completed=done, total=count)
+            elif now - said >= _LINE and done < count:
+                said = now
+                note(f"{done} of {count} sessions, {left}")

@@ -167,8 +167,10 @@ class Client:
             if watched:
                 self._watch()
             self._spinning = True
-            self._executor.spin_once(timeout_sec=_SPIN)
-            self._spinning = False
+            try:
+                self._executor.spin_once(timeout_sec=_SPIN)
+            finally:
+                self._spinning = False
             if self._is_interrupted:
                 self._is_interrupted = False
                 raise KeyboardInterrupt

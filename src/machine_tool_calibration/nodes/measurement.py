@@ -182,7 +182,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     return Measured(
         output=output,
         session=session,
-        bag=_bag(output) if _bag(output).exists() else None,
+        bag=output / "bag" if (output / "bag").exists() else None,
         result=document,
         domain=domain,
         seconds=(time.monotonic() - begin, measured),
@@ -221,10 +221,6 @@ def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     return {"seed": site.seed, "noise": noise, **document}
 
 
-def _bag(output: Path) -> Path:
-    return output / "bag"
-
-
 def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict[str, Any]]:
     """Parameters of the nodes to be started; what they read is put into the output's folder."""
     setting.output.mkdir(parents=True, exist_ok=True)
@@ -237,7 +233,7 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
         site.resolve(),
         simulated_time=setting.simulated_time,
         driver=setting.driver,
-        bag=_bag(setting.output).resolve(),
+        bag=(setting.output / "bag").resolve(),
     )
     parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
     parameters["procedure"] |= {"wait_between_setups": True} if setting.until is not None else {}

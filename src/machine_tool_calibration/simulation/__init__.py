@@ -27,7 +27,8 @@ A machine of one's own::
     machine.tool_rotation([[0.1, 0.2, 0.0]])     # (n, 3, 3) orientation error of the tool, as a rotation
     machine.on_table([0.1, 0.0, 0.02], [0.5])    # where a point of the rotary table really is
 
-One reading at a time, as the nodes need it, with flaws, time and temperature: `live.py`. Other plans: `DiagonalPlan`,
+One reading at a time, with flaws, time and temperature: `live.py`. Workshop, interferometer and part of the simulated
+nodes: `site.py`, `interferometer.py`, `part.py`, with the geometry of whole sessions. Other plans: `DiagonalPlan`,
 `RotaryPlan`, `ProbingPlan`, `DirectPlan`; `PRESETS` holds those of the papers by name.
 """
 
