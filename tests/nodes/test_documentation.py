@@ -98,7 +98,7 @@ def test_topics_of_the_probe_and_the_player(bench):
 @pytest.mark.parametrize("name", [*NODES, "probe", "player"])
 def test_every_parameter_has_its_row(name):
     source = (SOURCE / f"{name}.py").read_text()
-    source += (SOURCE / "site.py").read_text() if "declare_site(" in source else ""
+    source += (SOURCE / "descriptions.py").read_text() if "declare_site(" in source else ""
     declared = set(re.findall(r'\.declare\(\s*"(\w+)"', source))
     assert declared
     (page,) = [page for page in PAGES.values() if f"## Parameters of `{name}`\n" in page]
