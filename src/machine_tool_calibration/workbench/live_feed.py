@@ -39,23 +39,14 @@ _PAUSE_RATIO = 10.0  # of the time that one takes: the page is not to be kept wa
 
 @dataclass(frozen=True)
 class LiveMap:
-    """The map of the readings so far, and what it leaves.
+    """The map of the readings so far, and what it leaves."""
 
-    Attributes:
-        whose: who calculated it, in words.
-        rows: figures of the result, in words; none where only the map was published.
-        error_map: the machine's position errors, if there are any.
-        row: (n,) number of each reading in the order of time.
-        setup: (n,) place of its setup.
-        residual: (n,) m.
-    """
-
-    whose: str
-    rows: Sequence[tuple[str, str]]
-    error_map: ErrorMap
-    row: Array
-    setup: Array
-    residual: Array
+    whose: str  # who calculated it, in words
+    rows: Sequence[tuple[str, str]]  # figures of the result, in words; none where only the map was published
+    error_map: ErrorMap  # the machine's position errors, if there are any
+    row: Array  # (n,) number of each reading in the order of time
+    setup: Array  # (n,) place of its setup
+    residual: Array  # (n,) m
 
     @staticmethod
     def of_session(session: Session, variant: str | None, own: Sequence[PhysicalEffect]) -> LiveMap:
