@@ -69,6 +69,26 @@ def direct():
     return procedure, [{"id": "pitch_periodic_x", "size": 1e-6, "parameters": {"phase": 1.0}}], [plan]
 
 
+def tracking():
+    """In space the retroreflector's form counts by the angle to the spindle's axis."""
+    procedure = load("tracking_3d")
+    session = procedure["session"]
+    session["repeats"] = 2
+    grid = {axis: [0.05, 0.2, 0.35] for axis in "xyz"}
+    procedure["path"] = {"grid": grid}
+    plan = {
+        "method": "tracking_interferometer",
+        "dimension": 3,
+        "repeats": 2,
+        "stations": [setup["position"] for setup in session["setups"]],
+        "station_uncertainty": 0.0,
+        "chain": session["machine"]["chain"],
+        **grid,
+    }
+    form = {"orders": [2, 3], "weights": [1.0, 0.5], "phases": [0.3, 1.1]}
+    return procedure, [{"id": "retroreflector_form", "size": 1e-6, "parameters": form}], [plan]
+
+
 def simulated(procedure, effects, plan):
     machine = {**MACHINE, "travel": procedure["session"]["machine"]["travel"]}
     spec = SimulationSpec.model_validate({"plan": plan, "machine": machine, "effects": effects, "noise_factor": 0.0})
@@ -86,14 +106,19 @@ def keyed(session, displacement):
     return {key: np.array(values) for key, values in found.items()}
 
 
-@pytest.mark.parametrize("case", [diagonal, rotary, direct], ids=["step_diagonal", "rotary_axis", "direct"])
+CASES = {"step_diagonal": diagonal, "rotary_axis": rotary, "direct": direct, "tracking": tracking}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_readings_are_those_of_the_simulator(bench, finish, case):
     procedure, effects, plans = case()
     machine = {**MACHINE, **copy.deepcopy(procedure["session"]["machine"])}
     machine.pop("axis", None)
     site = {**FREE, "machine": machine, "effects": effects}
     names = ("axis_simulator", "instrument", "procedure")
-    graph = bench.graph((*names, "rotary_pointer") if case is rotary else names, procedure=procedure, site=site)
+    graph = bench.graph(
+        (*names, "rotary_pointer") if case in (rotary, tracking) else names, procedure=procedure, site=site
+    )
     operator = bench.operator(graph)
     finish(operator)
     measured = live_session(*operator.heard.session())
