@@ -38,24 +38,16 @@ _SIZE = 0.02
 
 @dataclass(frozen=True)
 class PlanQuality:
-    """What a plan costs and determines.
+    """What a plan costs and determines."""
 
-    Attributes:
-        setups: ids.
-        targets: ids of targets or features; empty where there are none to choose from.
-        repeats: of each setup.
-        seconds: of moving and waiting, with mounting, s.
-        u: (q,) standard uncertainty of each number, m, or of each effect's coefficient over its largest plausible size;
-            infinite where it is not determined.
-        stations: (k, 3) where the instrument stands, m; none of methods that do not say.
-    """
-
-    setups: tuple[str, ...]
-    targets: tuple[str, ...]
-    repeats: int
-    seconds: float
+    setups: tuple[str, ...]  # ids
+    targets: tuple[str, ...]  # ids of targets or features; empty where there are none to choose from
+    repeats: int  # of each setup
+    seconds: float  # of moving and waiting, with mounting, s
+    # (q,) standard uncertainty of each number, m, or of each effect's coefficient over its largest plausible size;
+    # infinite where it is not determined
     u: Array
-    stations: Array
+    stations: Array  # (k, 3) where the instrument stands, m; none of methods that do not say
 
     @property
     def largest(self) -> float:
@@ -83,31 +75,18 @@ class PlanQuality:
 
 @dataclass(frozen=True)
 class BestPlan:
-    """The best plan that was found.
+    """The best plan that was found."""
 
-    Attributes:
-        text: its procedure's file.
-        present: of the procedure as it stands.
-        best: of the plan.
-        bound: largest standard uncertainty that no plan of the offer falls below; 0 where the search was stopped.
-        points: (q, 3) places of the map's numbers, m; none for effects.
-        effects: that are to be told; empty where the map is.
-        candidates: how many setups and targets could be chosen.
-        tried: how many plans were looked at.
-        stopped: whether the search was stopped before its end.
-        complete: whether a budget is in the uncertainties.
-    """
-
-    text: str
-    present: PlanQuality
-    best: PlanQuality
-    bound: float
-    points: Array
-    effects: tuple[str, ...]
-    candidates: tuple[int, int]
-    tried: int
-    stopped: bool
-    complete: bool
+    text: str  # its procedure's file
+    present: PlanQuality  # of the procedure as it stands
+    best: PlanQuality  # of the plan
+    bound: float  # largest standard uncertainty that no plan of the offer falls below; 0 where the search was stopped
+    points: Array  # (q, 3) places of the map's numbers, m; none for effects
+    effects: tuple[str, ...]  # that are to be told; empty where the map is
+    candidates: tuple[int, int]  # how many setups and targets could be chosen
+    tried: int  # how many plans were looked at
+    stopped: bool  # whether the search was stopped before its end
+    complete: bool  # whether a budget is in the uncertainties
 
     def document(self) -> dict[str, Any]:
         """For programs."""
@@ -127,20 +106,13 @@ class BestPlan:
 
 @dataclass(frozen=True)
 class Assumed:
-    """What is assumed of a measurement that was not made.
+    """What is assumed of a measurement that was not made."""
 
-    Attributes:
-        model: variant of the method's model; None for its default.
-        own: the user's own effects, beside the catalogue.
-        warming: change of the air's temperature, K per hour.
-        angular: root mean square of the machine's angular errors, rad.
-        errors: of the readings of a session, what its budget says beside their scatter.
-    """
-
-    model: str | None = None
-    own: Sequence[Effect] = ()
-    warming: float = 1.0
-    angular: float = ANGULAR
+    model: str | None = None  # variant of the method's model; None for its default
+    own: Sequence[Effect] = ()  # the user's own effects, beside the catalogue
+    warming: float = 1.0  # change of the air's temperature, K per hour
+    angular: float = ANGULAR  # root mean square of the machine's angular errors, rad
+    # of the readings of a session, what its budget says beside their scatter
     errors: Callable[[Observations], SharedErrors | None] = lambda observed: None
 
 

@@ -33,19 +33,12 @@ _LOST = 1e10
 
 @dataclass(frozen=True)
 class Known:
-    """Numbers that a plan is judged by, as linear functions of the unknowns.
+    """Numbers that a plan is judged by, as linear functions of the unknowns."""
 
-    Attributes:
-        shared: (q, m) derivatives by the shared unknowns.
-        local: (q, d, P) derivatives by the points' own unknowns.
-        unknowns: (m,) names of the shared unknowns.
-        points: (q, 3) place of each in the map, m; none of what is no part of the map.
-    """
-
-    shared: Array
-    local: Array
-    unknowns: tuple[str, ...]
-    points: Array
+    shared: Array  # (q, m) derivatives by the shared unknowns
+    local: Array  # (q, d, P) derivatives by the points' own unknowns
+    unknowns: tuple[str, ...]  # (m,) names of the shared unknowns
+    points: Array  # (q, 3) place of each in the map, m; none of what is no part of the map
 
     def among(self, unknowns: Sequence[str]) -> Array:
         """(q, k) the derivatives by the unknowns of another model, which has these among its own."""
@@ -113,38 +106,23 @@ def effect_sizes(joint: JointFit, effects: Collection[str]) -> Known:
 
 @dataclass(frozen=True)
 class _Information:
-    """What the readings of one candidate say.
+    """What the readings of one candidate say."""
 
-    Attributes:
-        seen: (k,) places of the shared unknowns that they see.
-        local: (P, d, d) products of the columns of the points' own unknowns.
-        mixed: (P, d, k) of these with the shared ones.
-        shared: (k, k) of the shared ones.
-        errors: (e,) numbers of the errors that the readings share and that act here.
-        local_right: (P, d, e) products of the points' columns with these.
-        right: (k, e) of the shared columns.
-    """
-
-    seen: IntArray
-    local: Array
-    mixed: Array
-    shared: Array
-    errors: IntArray
-    local_right: Array
-    right: Array
+    seen: IntArray  # (k,) places of the shared unknowns that they see
+    local: Array  # (P, d, d) products of the columns of the points' own unknowns
+    mixed: Array  # (P, d, k) of these with the shared ones
+    shared: Array  # (k, k) of the shared ones
+    errors: IntArray  # (e,) numbers of the errors that the readings share and that act here
+    local_right: Array  # (P, d, e) products of the points' columns with these
+    right: Array  # (k, e) of the shared columns
 
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """What a budget says of the readings, beside the scatter that is declared.
+    """What a budget says of the readings, beside the scatter that is declared."""
 
-    Attributes:
-        scatter: how many times as large as declared is what every reading has of its own.
-        change: (e, n) what one standard uncertainty of each value that readings share does to them, m.
-    """
-
-    scatter: float
-    change: Array
+    scatter: float  # how many times as large as declared is what every reading has of its own
+    change: Array  # (e, n) what one standard uncertainty of each value that readings share does to them, m
 
 
 class Candidates:

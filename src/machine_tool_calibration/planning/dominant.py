@@ -45,36 +45,23 @@ _MOST_REMEDIES = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Remedy(Proposal):
-    """A further measurement that makes what dominates smaller.
+    """A further measurement that makes what dominates smaller."""
 
-    Attributes:
-        uncertainty: root mean square standard uncertainty of the map's coordinates with it, m.
-    """
-
-    uncertainty: float
+    uncertainty: float  # root mean square standard uncertainty of the map's coordinates with it, m
 
 
 @dataclass(frozen=True)
 class Dominant:
-    """What makes up the uncertainty of a map.
+    """What makes up the uncertainty of a map."""
 
-    Attributes:
-        cause: what has the largest share of the variance.
-        uncertainty: root mean square standard uncertainty of the map's coordinates, m.
-        shares: of its variance, by cause.
-        angular: size of the angular errors that was assumed, rad; 0 where the model has none.
-        drift: rate that was assumed, m/s; 0 where no time was recorded.
-        again: the uncertainty after the same measurement once more, m; None if that was not asked for.
-        remedies: measurements that are clearly better than that, the best first; none where the readings' own scatter
-            dominates.
-    """
-
-    cause: Literal["readings", "angular errors", "time"]
-    uncertainty: float
-    shares: dict[str, float]
-    angular: float
-    drift: float
+    cause: Literal["readings", "angular errors", "time"]  # what has the largest share of the variance
+    uncertainty: float  # root mean square standard uncertainty of the map's coordinates, m
+    shares: dict[str, float]  # of its variance, by cause
+    angular: float  # size of the angular errors that was assumed, rad; 0 where the model has none
+    drift: float  # rate that was assumed, m/s; 0 where no time was recorded
+    # the uncertainty after the same measurement once more, m; None if that was not asked for
     again: float | None = None
+    # measurements that are clearly better than that, the best first; none where the readings' own scatter dominates
     remedies: tuple[Remedy, ...] = ()
 
     def document(self) -> dict[str, Any]:

@@ -48,36 +48,22 @@ _HELD = 8_000_000
 
 @dataclass(frozen=True)
 class Visible:
-    """The smallest size of an effect that a plan finds with a power of 80 %.
+    """The smallest size of an effect that a plan finds with a power of 80 %."""
 
-    Attributes:
-        effect: its id.
-        coefficient: the one of its coefficients that is seen best, the others being zero.
-        size: smallest detectable size, in the unit; None if the model's own unknowns take the effect up.
-        unit: SI.
-        reading: largest change of a reading that this makes, m.
-    """
-
-    effect: str
-    coefficient: str
-    size: float | None
-    unit: str
-    reading: float | None
+    effect: str  # its id
+    coefficient: str  # the one of its coefficients that is seen best, the others being zero
+    size: float | None  # smallest detectable size, in the unit; None if the model's own unknowns take the effect up
+    unit: str  # SI
+    reading: float | None  # largest change of a reading that this makes, m
 
 
 @dataclass(frozen=True)
 class Detectable:
-    """What a measurement shows of effects.
+    """What a measurement shows of effects."""
 
-    Attributes:
-        visible: effects that it could show, the catalogue's order.
-        absorbed: effects that the model takes up.
-        excluded: effects that cannot act here, with the reason.
-    """
-
-    visible: tuple[Visible, ...]
-    absorbed: tuple[str, ...]
-    excluded: Mapping[str, str]
+    visible: tuple[Visible, ...]  # effects that it could show, the catalogue's order
+    absorbed: tuple[str, ...]  # effects that the model takes up
+    excluded: Mapping[str, str]  # effects that cannot act here, with the reason
 
 
 def detectable(
@@ -104,17 +90,12 @@ def detectable(
 
 @dataclass(frozen=True)
 class _Screened:
-    """What a model leaves of a candidate's columns.
+    """What a model leaves of a candidate's columns."""
 
-    Attributes:
-        effect: its id.
-        count: sets of nonlinear coefficients over which its prior is spread.
-        blocks: for each set of nonlinear coefficients the coefficients, and of each one's column the squared norm
-            outside the model, whether that is seen at all, and the largest change of a reading.
-    """
-
-    effect: str
-    count: int
+    effect: str  # its id
+    count: int  # sets of nonlinear coefficients over which its prior is spread
+    # for each set of nonlinear coefficients the coefficients, and of each one's column the squared norm outside the
+    # model, whether that is seen at all, and the largest change of a reading
     blocks: tuple[tuple[Sequence[Coefficient], Array, BoolArray, Array], ...]
 
     def smallest(self, needed: float) -> Visible | None:
@@ -175,15 +156,10 @@ _MOST_READINGS = 100_000
 
 @dataclass(frozen=True)
 class Planned:
-    """A measurement that was not made.
+    """A measurement that was not made."""
 
-    Attributes:
-        session: as if it had been read: a perfect machine, and the declared uncertainty as noise.
-        seconds: of motion and waiting; putting up instruments comes on top.
-    """
-
-    session: Session
-    seconds: float
+    session: Session  # as if it had been read: a perfect machine, and the declared uncertainty as noise
+    seconds: float  # of motion and waiting; putting up instruments comes on top
 
 
 def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
@@ -286,24 +262,15 @@ def _aims(steps: tuple[Step, ...]) -> Array:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a measurement will determine.
+    """What a measurement will determine."""
 
-    Attributes:
-        result: as it will be for a machine without errors: its uncertainties and gaps are those to come.
-        seconds: of motion and waiting.
-        visible: effects that it could show, the catalogue's order.
-        absorbed: effects that the model takes up.
-        excluded: effects that cannot act here, with the reason.
-        warming: K per hour that was assumed.
-        dominant: what will dominate the map's uncertainty, with angular errors and a drift of the sizes assumed.
-    """
-
-    result: Result
-    seconds: float
-    visible: tuple[Visible, ...]
-    absorbed: tuple[str, ...]
-    excluded: Mapping[str, str]
-    warming: float
+    result: Result  # as it will be for a machine without errors: its uncertainties and gaps are those to come
+    seconds: float  # of motion and waiting
+    visible: tuple[Visible, ...]  # effects that it could show, the catalogue's order
+    absorbed: tuple[str, ...]  # effects that the model takes up
+    excluded: Mapping[str, str]  # effects that cannot act here, with the reason
+    warming: float  # K per hour that was assumed
+    # what will dominate the map's uncertainty, with angular errors and a drift of the sizes assumed
     dominant: Dominant | None = None
 
     def document(self) -> dict[str, Any]:

@@ -39,23 +39,14 @@ _SEED = 7
 
 @dataclass(frozen=True)
 class Injected:
-    """An effect in perfect data.
+    """An effect in perfect data."""
 
-    Attributes:
-        effect: what was put in.
-        plan: name of the simulated plan.
-        comparison: the default model, which lacks the effect, against the readings.
-        change: (n,) what the effect did to each reading, m, without the mean of each run.
-        left: root mean square of what the model leaves over that of the change.
-        from_geometry: whether the simulator made it; otherwise it is the effect's own formula.
-    """
-
-    effect: Effect
-    plan: str
-    comparison: Comparison
-    change: Array
-    left: float
-    from_geometry: bool
+    effect: Effect  # what was put in
+    plan: str  # name of the simulated plan
+    comparison: Comparison  # the default model, which lacks the effect, against the readings
+    change: Array  # (n,) what the effect did to each reading, m, without the mean of each run
+    left: float  # root mean square of what the model leaves over that of the change
+    from_geometry: bool  # whether the simulator made it; otherwise it is the effect's own formula
 
     @property
     def taken_up(self) -> bool:
@@ -65,21 +56,13 @@ class Injected:
 
 @dataclass(frozen=True)
 class Shown:
-    """What becomes of an effect in one plan.
+    """What becomes of an effect in one plan."""
 
-    Attributes:
-        plan: name of the simulated plan.
-        method: its method.
-        left: share of the effect that the default model leaves; None where it cannot act.
-        taken_up_by: the unknowns that take most of the rest.
-        why_not: why it cannot act.
-    """
-
-    plan: str
-    method: str
-    left: float | None
-    taken_up_by: tuple[Parameter, ...] = ()
-    why_not: str = ""
+    plan: str  # name of the simulated plan
+    method: str  # its method
+    left: float | None  # share of the effect that the default model leaves; None where it cannot act
+    taken_up_by: tuple[Parameter, ...] = ()  # the unknowns that take most of the rest
+    why_not: str = ""  # why it cannot act
 
 
 def inject(effect: Effect, plans: Sequence[str] = PLANS) -> Injected | None:

@@ -25,39 +25,26 @@ _MOST_CANDIDATES = 1000
 
 @dataclass(frozen=True)
 class Choice:
-    """A plan: which setups and which targets, and how often.
+    """A plan: which setups and which targets, and how often."""
 
-    Attributes:
-        setups: numbers of the offer's setups, in the order in which they are measured.
-        targets: numbers of its targets (or features); of a method without any the only one.
-        repeats: of each setup.
-    """
-
-    setups: tuple[int, ...]
-    targets: tuple[int, ...]
-    repeats: int
+    setups: tuple[int, ...]  # numbers of the offer's setups, in the order in which they are measured
+    targets: tuple[int, ...]  # numbers of its targets (or features); of a method without any the only one
+    repeats: int  # of each setup
 
 
 @dataclass(frozen=True)
 class Offer:
-    """What could be measured.
+    """What could be measured."""
 
-    Attributes:
-        content: the procedure's file, with every candidate among its setups and targets, measured once, or once in
-            either sense of the path.
-        procedure: the same as a procedure.
-        choices: what is allowed.
-        targets: names of the targets, or of the features of a workpiece; one without a name if there are none.
-        always: numbers of the targets that every plan has.
-        present: the plan of the procedure as it stands.
-    """
-
+    # the procedure's file, with every candidate among its setups and targets, measured once, or once in either sense of
+    # the path
     content: Mapping[str, Any]
-    procedure: Procedure
-    choices: Choices
+    procedure: Procedure  # the same as a procedure
+    choices: Choices  # what is allowed
+    # names of the targets, or of the features of a workpiece; one without a name if there are none
     targets: tuple[str, ...]
-    always: tuple[int, ...]
-    present: Choice
+    always: tuple[int, ...]  # numbers of the targets that every plan has
+    present: Choice  # the plan of the procedure as it stands
 
     @property
     def setups(self) -> tuple[str, ...]:

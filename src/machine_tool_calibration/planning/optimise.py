@@ -57,19 +57,12 @@ _MOST_TANGENTS = 60
 
 @dataclass(frozen=True)
 class Searched:
-    """The best plan that was found.
+    """The best plan that was found."""
 
-    Attributes:
-        choice: of the offer.
-        variances: (q,) of the numbers asked for.
-        tried: how many plans were looked at.
-        stopped: whether the search was stopped before it came to its end.
-    """
-
-    choice: Choice
-    variances: Array
-    tried: int
-    stopped: bool
+    choice: Choice  # of the offer
+    variances: Array  # (q,) of the numbers asked for
+    tried: int  # how many plans were looked at
+    stopped: bool  # whether the search was stopped before it came to its end
 
     @property
     def largest(self) -> float:

@@ -23,34 +23,23 @@ _EFFORT = {"swing": 3600.0, "warmer": 3 * 3600.0, "station": 900.0, "turned": 12
 
 @dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """A further measurement, as it is proposed.
+    """A further measurement, as it is proposed."""
 
-    Attributes:
-        kind: short name: again, backwards, both_ways, order, swing, warmer, turned, station, index, diagonal, offset;
-            None if none of those tried does what is wanted.
-        measure: what to measure, in words.
-        seconds: time that it takes at the session's own pace; None without a time column.
-        aside: what comes on top of that time, in words; empty if nothing does.
-    """
-
+    # short name: again, backwards, both_ways, order, swing, warmer, turned, station, index, diagonal, offset; None if
+    # none of those tried does what is wanted
     kind: str | None
-    measure: str
-    seconds: float | None = None
-    aside: str = ""
+    measure: str  # what to measure, in words
+    seconds: float | None = None  # time that it takes at the session's own pace; None without a time column
+    aside: str = ""  # what comes on top of that time, in words; empty if nothing does
 
 
 @dataclass(frozen=True, kw_only=True)
 class Option(Proposal):
-    """A further measurement that could be made.
+    """A further measurement that could be made."""
 
-    Attributes:
-        session: the session followed by it; its displacements are only rough.
-        first_row: number of its first reading.
-        turned: for effects that sit in a part which is turned for it, the angle about Z, rad.
-    """
-
-    session: Session
-    first_row: int
+    session: Session  # the session followed by it; its displacements are only rough
+    first_row: int  # number of its first reading
+    # for effects that sit in a part which is turned for it, the angle about Z, rad
     turned: Mapping[str, float] = field(default_factory=dict)
 
     @property

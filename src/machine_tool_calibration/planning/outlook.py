@@ -29,25 +29,15 @@ _SILENT_UNCERTAINTY = 1e-3
 
 @dataclass(frozen=True)
 class Outlook:
-    """What is known of the machine after a measurement.
+    """What is known of the machine after a measurement."""
 
-    Attributes:
-        words: what to measure; empty for what is known now.
-        session: the readings to be taken, with displacements that are none; of what is known now those that were.
-        places: (k, 3) where the readings are taken, m; none of what is known now.
-        points: (n, 3) places of the map, m.
-        uncertainty: (n, 3) standard uncertainty of its position errors, m; NaN where not determined.
-        seconds: time of motion and waiting; None where no time was recorded.
-        aside: what comes on top of that time, in words.
-    """
-
-    words: str
-    session: Session
-    places: Array
-    points: Array
-    uncertainty: Array
-    seconds: float | None = None
-    aside: str = ""
+    words: str  # what to measure; empty for what is known now
+    session: Session  # the readings to be taken, with displacements that are none; of what is known now those that were
+    places: Array  # (k, 3) where the readings are taken, m; none of what is known now
+    points: Array  # (n, 3) places of the map, m
+    uncertainty: Array  # (n, 3) standard uncertainty of its position errors, m; NaN where not determined
+    seconds: float | None = None  # time of motion and waiting; None where no time was recorded
+    aside: str = ""  # what comes on top of that time, in words
 
     @property
     def typical(self) -> float:

@@ -68,19 +68,12 @@ def approached(values: Array, group: IntArray, before: Array) -> Array:
 
 @dataclass(frozen=True)
 class Changed:
-    """Readings that are taken again, and what is different about them.
+    """Readings that are taken again, and what is different about them."""
 
-    Attributes:
-        rows: (k,) indices of the readings, in their new order.
-        columns: columns that are different, each (k,).
-        displacement: (k,) what they would read, m, roughly; as before if absent.
-        kelvin: (k,) how much warmer everything is, in the order of time; nothing if absent.
-    """
-
-    rows: IntArray
-    columns: Mapping[str, Array] = field(default_factory=dict)
-    displacement: Array | None = None
-    kelvin: Array | None = None
+    rows: IntArray  # (k,) indices of the readings, in their new order
+    columns: Mapping[str, Array] = field(default_factory=dict)  # columns that are different, each (k,)
+    displacement: Array | None = None  # (k,) what they would read, m, roughly; as before if absent
+    kelvin: Array | None = None  # (k,) how much warmer everything is, in the order of time; nothing if absent
 
 
 def appended(
@@ -132,34 +125,23 @@ _ABSORBED = 1e-4
 
 @dataclass(frozen=True)
 class Assumed:
-    """An effect of a certain size.
+    """An effect of a certain size."""
 
-    Attributes:
-        effect: the effect.
-        shape: its nonlinear coefficients.
-        size: its linear coefficients by name; those of setups that are new take the size of the others.
-    """
-
-    effect: Effect
-    shape: tuple[float, ...]
+    effect: Effect  # the effect
+    shape: tuple[float, ...]  # its nonlinear coefficients
+    # its linear coefficients by name; those of setups that are new take the size of the others
     size: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Sensed:
-    """Effects in a measurement.
+    """Effects in a measurement."""
 
-    Attributes:
-        gram: (k, k) inner products of their columns with the model projected off, in standard uncertainties squared.
-        squares: (k,) squared norms before.
-        place: where the columns of each effect are.
-        signal: (columns of the effect,) its coefficients.
-    """
-
+    # (k, k) inner products of their columns with the model projected off, in standard uncertainties squared
     gram: Array
-    squares: Array
-    place: Mapping[str, slice]
-    signal: Mapping[str, Array]
+    squares: Array  # (k,) squared norms before
+    place: Mapping[str, slice]  # where the columns of each effect are
+    signal: Mapping[str, Array]  # (columns of the effect,) its coefficients
 
     def beside(self, names: Sequence[str]) -> Sensed:
         """The same with further effects in the model."""

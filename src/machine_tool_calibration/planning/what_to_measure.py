@@ -29,22 +29,15 @@ ALIKE = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Separation(Proposal):
-    """How to distinguish confounded effects.
+    """How to distinguish confounded effects."""
 
-    Attributes:
-        effects: the group, the most probable first.
-        cosine_before: largest cosine between the first and the others now.
-        cosine_after: the same with the further measurement.
-        apart_before: least norm by which the readings differ between the first effect, at its fitted size, and the
-            nearest of the others, in standard uncertainties, now.
-        apart_after: the same with the further measurement.
-    """
-
-    effects: tuple[str, ...]
-    cosine_before: float
-    cosine_after: float
+    effects: tuple[str, ...]  # the group, the most probable first
+    cosine_before: float  # largest cosine between the first and the others now
+    cosine_after: float  # the same with the further measurement
+    # least norm by which the readings differ between the first effect, at its fitted size, and the nearest of the
+    # others, in standard uncertainties, now
     apart_before: float
-    apart_after: float
+    apart_after: float  # the same with the further measurement
 
     @property
     def separates(self) -> bool:
@@ -54,35 +47,22 @@ class Separation(Proposal):
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility(Proposal):
-    """How to see an effect that hardly shows, or not at all.
+    """How to see an effect that hardly shows, or not at all."""
 
-    Attributes:
-        effect: its id.
-        coefficient: the name of that coefficient which is seen best.
-        unit: its unit.
-        before: its smallest detectable size now; None if the model absorbs it.
-        after: the same with the further measurement.
-    """
-
-    effect: str
-    coefficient: str
-    unit: str
-    before: float | None
-    after: float
+    effect: str  # its id
+    coefficient: str  # the name of that coefficient which is seen best
+    unit: str  # its unit
+    before: float | None  # its smallest detectable size now; None if the model absorbs it
+    after: float  # the same with the further measurement
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What to measure next.
+    """What to measure next."""
 
-    Attributes:
-        separations: to distinguish confounded effects.
-        visibilities: to see effects that hardly show.
-        dominant: what dominates the map's uncertainty, and what makes it smaller; None where there is no map.
-    """
-
-    separations: tuple[Separation, ...] = ()
-    visibilities: tuple[Visibility, ...] = ()
+    separations: tuple[Separation, ...] = ()  # to distinguish confounded effects
+    visibilities: tuple[Visibility, ...] = ()  # to see effects that hardly show
+    # what dominates the map's uncertainty, and what makes it smaller; None where there is no map
     dominant: Dominant | None = None
 
 
@@ -290,15 +270,10 @@ _CHANGES = 0.1
 
 @dataclass(frozen=True)
 class Conclusions:
-    """What follows from a diagnosis.
+    """What follows from a diagnosis."""
 
-    Attributes:
-        changes: what the candidates would change in the readings and in the map, by effect.
-        advice: what to measure next.
-    """
-
-    changes: Mapping[str, Consequence]
-    advice: Advice
+    changes: Mapping[str, Consequence]  # what the candidates would change in the readings and in the map, by effect
+    advice: Advice  # what to measure next
 
 
 def conclude(
