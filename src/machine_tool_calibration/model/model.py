@@ -44,34 +44,21 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """An unknown. Its name identifies it; what it is, the other attributes say.
+    """An unknown. Its name identifies it; what it is, the other attributes say."""
 
-    Attributes:
-        name: unique in the model.
-        unit: SI, such as m, rad, m/s, 1/K, 1.
-        low: smallest plausible value, if there is one.
-        high: largest plausible value, if there is one.
-        reference: what the unknown is counted from; the published value is reference plus unknown.
-        shared: whether it belongs to the machine, so that several sessions have it in common.
-        kind: what it is.
-        owner: of what: the error motion, squareness or effect, the setup, station or target.
-        at: which of its owner's: the position of a value in its table, m or rad; the setup at which the axis stood; the
-            number of the repeat.
-        meaning: of an effect's coefficient, in a few words.
-        session: label of the session whose own it is, once several are assembled.
-    """
-
-    name: str
-    unit: str
-    low: float | None = None
-    high: float | None = None
-    reference: float = 0.0
-    shared: bool = False
-    kind: Kind = Kind.OTHER
-    owner: str = ""
+    name: str  # unique in the model
+    unit: str  # SI, such as m, rad, m/s, 1/K, 1
+    low: float | None = None  # smallest plausible value, if there is one
+    high: float | None = None  # largest plausible value, if there is one
+    reference: float = 0.0  # what the unknown is counted from; the published value is reference plus unknown
+    shared: bool = False  # whether it belongs to the machine, so that several sessions have it in common
+    kind: Kind = Kind.OTHER  # what it is
+    owner: str = ""  # of what: the error motion, squareness or effect, the setup, station or target
+    # which of its owner's: the position of a value in its table, m or rad; the setup at which the axis stood; the
+    # number of the repeat
     at: float | str | None = None
-    meaning: str = ""
-    session: str = ""
+    meaning: str = ""  # of an effect's coefficient, in a few words
+    session: str = ""  # label of the session whose own it is, once several are assembled
 
     @property
     def family(self) -> str:
@@ -112,19 +99,13 @@ def dead_path_of(owner: str, stated: float, repeat: int | None = None) -> Parame
 
 @dataclass(frozen=True)
 class Term:
-    """A physical effect, or a group of unknowns of the method, evaluated for given readings.
+    """A physical effect, or a group of unknowns of the method, evaluated for given readings."""
 
-    Attributes:
-        name: what it is: an effect's id, an error motion, an instrument's unknown.
-        parameters: k unknowns.
-        columns: (k, n) change of each reading per unit of each unknown.
-        field: (k, n, 3) displacement of the functional point per unit of each unknown, for a map of position errors;
-            None for what changes the reading itself.
-    """
-
-    name: str
-    parameters: tuple[Parameter, ...]
-    columns: Array
+    name: str  # what it is: an effect's id, an error motion, an instrument's unknown
+    parameters: tuple[Parameter, ...]  # k unknowns
+    columns: Array  # (k, n) change of each reading per unit of each unknown
+    # (k, n, 3) displacement of the functional point per unit of each unknown, for a map of position errors; None for
+    # what changes the reading itself
     field: Array | None = None
 
 
@@ -156,23 +137,14 @@ class NotDetermined:
 
 @dataclass(frozen=True)
 class MethodModel(ABC):
-    """What should have been read, for one session.
+    """What should have been read, for one session."""
 
-    Attributes:
-        observations: the readings that take part.
-        terms: unknowns that enter all readings through columns of their own.
-        constraints: the datum.
-        priors: further knowledge.
-        left_out: what the model does not hold because this data cannot determine it.
-        datum: the datum in words.
-    """
-
-    observations: Observations
-    terms: tuple[Term, ...]
-    constraints: tuple[Constraint, ...]
-    priors: tuple[Prior, ...]
-    left_out: tuple[NotDetermined, ...]
-    datum: str
+    observations: Observations  # the readings that take part
+    terms: tuple[Term, ...]  # unknowns that enter all readings through columns of their own
+    constraints: tuple[Constraint, ...]  # the datum
+    priors: tuple[Prior, ...]  # further knowledge
+    left_out: tuple[NotDetermined, ...]  # what the model does not hold because this data cannot determine it
+    datum: str  # the datum in words
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -247,21 +219,13 @@ class MethodModel(ABC):
 
 @dataclass(frozen=True)
 class Assembly:
-    """Models put together.
+    """Models put together."""
 
-    Attributes:
-        models: one for each session.
-        problem: for the solver; its parts are in the order of the models.
-        parameters: (m,) the shared unknowns, with the names under which they are published.
-        places: for each model, the place of each of its parameters in the shared vector.
-        labels: names of the sessions; None for a single one without a name.
-    """
-
-    models: tuple[MethodModel, ...]
-    problem: Problem
-    parameters: tuple[Parameter, ...]
-    places: tuple[IntArray, ...]
-    labels: tuple[str, ...] | None = None
+    models: tuple[MethodModel, ...]  # one for each session
+    problem: Problem  # for the solver; its parts are in the order of the models
+    parameters: tuple[Parameter, ...]  # (m,) the shared unknowns, with the names under which they are published
+    places: tuple[IntArray, ...]  # for each model, the place of each of its parameters in the shared vector
+    labels: tuple[str, ...] | None = None  # names of the sessions; None for a single one without a name
 
     @property
     def unknowns(self) -> dict[str, Parameter]:

@@ -22,33 +22,24 @@ SAME_POSITION = 1e-6
 
 @dataclass(frozen=True)
 class Observations:
-    """Readings with the direction in which each senses the functional point.
+    """Readings with the direction in which each senses the functional point."""
 
-    Attributes:
-        session: where they come from.
-        readings: those that take part; none is missing.
-        position: (n, 3) nominal functional point, machine frame, m.
-        direction: (n, 3) g: an error e of the functional point's position changes the reading by g.e.
-        table_direction: (n, 3) the same for a displacement of the workpiece or rotary table: the outward normal for a
-            probe, the direction to a target on the table; 0 where the table does not matter.
-        path: (n,) nominal optical path from the instrument to the functional point, m; 0 for a probe.
-        run: (n,) index of the run: readings that count from the same datum reading.
-        rotation_direction: (n, 3) r: a rotation E of the tool against the workpiece changes the reading by r.E beside
-            the displacement that it gives the functional point (a flat mirror turns); None where it does not.
-        covered: by axis (x, y, z) the lowest and highest position that the sessions of a joint fit have read, m; None
-            where this session is fitted by itself.
-        rigid: rotations (EAX … ECZ) of which the sessions of a joint fit sense the lever arm that the chain gives.
-    """
-
-    session: Session
-    readings: Readings
-    position: Array
-    direction: Array
+    session: Session  # where they come from
+    readings: Readings  # those that take part; none is missing
+    position: Array  # (n, 3) nominal functional point, machine frame, m
+    direction: Array  # (n, 3) g: an error e of the functional point's position changes the reading by g.e
+    # (n, 3) the same for a displacement of the workpiece or rotary table: the outward normal for a probe, the direction
+    # to a target on the table; 0 where the table does not matter
     table_direction: Array
-    path: Array
-    run: IntArray
+    path: Array  # (n,) nominal optical path from the instrument to the functional point, m; 0 for a probe
+    run: IntArray  # (n,) index of the run: readings that count from the same datum reading
+    # (n, 3) r: a rotation E of the tool against the workpiece changes the reading by r.E beside the displacement that
+    # it gives the functional point (a flat mirror turns); None where it does not
     rotation_direction: Array | None = None
+    # by axis (x, y, z) the lowest and highest position that the sessions of a joint fit have read, m; None where this
+    # session is fitted by itself
     covered: Mapping[str, tuple[float, float]] | None = None
+    # rotations (EAX … ECZ) of which the sessions of a joint fit sense the lever arm that the chain gives
     rigid: frozenset[str] = frozenset()
 
     def __len__(self) -> int:

@@ -11,19 +11,12 @@ from machine_tool_calibration.arrays import Array
 
 @dataclass(frozen=True)
 class RandomPosterior:
-    """What the readings say of unknowns that are random functions.
+    """What the readings say of unknowns that are random functions."""
 
-    Attributes:
-        size: root mean square of their size over all that is possible, in their unit.
-        probability: that they are not zero.
-        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
-        covariance: (m, m) of these.
-    """
-
-    size: float
-    probability: float
-    theta: Array
-    covariance: Array
+    size: float  # root mean square of their size over all that is possible, in their unit
+    probability: float  # that they are not zero
+    theta: Array  # (m,) mean of all unknowns, the random ones last and counted from zero
+    covariance: Array  # (m, m) of these
 
 
 class RandomUnknowns(Protocol):

@@ -23,22 +23,14 @@ from machine_tool_calibration.words import say
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter with its standard uncertainty (k = 1).
+    """A parameter with its standard uncertainty (k = 1)."""
 
-    Attributes:
-        name: of the unknown.
-        value: in the unit.
-        standard_uncertainty: in the unit.
-        unit: SI.
-        owner: of what it is (`Parameter.owner`).
-        position: of a value of an error motion's table, at which position of its axis, m or rad; None of others.
-    """
-
-    name: str
-    value: float
-    standard_uncertainty: float
-    unit: str
-    owner: str = ""
+    name: str  # of the unknown
+    value: float  # in the unit
+    standard_uncertainty: float  # in the unit
+    unit: str  # SI
+    owner: str = ""  # of what it is (`Parameter.owner`)
+    # of a value of an error motion's table, at which position of its axis, m or rad; None of others
     position: float | None = None
 
     @staticmethod
@@ -100,17 +92,11 @@ def effect_signal(joint: JointFit, name: str) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A reading that was kept out.
+    """A reading that was kept out."""
 
-    Attributes:
-        row: its number in the recording, from 0.
-        reason: in words.
-        deviation: from what all others predict, m; None where there is none, as of a missing reading.
-    """
-
-    row: int
-    reason: str
-    deviation: float | None = None
+    row: int  # its number in the recording, from 0
+    reason: str  # in words
+    deviation: float | None = None  # from what all others predict, m; None where there is none, as of a missing reading
 
     def document(self) -> dict[str, Any]:
         """As an entry of a document."""
@@ -120,25 +106,17 @@ class Rejected:
 
 @dataclass(frozen=True)
 class ErrorMap:
-    """The machine's errors with their standard uncertainties; NaN is a value that the data does not determine.
+    """The machine's errors with their standard uncertainties; NaN is a value that the data does not determine."""
 
-    Attributes:
-        content: what the contract names for the method: arrays, each `name` with its `name_u`; ids as lists of text.
-        points: (n, 3) where the position error is given, m.
-        error: (n, 3) position error, m; NaN in a direction that was not measured.
-        uncertainty: (n, 3).
-        covariance: (n, 3, 3) of the position error, m^2, or None.
-        not_determined: parts of the map that the data does not determine.
-        in_datum: unknowns that the map's datum moves, as found in it: value (without reference) and standard
-            uncertainty by name. The solver's datum is another one.
-    """
-
+    # what the contract names for the method: arrays, each `name` with its `name_u`; ids as lists of text
     content: Mapping[str, Any]
-    points: Array
-    error: Array
-    uncertainty: Array
-    covariance: Array | None = None
-    not_determined: tuple[NotDetermined, ...] = ()
+    points: Array  # (n, 3) where the position error is given, m
+    error: Array  # (n, 3) position error, m; NaN in a direction that was not measured
+    uncertainty: Array  # (n, 3)
+    covariance: Array | None = None  # (n, 3, 3) of the position error, m^2, or None
+    not_determined: tuple[NotDetermined, ...] = ()  # parts of the map that the data does not determine
+    # unknowns that the map's datum moves, as found in it: value (without reference) and standard uncertainty by name.
+    # The solver's datum is another one.
     in_datum: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -180,19 +158,13 @@ def map_rms(values: Array) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Identified(ABC):
-    """What models of one session or of several together say of the machine.
+    """What models of one session or of several together say of the machine."""
 
-    Attributes:
-        error_map: the machine's errors.
-        model_name: variant of the model, such as free or rigid_body; of several sessions each once.
-        effects: ids of the effects that were added.
-        variance_added: what a budget adds to the variance of unknowns, by name; None where the uncertainty is what
-            the readings show, without instrument and temperature.
-    """
-
-    error_map: ErrorMap
-    model_name: str
-    effects: tuple[str, ...]
+    error_map: ErrorMap  # the machine's errors
+    model_name: str  # variant of the model, such as free or rigid_body; of several sessions each once
+    effects: tuple[str, ...]  # ids of the effects that were added
+    # what a budget adds to the variance of unknowns, by name; None where the uncertainty is what the readings show,
+    # without instrument and temperature
     variance_added: Mapping[str, float] | None = None
 
     @property
@@ -253,17 +225,11 @@ class Identified(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Identified):
-    """A fitted model and what it says of the machine.
+    """A fitted model and what it says of the machine."""
 
-    Attributes:
-        fit: the fit.
-        rejected: readings that were kept out.
-        observations: number of readings recorded.
-    """
-
-    fit: Fit
-    rejected: tuple[Rejected, ...]
-    observations: int
+    fit: Fit  # the fit
+    rejected: tuple[Rejected, ...]  # readings that were kept out
+    observations: int  # number of readings recorded
 
     @property
     def fits(self) -> tuple[Fit, ...]:

@@ -28,17 +28,11 @@ _MOST_NODES = 21
 
 @dataclass(frozen=True)
 class MachineTable:
-    """One error motion with its table, or one squareness error.
+    """One error motion with its table, or one squareness error."""
 
-    Attributes:
-        chain: the machine.
-        name: EXX, ECY, … or C0Y, ….
-        nodes: (k,) positions of the table on its axis, m; empty for a squareness.
-    """
-
-    chain: Chain
-    name: str
-    nodes: Array
+    chain: Chain  # the machine
+    name: str  # EXX, ECY, … or C0Y, …
+    nodes: Array  # (k,) positions of the table on its axis, m; empty for a squareness
 
     @property
     def is_squareness(self) -> bool:

@@ -16,17 +16,11 @@ from machine_tool_calibration.model.random_unknowns import RandomUnknowns
 
 @dataclass(frozen=True)
 class Solved:
-    """Several sessions in one problem; for a single session it has one part.
+    """Several sessions in one problem; for a single session it has one part."""
 
-    Attributes:
-        assembly: the models and their problem.
-        solution: where the sum of squares is least, every reading for itself.
-        random: unknowns that are small random functions; None without any.
-    """
-
-    assembly: Assembly
-    solution: Solution
-    random: RandomUnknowns | None = None
+    assembly: Assembly  # the models and their problem
+    solution: Solution  # where the sum of squares is least, every reading for itself
+    random: RandomUnknowns | None = None  # unknowns that are small random functions; None without any
 
     def normalised(self, index: int) -> Array:
         """(n,) measured minus predicted over the declared uncertainty, of a session."""
