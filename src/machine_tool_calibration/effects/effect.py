@@ -17,23 +17,14 @@ from machine_tool_calibration.words import Said
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient of an effect; by itself a linear one.
+    """A coefficient of an effect; by itself a linear one."""
 
-    Attributes:
-        name: short name in the formula.
-        unit: SI.
-        low: smallest plausible value; 0 where it is positive by its nature.
-        high: largest plausible value.
-        meaning: what it is, in a few words.
-        usual: largest size that is usual; what lies between it and the limits occurs, but seldom.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    meaning: str = ""
-    usual: float = np.inf
+    name: str  # short name in the formula
+    unit: str  # SI
+    low: float  # smallest plausible value; 0 where it is positive by its nature
+    high: float  # largest plausible value
+    meaning: str = ""  # what it is, in a few words
+    usual: float = np.inf  # largest size that is usual; what lies between it and the limits occurs, but seldom
 
     @property
     def least(self) -> float:
@@ -43,13 +34,9 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Shape(Coefficient):
-    """A coefficient that enters nonlinearly: a time constant, a lead.
+    """A coefficient that enters nonlinearly: a time constant, a lead."""
 
-    Attributes:
-        discrete: whether it is chosen from a list, such as a number of harmonics, and has no uncertainty.
-    """
-
-    discrete: bool = False
+    discrete: bool = False  # whether it is chosen from a list, such as a number of harmonics, and has no uncertainty
 
 
 class Effect(ABC):
@@ -150,15 +137,10 @@ class Effect(ABC):
 
 
 class AxisEffect(Effect):
-    """An effect that every axis can have: in its texts `{axis}` stands for the letter of one, `{AXIS}` for its capital.
+    """An effect that every axis can have: in its texts `{axis}` is the letter of one, `{AXIS}` its capital."""
 
-    Attributes:
-        axis: x, y, z, a, b or c.
-        name: the axis, or the error of it (EYX, C0Y) that the effect changes: `{name}` in the texts.
-    """
-
-    axis: str
-    name: str
+    axis: str  # x, y, z, a, b or c
+    name: str  # the axis, or the error of it (EYX, C0Y) that the effect changes: `{name}` in the texts
 
     def __init__(self, name: str) -> None:
         """That of one axis, or of one of its errors."""

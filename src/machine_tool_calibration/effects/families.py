@@ -77,14 +77,11 @@ class HarmonicEffect(Effect):
     """A reading that depends on an angle; sine and cosine of orders 2 up to the highest that the data asks for.
 
     The first order is left to the model: it is a shift of station, target or stylus.
-
-    Attributes:
-        limit: largest plausible amplitude, m.
     """
 
     kind = "reading"
     shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True, meaning=say("coefficient.waves_most")),)
-    limit: float
+    limit: float  # largest plausible amplitude, m
 
     @abstractmethod
     def angle(self, observations: Observations) -> Array:
