@@ -57,48 +57,29 @@ _SAME_RANGE = 1e-6
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is found of one tolerance.
+    """What is found of one tolerance."""
 
-    Attributes:
-        name: of the figure.
-        unit: m or rad.
-        tolerance: largest value, or largest absolute value of what has a sign.
-        value: measured; NaN where it is not determined.
-        u: half the expanded uncertainty for 95.45 %.
-        probability: of conformity; NaN where it is not determined, or its uncertainty is not complete or does not hold.
-        decision: pass, fail, undecided or `not determined`.
-        why: what is not determined and why, or what its uncertainty lacks or rests on; empty otherwise.
-    """
-
-    name: str
-    unit: str
-    tolerance: float
-    value: float
-    u: float
+    name: str  # of the figure
+    unit: str  # m or rad
+    tolerance: float  # largest value, or largest absolute value of what has a sign
+    value: float  # measured; NaN where it is not determined
+    u: float  # half the expanded uncertainty for 95.45 %
+    # of conformity; NaN where it is not determined, or its uncertainty is not complete or does not hold
     probability: float
-    decision: str
-    why: str = ""
+    decision: str  # pass, fail, undecided or `not determined`
+    why: str = ""  # what is not determined and why, or what its uncertainty lacks or rests on; empty otherwise
 
 
 @dataclass(frozen=True)
 class Conformity:
-    """Verdicts by one decision rule.
+    """Verdicts by one decision rule."""
 
-    Attributes:
-        each: in the order of the tolerances.
-        rule: of decision.
-        level: conformance probability of the rule.
-        uncertainty: `identification` or `budget`: whose uncertainties these are.
-        origin: what they were made from.
-        suspicious: what is suspicious in the sessions, in words.
-    """
-
-    each: tuple[Verdict, ...]
-    rule: str
-    level: float
-    uncertainty: str
-    origin: Provenance
-    suspicious: tuple[str, ...] = ()
+    each: tuple[Verdict, ...]  # in the order of the tolerances
+    rule: str  # of decision
+    level: float  # conformance probability of the rule
+    uncertainty: str  # `identification` or `budget`: whose uncertainties these are
+    origin: Provenance  # what they were made from
+    suspicious: tuple[str, ...] = ()  # what is suspicious in the sessions, in words
 
     @property
     def decision(self) -> str:
@@ -109,32 +90,21 @@ class Conformity:
 
 @dataclass(frozen=True)
 class _Kind:
-    """How a figure is worked out of many numbers.
+    """How a figure is worked out of many numbers."""
 
-    Attributes:
-        work_out: from (draws, k) numbers to (draws,) figures.
-        within: from (k,) numbers and a tolerance to the nearest ones that keep it.
-    """
-
-    work_out: Callable[[Array], Array]
-    within: Callable[[Array, float], Array]
+    work_out: Callable[[Array], Array]  # from (draws, k) numbers to (draws,) figures
+    within: Callable[[Array, float], Array]  # from (k,) numbers and a tolerance to the nearest ones that keep it
 
 
 @dataclass(frozen=True)
 class _Figure:
-    """Something that has a tolerance.
-
-    Attributes:
-        members: (k,) places in the vector of published numbers.
-        kind: how it is worked out of many; None for a single number.
-        signed: whether the tolerance is for its absolute value.
-    """
+    """Something that has a tolerance."""
 
     name: str
     unit: str
-    members: IntArray
-    kind: _Kind | None
-    signed: bool
+    members: IntArray  # (k,) places in the vector of published numbers
+    kind: _Kind | None  # how it is worked out of many; None for a single number
+    signed: bool  # whether the tolerance is for its absolute value
 
 
 def unit_of_figure(name: str) -> str:

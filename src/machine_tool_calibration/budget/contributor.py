@@ -24,17 +24,11 @@ FORMAT = "mtcal-budget/1"
 
 
 class BudgetFile(Record):
-    """What a budget's file holds.
+    """What a budget's file holds."""
 
-    Attributes:
-        format: of the file.
-        instrument: for which it is.
-        contributors: the lines, with names that differ.
-    """
-
-    format: Literal["mtcal-budget/1"]
-    instrument: str = ""
-    contributors: Annotated[Contributors, Field(min_length=1)]
+    format: Literal["mtcal-budget/1"]  # of the file
+    instrument: str = ""  # for which it is
+    contributors: Annotated[Contributors, Field(min_length=1)]  # the lines, with names that differ
 
 
 def read_budget(path: Path) -> tuple[Contributor, ...]:

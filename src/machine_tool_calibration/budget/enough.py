@@ -25,15 +25,11 @@ _DETECTABLE_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Until:
-    """What is to be reached.
+    """What is to be reached."""
 
-    Attributes:
-        u: expanded uncertainty (k = 2) of every coordinate of the map, m; None if it is not asked for.
-        told: effects that are to be found, or not to be there.
-    """
-
+    # expanded uncertainty (k = 2) of every coordinate of the map, m; None if it is not asked for
     u: float | None = None
-    told: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()  # effects that are to be found, or not to be there
 
     @classmethod
     def parse(cls, text: str, own: Sequence[Effect] = ()) -> Until:
@@ -58,24 +54,17 @@ class Until:
 
 @dataclass(frozen=True)
 class Reached:
-    """What the readings up to some setup tell.
+    """What the readings up to some setup tell."""
 
-    Attributes:
-        setup: id of the last one.
-        readings: so far.
-        seconds: from the first reading to the last; None without a time column.
-        u: largest expanded uncertainty (k = 2) of a coordinate of the map, m; infinite as long as the readings do not
-            determine what is wanted.
-        probabilities: of the effects asked for; none as long as the readings do not allow a search.
-        enough: whether that is what was to be reached.
-    """
-
-    setup: str
-    readings: int
-    seconds: float | None
+    setup: str  # id of the last one
+    readings: int  # so far
+    seconds: float | None  # from the first reading to the last; None without a time column
+    # largest expanded uncertainty (k = 2) of a coordinate of the map, m; infinite as long as the readings do not
+    # determine what is wanted
     u: float = float("inf")
+    # of the effects asked for; none as long as the readings do not allow a search
     probabilities: dict[str, float] = field(default_factory=dict)
-    enough: bool = False
+    enough: bool = False  # whether that is what was to be reached
 
     def document(self) -> dict[str, Any]:
         """For programs; what is not determined is null."""

@@ -49,21 +49,13 @@ _SHORTEST = 1e-3
 
 @dataclass(frozen=True)
 class Pattern:
-    """A contributor at all readings of all sessions.
+    """A contributor at all readings of all sessions."""
 
-    Attributes:
-        contributor: of which.
-        slope: (n,) change of each reading per unit of the value; 0 where it enters at second order.
-        curvature: (n,) change of each reading per squared unit, one half of the second derivative.
-        group: (n,) number of the value that a reading has, from 0.
-        single: whether the readings of a value are alike but for the repeat: one in each repeat of one setup.
-    """
-
-    contributor: Contributor
-    slope: Array
-    curvature: Array
-    group: IntArray
-    single: bool
+    contributor: Contributor  # of which
+    slope: Array  # (n,) change of each reading per unit of the value; 0 where it enters at second order
+    curvature: Array  # (n,) change of each reading per squared unit, one half of the second derivative
+    group: IntArray  # (n,) number of the value that a reading has, from 0
+    single: bool  # whether the readings of a value are alike but for the repeat: one in each repeat of one setup
 
     @property
     def count(self) -> int:

@@ -61,21 +61,15 @@ _VALUES /= np.sqrt(np.mean(_VALUES**2))
 
 @dataclass(frozen=True)
 class Line:
-    """What one contributor does.
+    """What one contributor does."""
 
-    Attributes:
-        name: of the contributor.
-        contributor: None for `KNOWN` and `REPEATABILITY`, which the measurement brings with it.
-        reading: largest standard uncertainty of one reading from it, m; NaN where it does not enter by the readings.
-        u: (M,) standard uncertainty of each published number from it.
-        how: `closed form`, `steps` (one value after the other), `draws` (many values at random), or `bound`: at most so
-            much, which is next to nothing.
-    """
-
-    name: str
-    contributor: Contributor | None
+    name: str  # of the contributor
+    contributor: Contributor | None  # None for `KNOWN` and `REPEATABILITY`, which the measurement brings with it
+    # largest standard uncertainty of one reading from it, m; NaN where it does not enter by the readings
     reading: float
-    u: Array
+    u: Array  # (M,) standard uncertainty of each published number from it
+    # `closed form`, `steps` (one value after the other), `draws` (many values at random), or `bound`: at most so much,
+    # which is next to nothing
     how: str
 
     @property
@@ -87,13 +81,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A Monte Carlo propagation (JCGM 101).
+    """A Monte Carlo propagation (JCGM 101)."""
 
-    Attributes:
-        deviation: (N, M) of each published number from its value.
-    """
-
-    deviation: Array
+    deviation: Array  # (N, M) of each published number from its value
 
     @property
     def u(self) -> Array:
@@ -117,25 +107,15 @@ class Share:
 
 @dataclass(frozen=True)
 class Sum:
-    """One published number's budget.
+    """One published number's budget."""
 
-    Attributes:
-        quantity: whose number it is.
-        index: place of the number in the vector; None for the root mean square of all of a quantity.
-        shares: of the lines, in their order.
-        u: combined standard uncertainty.
-        degrees_of_freedom: effective ones, by Welch and Satterthwaite; infinite where nothing is said of them.
-        k: coverage factor for 95.45 %.
-        stated: standard uncertainty that the identification states.
-    """
-
-    quantity: Quantity
-    index: int | None
-    shares: tuple[Share, ...]
-    u: float
-    degrees_of_freedom: float
-    k: float
-    stated: float
+    quantity: Quantity  # whose number it is
+    index: int | None  # place of the number in the vector; None for the root mean square of all of a quantity
+    shares: tuple[Share, ...]  # of the lines, in their order
+    u: float  # combined standard uncertainty
+    degrees_of_freedom: float  # effective ones, by Welch and Satterthwaite; infinite where nothing is said of them
+    k: float  # coverage factor for 95.45 %
+    stated: float  # standard uncertainty that the identification states
 
     @property
     def expanded(self) -> float:
@@ -150,19 +130,12 @@ class Sum:
 
 @dataclass(frozen=True)
 class Budget:
-    """The uncertainty of everything that is published, from its contributors.
+    """The uncertainty of everything that is published, from its contributors."""
 
-    Attributes:
-        numbers: as the identification publishes them, with its own uncertainties.
-        lines: the contributors.
-        origin: what it was made from.
-        drawn: a Monte Carlo check; None if there was none.
-    """
-
-    numbers: Numbers
-    lines: tuple[Line, ...]
-    origin: Provenance
-    drawn: Drawn | None = None
+    numbers: Numbers  # as the identification publishes them, with its own uncertainties
+    lines: tuple[Line, ...]  # the contributors
+    origin: Provenance  # what it was made from
+    drawn: Drawn | None = None  # a Monte Carlo check; None if there was none
 
     @cached_property
     def u(self) -> Array:

@@ -36,23 +36,15 @@ _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 
 @dataclass(frozen=True)
 class Quantity:
-    """Numbers that are published under one name.
+    """Numbers that are published under one name."""
 
-    Attributes:
-        name: `position_error`, an error motion, a squareness, a figure of ISO 230-2 with its axis (`A_X`), an unknown.
-        unit: m, rad or another one of SI.
-        first: place of its first number in the vector.
-        count: of its numbers.
-        where: of the k-th number, in words; empty where there is only one.
-        at: (count,) position of each on its axis, m or rad, of an error motion; None of others.
-    """
-
+    # `position_error`, an error motion, a squareness, a figure of ISO 230-2 with its axis (`A_X`), an unknown
     name: str
-    unit: str
-    first: int
-    count: int
-    where: Callable[[int], str]
-    at: Array | None = None
+    unit: str  # m, rad or another one of SI
+    first: int  # place of its first number in the vector
+    count: int  # of its numbers
+    where: Callable[[int], str]  # of the k-th number, in words; empty where there is only one
+    at: Array | None = None  # (count,) position of each on its axis, m or rad, of an error motion; None of others
 
     @property
     def members(self) -> slice:
@@ -62,17 +54,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Numbers:
-    """All of them.
+    """All of them."""
 
-    Attributes:
-        value: (M,) NaN where not determined.
-        u: (M,) standard uncertainty.
-        quantities: what is where.
-    """
-
-    value: Array
-    u: Array
-    quantities: tuple[Quantity, ...]
+    value: Array  # (M,) NaN where not determined
+    u: Array  # (M,) standard uncertainty
+    quantities: tuple[Quantity, ...]  # what is where
 
     @cached_property
     def by_name(self) -> dict[str, Quantity]:
