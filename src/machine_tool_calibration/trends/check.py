@@ -38,37 +38,25 @@ _SAME_POSITION = 1e-9
 
 @dataclass(frozen=True)
 class Change:
-    """How one error differs between two measurements.
+    """How one error differs between two measurements."""
 
-    Attributes:
-        name: error motion, squareness, `B_mean_X`, effect's coefficient or `position_error`.
-        unit: m, rad or another one of SI.
-        before, after: its size by either measurement: the range of a motion, the value of a single number, the RMS of
-            position errors.
-        change: later less earlier; of many values the one with the largest normalised change, in a common datum.
-        u: standard uncertainty of that change.
-        at: where that is: position on the axis, or x, y, z of the place, m or rad; empty of a single number.
-        along: of position errors the direction, 0 to 2; None otherwise.
-        rms: of the changes of all its values.
-        u_rms: of their standard uncertainties.
-        between: standard deviation between sessions that is contained in them, of one session; 0 where it is not known.
-        p_value: of all its values together if nothing changed.
-        adjusted: the same by Holm's rule among all that are compared.
-    """
-
-    name: str
-    unit: str
+    name: str  # error motion, squareness, `B_mean_X`, effect's coefficient or `position_error`
+    unit: str  # m, rad or another one of SI
+    # before, after: its size by either measurement: the range of a motion, the value of a single number, the RMS of
+    # position errors
     before: float
     after: float
-    change: float
-    u: float
+    change: float  # later less earlier; of many values the one with the largest normalised change, in a common datum
+    u: float  # standard uncertainty of that change
+    # where that is: position on the axis, or x, y, z of the place, m or rad; empty of a single number
     at: tuple[float, ...]
-    along: int | None
-    rms: float
-    u_rms: float
+    along: int | None  # of position errors the direction, 0 to 2; None otherwise
+    rms: float  # of the changes of all its values
+    u_rms: float  # of their standard uncertainties
+    # standard deviation between sessions that is contained in them, of one session; 0 where it is not known
     between: float
-    p_value: float
-    adjusted: float = 1.0
+    p_value: float  # of all its values together if nothing changed
+    adjusted: float = 1.0  # the same by Holm's rule among all that are compared
 
     @property
     def moved(self) -> bool:
@@ -83,25 +71,16 @@ class Change:
 
 @dataclass(frozen=True)
 class Check:
-    """An earlier map against a measurement.
+    """An earlier map against a measurement."""
 
-    Attributes:
-        earlier, now: names of both.
-        since, until: their dates; None where nothing says them.
-        changes: what both have, the most significant first.
-        untold: what only one of both has.
-        correlated: whether the correlations of both are known.
-        sessions: number of sessions that tell the spread between sessions; 0 where it is not known.
-    """
-
-    earlier: str
+    earlier: str  # earlier, now: names of both
     now: str
-    since: str | None
+    since: str | None  # since, until: their dates; None where nothing says them
     until: str | None
-    changes: tuple[Change, ...]
-    untold: tuple[str, ...]
-    correlated: bool
-    sessions: int = 0
+    changes: tuple[Change, ...]  # what both have, the most significant first
+    untold: tuple[str, ...]  # what only one of both has
+    correlated: bool  # whether the correlations of both are known
+    sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
 
     @property
     def moved(self) -> tuple[Change, ...]:

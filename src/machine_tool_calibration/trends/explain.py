@@ -46,29 +46,20 @@ _CREDIBLE, _ROUNDING = 0.95, 1e-12
 
 @dataclass(frozen=True)
 class Explanation:
-    """How probable each explanation is, and what it says.
+    """How probable each explanation is, and what it says."""
 
-    Attributes:
-        jump, drift: probabilities.
-        shift: probability that the ways of measuring differ; 0 where there is only one.
-        change: size of the more probable one of jump and drift, of a drift until the last session.
-        u: its standard uncertainty, that of its date contained.
-        first, last: number of the sessions between which it began, with a probability of 95 % if something changed.
-        spread: between sessions, standard deviation.
-        step: by how much the last way of measuring reads more than the one in use before it; 0 where there is only one.
-        u_step: its standard uncertainty.
-    """
-
-    jump: float
+    jump: float  # jump, drift: probabilities
     drift: float
-    shift: float
-    change: float
-    u: float
+    shift: float  # probability that the ways of measuring differ; 0 where there is only one
+    change: float  # size of the more probable one of jump and drift, of a drift until the last session
+    u: float  # its standard uncertainty, that of its date contained
+    # first, last: number of the sessions between which it began, with a probability of 95 % if something changed
     first: int
     last: int
-    spread: float
+    spread: float  # between sessions, standard deviation
+    # by how much the last way of measuring reads more than the one in use before it; 0 where there is only one
     step: float = 0.0
-    u_step: float = 0.0
+    u_step: float = 0.0  # its standard uncertainty
 
     @property
     def probability(self) -> float:
@@ -88,34 +79,21 @@ class Explanation:
 
 @dataclass(frozen=True)
 class _Case:
-    """What the explanations leave open besides dates: in standard uncertainties of a session.
+    """What the explanations leave open besides dates: in standard uncertainties of a session."""
 
-    Attributes:
-        spread: between sessions.
-        shift: standard deviation of what a way of measuring adds; 0 where they do not differ.
-        prior: logarithm of its probability.
-        sizes: (s,) standard deviations of a change, all equally probable.
-    """
-
-    spread: float
-    shift: float
-    prior: float
-    sizes: Array
+    spread: float  # between sessions
+    shift: float  # standard deviation of what a way of measuring adds; 0 where they do not differ
+    prior: float  # logarithm of its probability
+    sizes: Array  # (s,) standard deviations of a change, all equally probable
 
 
 @dataclass(frozen=True)
 class _Weighed:
-    """A case after the values are known.
+    """A case after the values are known."""
 
-    Attributes:
-        steady: logarithm of evidence times prior of the case without a change.
-        changing: (c, s) of each change by a unit of its column times a coefficient, without the change's own prior.
-        mean, variance: (c, s) of that coefficient.
-    """
-
-    steady: float
-    changing: Array
-    mean: Array
+    steady: float  # logarithm of evidence times prior of the case without a change
+    changing: Array  # (c, s) of each change by a unit of its column times a coefficient, without the change's own prior
+    mean: Array  # mean, variance: (c, s) of that coefficient
     variance: Array
 
 

@@ -70,33 +70,19 @@ _IDENTITY = ("name", "type", "model", "serial", "serial_number", "id")
 
 @dataclass(frozen=True)
 class Entry:
-    """One session in a logbook.
+    """One session in a logbook."""
 
-    Attributes:
-        number: in the logbook, from 1; 0 before it is entered.
-        machine: its name.
-        date: when it was measured, ISO 8601, a day or a moment.
-        instrument: which one read: kind, and name or serial number where `about` has them.
-        label: name of the session's folder.
-        sha256: of its data, as in the result's provenance.
-        software: name and version that evaluated it.
-        result: the result document (`mtcal-result/1`).
-        sizes: of error motions, squareness, reversal and effects.
-        description: text of `session.yaml`.
-        readings: text of `observations.csv`.
-    """
-
-    number: int
-    machine: str
-    date: str
-    instrument: str
-    label: str
-    sha256: str
-    software: str
-    result: Mapping[str, Any]
-    sizes: tuple[Size, ...]
-    description: str
-    readings: str
+    number: int  # in the logbook, from 1; 0 before it is entered
+    machine: str  # its name
+    date: str  # when it was measured, ISO 8601, a day or a moment
+    instrument: str  # which one read: kind, and name or serial number where `about` has them
+    label: str  # name of the session's folder
+    sha256: str  # of its data, as in the result's provenance
+    software: str  # name and version that evaluated it
+    result: Mapping[str, Any]  # the result document (`mtcal-result/1`)
+    sizes: tuple[Size, ...]  # of error motions, squareness, reversal and effects
+    description: str  # text of `session.yaml`
+    readings: str  # text of `observations.csv`
 
     @cached_property
     def session(self) -> Session:

@@ -37,20 +37,14 @@ _ANY = 1.0
 
 @dataclass(frozen=True)
 class Size:
-    """The size of one error.
+    """The size of one error."""
 
-    Attributes:
-        name: error motion, squareness, `B_mean_X`, `R_X`, `volumetric` or an effect's coefficient.
-        value: in the unit.
-        u: standard uncertainty as the readings show it. What the instrument adds in every session alike is no part of
-            it, since it is none of a change.
-        unit: SI.
-    """
-
-    name: str
-    value: float
+    name: str  # error motion, squareness, `B_mean_X`, `R_X`, `volumetric` or an effect's coefficient
+    value: float  # in the unit
+    # standard uncertainty as the readings show it. What the instrument adds in every session alike is no part of it,
+    # since it is none of a change.
     u: float
-    unit: str
+    unit: str  # SI
 
     def document(self) -> dict[str, Any]:
         """As an entry of a document."""
@@ -77,19 +71,12 @@ def sizes_of(
 
 @dataclass(frozen=True)
 class Part:
-    """An error motion, or a single number such as a squareness.
+    """An error motion, or a single number such as a squareness."""
 
-    Attributes:
-        name: as in ISO 230-1, `B_mean_X`, or an effect's coefficient.
-        unit: m, rad or another one of SI.
-        members: (k,) places in the vector of published numbers.
-        at: (k,) positions on the axis, m or rad; None of a single number.
-    """
-
-    name: str
-    unit: str
-    members: IntArray
-    at: Array | None
+    name: str  # as in ISO 230-1, `B_mean_X`, or an effect's coefficient
+    unit: str  # m, rad or another one of SI
+    members: IntArray  # (k,) places in the vector of published numbers
+    at: Array | None  # (k,) positions on the axis, m or rad; None of a single number
 
     @property
     def datum(self) -> Array:
@@ -106,31 +93,18 @@ class Part:
 
 @dataclass(frozen=True)
 class Statement:
-    """What a measurement states.
+    """What a measurement states."""
 
-    Attributes:
-        label: its name.
-        date: when it was measured; None where nothing says it.
-        method: of the measurement.
-        model: variant of the method's model.
-        effects: ids of the effects in it.
-        sha256: of the data.
-        numbers: values and standard uncertainties.
-        points: (n, 3) places of the position error, m; without rows where there is none.
-        parts: error motions and single numbers by name.
-        samples: (draws, M') deviations of the first numbers, drawn together; None of a document, which has no
-            correlations.
-    """
-
-    label: str
-    date: str | None
-    method: str
-    model: str
-    effects: tuple[str, ...]
-    sha256: str
-    numbers: Numbers
-    points: Array
-    parts: Mapping[str, Part]
+    label: str  # its name
+    date: str | None  # when it was measured; None where nothing says it
+    method: str  # of the measurement
+    model: str  # variant of the method's model
+    effects: tuple[str, ...]  # ids of the effects in it
+    sha256: str  # of the data
+    numbers: Numbers  # values and standard uncertainties
+    points: Array  # (n, 3) places of the position error, m; without rows where there is none
+    parts: Mapping[str, Part]  # error motions and single numbers by name
+    # (draws, M') deviations of the first numbers, drawn together; None of a document, which has no correlations
     samples: Array | None = field(default=None, repr=False)
 
     @property

@@ -22,30 +22,18 @@ _DAY = 86400.0
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One number of a machine from session to session.
+    """One number of a machine from session to session."""
 
-    Attributes:
-        name: of the error.
-        unit: SI.
-        dates: when it was measured.
-        days: (n,) since the first one.
-        value, u: (n,) with standard uncertainties, in the unit.
-        way: (n,) which way of measuring each is of.
-        ways: their names: the instrument, and the model where instruments do not tell them apart.
-        explanation: None of fewer sessions than say something.
-        limit: that its absolute value should keep; None without one.
-    """
-
-    name: str
-    unit: str
-    dates: tuple[str, ...]
-    days: Array
-    value: Array
+    name: str  # of the error
+    unit: str  # SI
+    dates: tuple[str, ...]  # when it was measured
+    days: Array  # (n,) since the first one
+    value: Array  # value, u: (n,) with standard uncertainties, in the unit
     u: Array
-    way: IntArray
-    ways: tuple[str, ...]
-    explanation: Explanation | None
-    limit: float | None = None
+    way: IntArray  # (n,) which way of measuring each is of
+    ways: tuple[str, ...]  # their names: the instrument, and the model where instruments do not tell them apart
+    explanation: Explanation | None  # None of fewer sessions than say something
+    limit: float | None = None  # that its absolute value should keep; None without one
 
     @property
     def changed(self) -> bool:
@@ -93,17 +81,11 @@ class Course:
 
 @dataclass(frozen=True)
 class Trend:
-    """A machine over time.
+    """A machine over time."""
 
-    Attributes:
-        machine: its name.
-        dates: of all sessions.
-        courses: of its errors; first what changed, then what other instruments read otherwise.
-    """
-
-    machine: str
-    dates: tuple[str, ...]
-    courses: tuple[Course, ...]
+    machine: str  # its name
+    dates: tuple[str, ...]  # of all sessions
+    courses: tuple[Course, ...]  # of its errors; first what changed, then what other instruments read otherwise
 
     @property
     def alarms(self) -> tuple[Course, ...]:
