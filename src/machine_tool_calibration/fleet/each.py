@@ -46,17 +46,11 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True)
 class Done(Generic[Item, Found]):
-    """The work for one of many.
+    """The work for one of many."""
 
-    Attributes:
-        item: what it was done for.
-        found: what came of it; None where it failed.
-        problem: why it failed, in one line; empty where it did not.
-    """
-
-    item: Item
-    found: Found | None
-    problem: str = ""
+    item: Item  # what it was done for
+    found: Found | None  # what came of it; None where it failed
+    problem: str = ""  # why it failed, in one line; empty where it did not
 
 
 def each(

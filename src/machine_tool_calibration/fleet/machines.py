@@ -24,19 +24,13 @@ _COVERAGE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """One machine of a fleet.
+    """One machine of a fleet."""
 
-    Attributes:
-        entries: its sessions by date.
-        trend: what changed on it.
-        diagnoses: what its sessions' diagnoses say, in their order; None of one that was not diagnosed.
-        largest_u: the largest U (k = 2) that is no cause of attention, m; None for any.
-    """
-
-    entries: tuple[Entry, ...]
-    trend: Trend
+    entries: tuple[Entry, ...]  # its sessions by date
+    trend: Trend  # what changed on it
+    # what its sessions' diagnoses say, in their order; None of one that was not diagnosed
     diagnoses: tuple[Mapping[str, Any] | None, ...]
-    largest_u: float | None = None
+    largest_u: float | None = None  # the largest U (k = 2) that is no cause of attention, m; None for any
 
     @property
     def name(self) -> str:
@@ -80,34 +74,21 @@ class Machine:
 
 @dataclass(frozen=True)
 class Occurrence:
-    """An effect on a machine.
+    """An effect on a machine."""
 
-    Attributes:
-        effect: its id.
-        machine: the machine's name.
-        found: what its last session says of it: `probability` and `parameters`.
-        sessions: in how many of its sessions it was found.
-    """
-
-    effect: str
-    machine: str
-    found: Mapping[str, Any]
-    sessions: int
+    effect: str  # its id
+    machine: str  # the machine's name
+    found: Mapping[str, Any]  # what its last session says of it: `probability` and `parameters`
+    sessions: int  # in how many of its sessions it was found
 
 
 @dataclass(frozen=True, eq=False)
 class Machines:
-    """All machines of a logbook.
+    """All machines of a logbook."""
 
-    Attributes:
-        machines: those that need attention first, the most urgent at the top.
-        problems: sessions that could not be evaluated, with the reason.
-        added: sessions that were entered now.
-    """
-
-    machines: tuple[Machine, ...]
-    problems: tuple[tuple[str, str], ...] = ()
-    added: int = 0
+    machines: tuple[Machine, ...]  # those that need attention first, the most urgent at the top
+    problems: tuple[tuple[str, str], ...] = ()  # sessions that could not be evaluated, with the reason
+    added: int = 0  # sessions that were entered now
 
     @property
     def attention(self) -> tuple[Machine, ...]:

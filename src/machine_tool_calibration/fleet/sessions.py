@@ -34,15 +34,10 @@ Fitting = Callable[[Path], Fit]
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """A session folder.
+    """A session folder."""
 
-    Attributes:
-        label: its name among all: the path from the folder in which all of them are.
-        path: where it is.
-    """
-
-    label: str
-    path: Path
+    label: str  # its name among all: the path from the folder in which all of them are
+    path: Path  # where it is
 
     def told(self, problem: str) -> str:
         """A problem of it without the path that the label stands for."""
@@ -51,28 +46,19 @@ class Place:
 
 @dataclass(frozen=True)
 class Identified:
-    """One session's result.
+    """One session's result."""
 
-    Attributes:
-        document: `mtcal-result/1`.
-        values: everything that was found, one value a row (`reports.result_tables.tidy`).
-    """
-
-    document: dict[str, Any]
-    values: pd.DataFrame
+    document: dict[str, Any]  # `mtcal-result/1`
+    values: pd.DataFrame  # everything that was found, one value a row (`reports.result_tables.tidy`)
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """One session, as a logbook keeps it.
+    """One session, as a logbook keeps it."""
 
-    Attributes:
-        entry: with its result and the sizes of all errors.
-        diagnosis: `verdict`, `effects` that are missing, each with its `probability` and its `parameters` beside the
-            others, `likely` ones, and how many `outliers` there are.
-    """
-
-    entry: Entry
+    entry: Entry  # with its result and the sizes of all errors
+    # `verdict`, `effects` that are missing, each with its `probability` and its `parameters` beside the others,
+    # `likely` ones, and how many `outliers` there are
     diagnosis: dict[str, Any]
 
 
