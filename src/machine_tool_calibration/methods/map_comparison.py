@@ -45,28 +45,19 @@ class Motion:
 
 @dataclass(frozen=True)
 class MapComparison:
-    """Two maps in a common datum.
+    """Two maps in a common datum."""
 
-    Attributes:
-        points: (n, 3) that both have, m.
-        first, second: (n, 3) position errors, m, the common motion taken out of the first; NaN where one of both has
-            none.
-        u_first, u_second: (n, 3) standard uncertainties of each map without what a common motion may be.
-        u: (n, 3) standard uncertainty of the difference.
-        motion: what was taken out.
-        p_value: of all differences together, with their correlations; None where there are too few draws to tell.
-        labels: names of the maps.
-    """
-
-    points: Array
+    points: Array  # (n, 3) that both have, m
+    # first, second: (n, 3) position errors, m, the common motion taken out of the first; NaN where one of both has none
     first: Array
     second: Array
-    u_first: Array
+    u_first: Array  # u_first, u_second: (n, 3) standard uncertainties of each map without what a common motion may be
     u_second: Array
-    u: Array
-    motion: tuple[Motion, ...]
+    u: Array  # (n, 3) standard uncertainty of the difference
+    motion: tuple[Motion, ...]  # what was taken out
+    # of all differences together, with their correlations; None where there are too few draws to tell
     p_value: float | None
-    labels: tuple[str, str]
+    labels: tuple[str, str]  # names of the maps
 
     @property
     def difference(self) -> Array:
