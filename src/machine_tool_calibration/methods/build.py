@@ -33,8 +33,7 @@ def sharing_variant(session: Session, model: str | None) -> str | None:
 def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:
     """The model of a session, without added effects, and its name.
 
-    Raises:
-        ModelError: no such model for this method, no reading, or the data does not allow it.
+    A ModelError: no such model for this method, no reading, or the data does not allow it.
     """
     models = spec_of(session).models
     name = model or next(iter(models))

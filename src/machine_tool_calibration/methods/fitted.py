@@ -68,11 +68,7 @@ class FitRequest:
 
     @property
     def present(self) -> list[Effect]:
-        """The effects in the model.
-
-        Raises:
-            ModelError: one of them is unknown.
-        """
+        """The effects in the model; a ModelError if one of them is unknown."""
         return find_effects(self.effects, self.own)
 
     @property

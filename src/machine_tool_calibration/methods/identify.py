@@ -135,8 +135,7 @@ def fitted_sessions(result: Result | JointResult) -> FittedSessions:
 def identify_sessions(chosen: FitRequest) -> Result | JointResult:
     """Identify one machine from one session, or from several of the same or of different methods.
 
-    Raises:
-        ModelError: as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
+    A ModelError as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
     """
     if len(chosen.sessions) == 1:
         return _identified(chosen)

@@ -94,11 +94,7 @@ class ProbingSpec(MethodSpec):
                 raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {MILLIMETRES}")
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
-        """Judgements of a probing.
-
-        Raises:
-            SessionError: the column c and the setups' c are different angles.
-        """
+        """Judgements of a probing; a SessionError if the column c and the setups' c are different angles."""
         _check_index_angles(session, place)
         other_way = turned_round(
             session, "the workpiece looks as if it turned the other way: check machine.rotation_sign"

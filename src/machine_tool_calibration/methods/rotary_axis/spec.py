@@ -48,8 +48,7 @@ class RotarySpec(MethodSpec):
     def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
         """Stations, targets and angles.
 
-        Raises:
-            SessionError: two stations at one place, too few stations or readings, all stations on a line.
+        A SessionError: two stations at one place, too few stations or readings, all stations on a line.
         """
         description = session.description.as_a(RotaryAxis)
         enough_stations(session, description.setups, measured, place, needed=3, method=session.method)

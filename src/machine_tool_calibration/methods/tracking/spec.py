@@ -82,8 +82,7 @@ class TrackingSpec(MethodSpec):
     def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
         """Stations and targets.
 
-        Raises:
-            SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
+        A SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
         """
         description = session.description.as_a(TrackingInterferometer)
         method = f"tracking_interferometer in {description.dimension} dimensions"
