@@ -62,11 +62,7 @@ def method_names() -> tuple[str, ...]:
 
 @cache
 def method_spec(name: str) -> MethodSpec:
-    """The record of a method.
-
-    Raises:
-        KeyError: there is no such method.
-    """
+    """The record of a method; a KeyError if there is no such method."""
     if name in METHODS:
         spec: MethodSpec = load(METHODS[name])
         return spec

@@ -33,8 +33,7 @@ def validated(
 ) -> AnyRecord:
     """The record that a content is; arguments as of `first_defect`.
 
-    Raises:
-        CalibrationError: a `refusal` that says the first defect in one line.
+    A `refusal` says the first defect in one line.
     """
     try:
         return record.model_validate(content)

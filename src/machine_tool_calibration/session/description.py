@@ -214,11 +214,7 @@ class Description(Record):
     budget: Contributors = ()  # contributors to the uncertainty of the readings, beside their own scatter
 
     def as_a(self, kind: type[Said]) -> Said:
-        """The same, where its method is known.
-
-        Raises:
-            TypeError: it is of another one.
-        """
+        """The same, where its method is known; a TypeError if it is of another one."""
         if not isinstance(self, kind):
             raise TypeError(f"a description of {self.method} is no {kind.__name__}")
         return self

@@ -111,8 +111,7 @@ class MethodSpec:
     def magnitudes(self, session: Session, place: Place) -> None:
         """Refuse values of the method's own keys and columns that can only be a wrong unit.
 
-        Raises:
-            SessionError: the key or column, the value, and the unit that is suspected.
+        A SessionError: the key or column, the value, and the unit that is suspected.
         """
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:

@@ -37,11 +37,7 @@ class Readings:
         return len(self.displacement)
 
     def column(self, name: str) -> Array:
-        """The column of that name.
-
-        Raises:
-            SessionError: the session does not have it.
-        """
+        """The column of that name; a SessionError if the session does not have it."""
         if name not in self.columns:
             raise SessionError(f"observations.csv has no column {name!r}")
         return self.columns[name]

@@ -50,9 +50,8 @@ class Layout:
 def scan_csv(path: Path) -> Layout:
     """Check a CSV file's bytes and count its rows.
 
-    Raises:
-        SessionError: no such file, empty, no rows, too large, not UTF-8, NUL bytes, separated by something else than
-            commas, a line with more or fewer fields than the header, a column named twice.
+    A SessionError: no such file, empty, no rows, too large, not UTF-8, NUL bytes, separated by something else than
+    commas, a line with more or fewer fields than the header, a column named twice.
     """
     source = str(path)
     try:
@@ -202,8 +201,7 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read a CSV file; unknown columns are kept, as numbers where they are all numbers, else as text.
 
-    Raises:
-        SessionError: as `scan_csv`, or a field that is not a finite number in a column that must hold them.
+    A SessionError as for `scan_csv`, or a field that is not a finite number in a column that must hold them.
     """
     layout = scan_csv(path)
     read = _by_pandas if layout.rows > _PANDAS_ROWS else _by_rows
