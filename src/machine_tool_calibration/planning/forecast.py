@@ -165,8 +165,7 @@ class Planned:
 def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
     """The session that a procedure will make, while the air warms by so many K per hour and the machine more slowly.
 
-    Raises:
-        SessionError: the procedure cannot be run, gives no map, or has more readings than can be forecast.
+    A SessionError if the procedure cannot be run, gives no map, or has more readings than can be forecast.
     """
     if procedure.path.azimuth is not None:
         raise SessionError(

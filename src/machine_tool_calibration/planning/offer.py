@@ -141,10 +141,8 @@ class Offer:
 def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
     """What the text of a procedure's file offers.
 
-    With `both_senses` repeats that run the path backwards are candidates of their own: they tell something else.
-
-    Raises:
-        SessionError: as `parse_procedure`, or a candidate that is none.
+    With `both_senses` repeats that run the path backwards are candidates of their own: they tell something else. A
+    SessionError as for `parse_procedure`, or a candidate that is none.
     """
     present = parse_procedure(text, source)
     choices = present.choices

@@ -110,10 +110,8 @@ def search(
 ) -> Searched:
     """The best plan that coordinate exchange finds; the same seed gives the same plan.
 
-    A KeyboardInterrupt of `progress` ends the search with what was found up to then.
-
-    Raises:
-        ModelError: the candidates determine nothing, or not even one setup fits in the time.
+    A KeyboardInterrupt of `progress` ends the search with what was found up to then. A ModelError if the candidates
+    determine nothing, or not even one setup fits in the time.
     """
     if not candidates.told.any():
         raise ModelError("nothing that is asked for is determined, even if all that could be measured were")
