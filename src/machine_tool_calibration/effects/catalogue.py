@@ -86,8 +86,7 @@ def _plugins() -> tuple[Effect, ...]:
 def catalogue(own: Sequence[Effect] = ()) -> dict[str, Effect]:
     """All effects by id: built-in, of plugins, and the user's own; a later one does not replace an earlier one.
 
-    Raises:
-        ModelError: one of the user's own has the id of another effect.
+    A ModelError if one of the user's own has the id of another effect.
     """
     out = {effect.id: effect for effect in _built_in()}
     for effect in _plugins():
@@ -100,11 +99,7 @@ def catalogue(own: Sequence[Effect] = ()) -> dict[str, Effect]:
 
 
 def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]:
-    """The effects of these ids.
-
-    Raises:
-        ModelError: one is unknown or named twice.
-    """
+    """The effects of these ids; a ModelError if one is unknown or named twice."""
     known = catalogue(own)
     for k, name in enumerate(ids):
         if name not in known:
@@ -118,8 +113,7 @@ def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]
 def own_effects(files: Iterable[str | Path]) -> list[Effect]:
     """The user's own effects from their YAML files; empty names are passed over.
 
-    Raises:
-        CalibrationError: a file cannot be read, or an effect is wrong.
+    A CalibrationError if a file cannot be read, or an effect is wrong.
     """
     named = [Path(file) for file in files if file]
     if not named:

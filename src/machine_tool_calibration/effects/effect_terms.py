@@ -246,8 +246,7 @@ def _repeats(inner: Array, column: int, taken: Sequence[int]) -> bool:
 def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     """The model with these effects; nonlinear coefficients are fitted and published with their uncertainty.
 
-    Raises:
-        ModelError: an effect cannot act in these readings.
+    A ModelError if an effect cannot act in these readings.
     """
     observations = model.observations
     for effect in effects:

@@ -111,11 +111,7 @@ class Expression:
 
 
 def parse(text: str) -> Expression:
-    """Read a formula.
-
-    Raises:
-        ModelError: not a formula, with the place where it stops making sense.
-    """
+    """Read a formula; a ModelError: not a formula, with the place where it stops making sense."""
     if len(text) > _MOST_CHARACTERS:
         raise ModelError(f"formula of {len(text)} characters; at most {_MOST_CHARACTERS} are read")
     shown = repr(text if len(text) <= _CHARACTERS_SHOWN else text[: _CHARACTERS_SHOWN - 3] + "...")
@@ -210,8 +206,7 @@ class FormulaEffect(Effect):
     def __init__(self, definition: _Definition) -> None:
         """Check the formula.
 
-        Raises:
-            ModelError: the formula cannot be parsed, is not linear in its coefficients, or its units do not fit.
+        A ModelError if the formula cannot be parsed, is not linear in its coefficients, or its units do not fit.
         """
         try:
             self._build(definition)
@@ -338,27 +333,21 @@ class FormulaEffect(Effect):
 def formula_effect(definition: dict[str, Any], source: str = "formula") -> FormulaEffect:
     """An effect from its definition; messages begin with the source.
 
-    Raises:
-        ModelError: something in it is wrong; one line that says what and where.
+    A ModelError if something in it is wrong; one line that says what and where.
     """
     return FormulaEffect(checked_definition(definition, source))
 
 
 def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
-    """A definition as a record.
-
-    Raises:
-        ModelError: a key is missing, unknown or of a wrong kind.
-    """
+    """A definition as a record; a ModelError if a key is missing, unknown or of a wrong kind."""
     return validated(_Definition, definition, source, refusal=ModelError)
 
 
 def read_effects(path: Path) -> list[Effect]:
     """The user's effects from a YAML file.
 
-    Raises:
-        SessionError: not such a file, or not YAML; one line with the line in the file.
-        ModelError: a wrong definition; one line that says what and where.
+    A SessionError: not such a file, or not YAML; one line with the line in the file; a ModelError if a wrong
+    definition; one line that says what and where.
     """
     content = load_yaml(read_text(path, _LARGEST_FILE), str(path)).value
     if not isinstance(content, dict) or set(content) != {"effects"} or not isinstance(content["effects"], list):
