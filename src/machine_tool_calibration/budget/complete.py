@@ -41,8 +41,7 @@ def stated(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
 def identify(chosen: FitRequest) -> Result | JointResult:
     """Identify one machine from one session or several, with the complete uncertainty where they state a budget.
 
-    Raises:
-        ModelError: as for `identify_sessions`.
+    A ModelError as for `identify_sessions`.
     """
     result, lines = identify_sessions(chosen), stated(chosen.sessions)
     return completed(result, propagate(fitted_sessions(result), lines)) if lines else result
@@ -53,8 +52,7 @@ def improve(
 ) -> Improvement:
     """Make a model better step by step, each with the complete uncertainty where the sessions state a budget.
 
-    Raises:
-        ModelError: the data does not allow the model.
+    A ModelError if the data does not allow the model.
     """
     chosen = FitRequest.of(subject)
     return completed_steps(improve_models(chosen, progress=progress), stated(chosen.sessions))
@@ -63,8 +61,7 @@ def improve(
 def diagnose(chosen: FitRequest, *, progress: Callable[[str, float], None]) -> tuple[Diagnosis, Conclusions]:
     """Look for the effects that a model lacks, and draw the conclusions (`conclude`).
 
-    Raises:
-        ModelError: the data does not allow the model.
+    A ModelError if the data does not allow the model.
     """
     found = look_for_effects(chosen, progress=lambda what, share: progress(what, SEARCH * share))
     return found, conclude(found, progress=progress)

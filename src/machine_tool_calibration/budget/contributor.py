@@ -34,8 +34,7 @@ class BudgetFile(Record):
 def read_budget(path: Path) -> tuple[Contributor, ...]:
     """The contributors that a file lists.
 
-    Raises:
-        SessionError: it cannot be read, or something in it is wrong; one line with file, line and key.
+    A SessionError if it cannot be read, or something in it is wrong; one line with file, line and key.
     """
     return parse_record(read_text(path), str(path), BudgetFile, FORMAT).contributors
 
@@ -48,8 +47,7 @@ def instruments() -> tuple[str, ...]:
 def template(instrument: str) -> str:
     """The text of an instrument's budget to begin with, every value with its source.
 
-    Raises:
-        ModelError: there is none for it.
+    A ModelError if there is none for it.
     """
     if instrument not in instruments():
         near = did_you_mean(instrument, instruments())
@@ -58,20 +56,15 @@ def template(instrument: str) -> str:
 
 
 def template_of(instrument: str) -> tuple[Contributor, ...]:
-    """The contributors of an instrument's budget to begin with.
-
-    Raises:
-        ModelError: there is none for it.
-    """
+    """The contributors of an instrument's budget to begin with; a ModelError if there is none for it."""
     return parse_record(template(instrument), f"{instrument}.yaml", BudgetFile, FORMAT).contributors
 
 
 def default_budget(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
     """The contributors that sessions state themselves, else those of their instruments' budgets to begin with.
 
-    Raises:
-        ModelError: a session states none and there is none for its instrument, or it does not name that; or sessions
-            of one instrument state different ones.
+    A ModelError if a session states none and there is none for its instrument, or it does not name that; or sessions of
+    one instrument state different ones.
     """
     each: dict[str | None, tuple[Contributor, ...]] = {}
     for session in sessions:
@@ -98,8 +91,7 @@ def contributors_of(
 ) -> tuple[Contributor, ...]:
     """The contributors that are given: a file, or lines and files; if absent those of `default_budget`.
 
-    Raises:
-        CalibrationError: the file or a line is wrong, or the instrument has no budget to begin with.
+    A CalibrationError if the file or a line is wrong, or the instrument has no budget to begin with.
     """
     if given is None:
         return default_budget(sessions)

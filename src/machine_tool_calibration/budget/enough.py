@@ -35,9 +35,7 @@ class Until:
     def parse(cls, text: str, own: Sequence[Effect] = ()) -> Until:
         """From `U=2um` or `told=backlash_y,thermal_expansion_x`.
 
-        Raises:
-            SessionError: not of that form.
-            ModelError: an effect is not known.
+        A SessionError: not of that form; a ModelError if an effect is not known.
         """
         name, _, value = (part.strip() for part in text.partition("="))
         if name == "U" and value:

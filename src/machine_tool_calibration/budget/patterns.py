@@ -87,8 +87,7 @@ class Pattern:
 def pattern(contributor: Contributor, observed: Sequence[Observations]) -> Pattern:
     """A contributor at the readings of one or several sessions.
 
-    Raises:
-        ModelError: it is of an instrument that none of the sessions has.
+    A ModelError if it is of an instrument that none of the sessions has.
     """
     mine = [not contributor.instrument or o.session.instrument == contributor.instrument for o in observed]
     if not any(mine):

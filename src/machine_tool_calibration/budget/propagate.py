@@ -161,8 +161,7 @@ class Budget:
     def largest(self, name: str) -> Sum | None:
         """The number of a quantity of which the combined uncertainty is largest; None if none is determined.
 
-        Raises:
-            ModelError: not published.
+        A ModelError: not published.
         """
         quantity = self.numbers.quantity(name)
         own = self.u[quantity.members]
@@ -174,8 +173,7 @@ class Budget:
     def rms(self, name: str) -> Sum | None:
         """The root mean square over the numbers of a quantity that are determined; None if none is.
 
-        Raises:
-            ModelError: not published.
+        A ModelError: not published.
         """
         quantity = self.numbers.quantity(name)
         known = quantity.first + np.flatnonzero(np.isfinite(self.u[quantity.members]))
@@ -217,10 +215,8 @@ def propagate(
 ) -> Budget:
     """The uncertainty of everything that is published, from contributors to the readings.
 
-    With a Monte Carlo check of so many draws beside it (JCGM 101), or without one.
-
-    Raises:
-        ModelError: more draws than memory holds.
+    With a Monte Carlo check of so many draws beside it (JCGM 101), or without one. A ModelError: more draws than
+    memory holds.
     """
     return _Propagation(fitted, contributors, seed, progress).budget(draws)
 

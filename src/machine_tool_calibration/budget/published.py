@@ -66,11 +66,7 @@ class Numbers:
         return {q.name: q for q in self.quantities}
 
     def quantity(self, name: str) -> Quantity:
-        """One of them.
-
-        Raises:
-            ModelError: not published.
-        """
+        """One of them; a ModelError: not published."""
         if name not in self.by_name:
             listed = [q.name for q in self.quantities if q.count > 1] or [q.name for q in self.quantities]
             near = did_you_mean(name, self.by_name) or f"; there are {', '.join(listed[:8])} …"
@@ -94,11 +90,7 @@ def everything(fitted: FittedSessions) -> Numbers:
 
 
 def check_names(fitted: FittedSessions, names: Sequence[str]) -> None:
-    """Refuse names under which nothing is published, before anything is worked out.
-
-    Raises:
-        ModelError: there is one.
-    """
+    """Refuse names under which nothing is published, before anything is worked out; a ModelError if there is one."""
     if names:
         published = everything(fitted)
         for name in names:

@@ -30,9 +30,7 @@ class _File(Record):
 def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
     """Tolerances in m and rad from texts such as `EXX=10um` and `C0Y=20urad`.
 
-    Raises:
-        SessionError: no unit, or one of another dimension.
-        ModelError: not of that form, or one name twice.
+    A SessionError: no unit, or one of another dimension; a ModelError: not of that form, or one name twice.
     """
     out: dict[str, float] = {}
     for text in texts:
@@ -48,8 +46,7 @@ def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
 def read_tolerances(path: Path) -> dict[str, float]:
     """Tolerances in m and rad from a YAML file.
 
-    Raises:
-        SessionError: it cannot be read, or something in it is wrong; one line that says what and where.
+    A SessionError if it cannot be read, or something in it is wrong; one line that says what and where.
     """
     content = parse_record(read_text(path), str(path), _File, FORMAT).tolerances
     return {name: tolerance(name, value, f"{path}: ") for name, value in content.items()}
@@ -58,9 +55,8 @@ def read_tolerances(path: Path) -> dict[str, float]:
 def tolerance(name: str, value: float | str, source: str = "") -> float:
     """A tolerance in m or rad, from a number of these or a text with its unit; `source` begins a message.
 
-    Raises:
-        SessionError: a text without a unit, or with one of another dimension.
-        ModelError: neither a number nor a text.
+    A SessionError: a text without a unit, or with one of another dimension; a ModelError: neither a number nor a
+    text.
     """
     if not isinstance(value, str):
         try:
