@@ -88,8 +88,7 @@ class Entry:
     def session(self) -> Session:
         """The measurement, read again from what was entered.
 
-        Raises:
-            SessionError: what was entered has another SHA-256, or cannot be read.
+        A SessionError if what was entered has another SHA-256, or cannot be read.
         """
         if sha256((self.description + self.readings).encode()).hexdigest() != self.sha256:
             raise SessionError(f"entry {self.number} ({self.label}): the data has another SHA-256 than was entered")
@@ -117,10 +116,8 @@ def entry_of(
 ) -> Entry:
     """What is to be entered of a session: all that was recorded, its result document, and sizes of what was found.
 
-    Machine, date (ISO 8601) and instrument need be given only where `about` does not say them.
-
-    Raises:
-        CalibrationError: nothing says which machine it was, or when.
+    Machine, date (ISO 8601) and instrument need be given only where `about` does not say them. A CalibrationError if
+    nothing says which machine it was, or when.
     """
     about, origin = session.description.about, result["provenance"]
     name = machine or name_of_machine(about)
@@ -147,11 +144,7 @@ def entry_of(
 
 
 def date_of(text: str, where: str) -> str:
-    """A day or moment in ISO 8601, as it is entered.
-
-    Raises:
-        CalibrationError: it is none.
-    """
+    """A day or moment in ISO 8601, as it is entered; a CalibrationError if it is none."""
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
@@ -236,8 +229,7 @@ class Logbook:
     def entries(self, machine: str | None = None) -> tuple[Entry, ...]:
         """Those of a machine in the order of their dates; of all machines where none is named.
 
-        Raises:
-            CalibrationError: there is no such file, it is no logbook, or has no such machine.
+        A CalibrationError if there is no such file, it is no logbook, or has no such machine.
         """
         if not self.path.exists():
             raise CalibrationError(f"{self.path}: no such logbook; `mtcal logbook add {self.path} SESSION` begins one")
@@ -256,8 +248,7 @@ class Logbook:
     def of_one(self, machine: str | None = None) -> tuple[Entry, ...]:
         """Entries of the machine that is named, or of the only one.
 
-        Raises:
-            CalibrationError: as for `entries`, there are none, or several machines and none is named.
+        A CalibrationError as for `entries`, there are none, or several machines and none is named.
         """
         found = self.entries(machine)
         names = list(dict.fromkeys(entry.machine for entry in found))

@@ -152,8 +152,7 @@ def of_fit(
 def of_result(document: Mapping[str, Any], label: str) -> Statement:
     """What a result document states: values and uncertainties, without correlations.
 
-    Raises:
-        CalibrationError: it is no result of one session.
+    A CalibrationError if it is no result of one session.
     """
     if document.get("format") != "mtcal-result/1" or document.get("method") == "joint":
         raise CalibrationError(f"{label}: is no result document (mtcal-result/1) of one session")

@@ -96,8 +96,7 @@ class Trend:
 def trend(entries: Sequence[Entry], limits: Mapping[str, float] | None = None) -> Trend:
     """Follow the sizes of one machine's errors over entries by date, with limits by name, in m or rad.
 
-    Raises:
-        ModelError: a limit for what is in no entry, or in another unit.
+    A ModelError: a limit for what is in no entry, or in another unit.
     """
     limits = limits or {}
     names = {size.name: size.unit for entry in entries for size in entry.sizes}
