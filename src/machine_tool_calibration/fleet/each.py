@@ -92,8 +92,7 @@ def in_order(
 ) -> list[Found]:
     """What `each` gives of all items, in their order: for draws and benchmarks, where none may fail.
 
-    Raises:
-        CalibrationError: as for `each`, or the work for an item failed.
+    A CalibrationError as for `each`, or the work for an item failed.
     """
     found: dict[int, Found] = {}
     numbered = list(enumerate(items))

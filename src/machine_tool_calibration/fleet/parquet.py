@@ -60,8 +60,7 @@ def machine_tables(fleet: Machines) -> dict[str, pd.DataFrame]:
 def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
     """Write each as a Parquet file of its name, whole or not at all; the folder is made where it is missing.
 
-    Raises:
-        CalibrationError: one cannot be written.
+    A CalibrationError if one cannot be written.
     """
     written = []
     try:

@@ -65,8 +65,7 @@ class Evaluated:
 def places(folders: Sequence[Path]) -> list[Place]:
     """Session folders in folders and all below them, in the order of their labels.
 
-    Raises:
-        SessionError: there is no such folder, or no session in one.
+    A SessionError if there is no such folder, or no session in one.
     """
     found: dict[Path, Place] = {}
     root = Path(os.path.commonpath([folder.absolute() for folder in folders]))
@@ -83,11 +82,7 @@ def places(folders: Sequence[Path]) -> list[Place]:
 
 
 def identified(place: Place, fit: Fitting) -> Identified:
-    """Identify a session.
-
-    Raises:
-        CalibrationError: it cannot be read, or does not allow the model.
-    """
+    """Identify a session; a CalibrationError if it cannot be read, or does not allow the model."""
     found = fit(place.path)
     return Identified(found.document(), tidy(found.result))
 
@@ -96,10 +91,8 @@ def evaluated(place: Place, fit: Fitting) -> Evaluated:
     """Identify and diagnose a session.
 
     Machine and date are those of `about` in `session.yaml`; what it does not say of them is taken from the names of the
-    folders where these are MACHINE/DATE.
-
-    Raises:
-        CalibrationError: as for `identified`, or nothing says which machine it is, or when it was measured.
+    folders where these are MACHINE/DATE. A CalibrationError as for `identified`, or nothing says which machine it is,
+    or when it was measured.
     """
     found = fit(place.path)
     session = found.measurement.sessions[0]
