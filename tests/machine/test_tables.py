@@ -48,7 +48,7 @@ def test_names_units_and_columns():
     assert all(p.shared for p in table.parameters)
     position = np.array([[0.2, 0.05, 0.0], [-0.1, 0.3, 0.0]])
     along = np.array([[0.0, 1.0, 0.0], [0.6, 0.8, 0.0]])
-    assert np.allclose(table.columns(position, along), [[0.1, 0], [0.1, 0], [0, -0.08]])
+    assert np.allclose((table.weights(position) * table.scalar(position, along)), [[0.1, 0], [0.1, 0], [0, -0.08]])
 
 
 def test_squareness_has_one_value():
@@ -56,7 +56,7 @@ def test_squareness_has_one_value():
     assert table.labels == ("C0Y",)
     assert table.parameters[0].unit == "rad"
     position, along = np.array([[0.1, 0.3, 0.0]]), np.array([[0.6, 0.8, 0.0]])
-    assert table.columns(position, along) == pytest.approx(np.array([[-0.18]]))
+    assert (table.weights(position) * table.scalar(position, along)) == pytest.approx(np.array([[-0.18]]))
     assert not table.is_straightness
 
 

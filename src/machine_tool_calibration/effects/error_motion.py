@@ -7,7 +7,13 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
-from machine_tool_calibration.machine.error_motions import ErrorMotion, interpolation, motion_field, parse_motion
+from machine_tool_calibration.machine.error_motions import (
+    SQUARENESS,
+    ErrorMotion,
+    interpolation,
+    motion_field,
+    parse_motion,
+)
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
@@ -18,7 +24,6 @@ _POWERS = ("constant", "power_1", "power_2", "power_3", "power_4")
 # A single axis read again and again at so few positions shows its error at each of them.
 _FEWEST_NODES, _MOST_NODES = 4, 60
 _ARM = 1e-9  # m, shorter than which a lever arm is none
-_SQUARE = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
 
 
 def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
@@ -72,7 +77,7 @@ class ErrorMotionEffect(AxisEffect):
         if self.motion.component == self.motion.axis:
             self.contains = (f"scale_{self.axis}", "scale")
         elif not self.motion.is_rotation:
-            self.contains = (_SQUARE["".join(sorted(self.motion))],)
+            self.contains = tuple(name for name, axes in SQUARENESS.items() if {*axes} == {*self.motion})
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Of the polynomial, or as many as a single axis has positions."""

@@ -10,7 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Effect, Shape
 from machine_tool_calibration.instruments.refractive_index import index_deviation
-from machine_tool_calibration.machine.error_motions import squareness_field
+from machine_tool_calibration.machine.error_motions import SQUARENESS, squareness_field
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
@@ -65,7 +65,7 @@ class SquarenessEffect(AxisEffect):
 
     def __init__(self, name: str) -> None:
         """Of A0Z, B0Z or C0Y."""
-        self.chain = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}[name]
+        self.chain = SQUARENESS[name]
         super().__init__(name)
 
     def turned(self, observations: Observations, angle: Array) -> Array:

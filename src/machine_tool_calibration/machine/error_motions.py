@@ -43,7 +43,8 @@ def interpolation(nodes: Array, position: Array) -> Array:
 
 
 ERROR_MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZABC" for component in "XYZABC")
-SQUARENESS = ("A0Z", "B0Z", "C0Y")
+SQUARENESS = {"A0Z": "YZ", "B0Z": "XZ", "C0Y": "XY"}
+"""Squareness errors, each with the axes between which it is."""
 _TRANSLATIONS = "XYZ"
 _ROTATIONS = "ABC"
 

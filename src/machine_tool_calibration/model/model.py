@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import Enum, auto
@@ -165,11 +166,7 @@ class MethodModel(ABC):
         return replace(self, priors=tuple(prior for prior in self.priors if names.isdisjoint(prior.weights)))
 
     def without(self, names: Set[str]) -> Self:
-        """The same model with unknowns of its terms at zero, and without what was known of them.
-
-        Args:
-            names: of all unknowns of these terms.
-        """
+        """The same model with unknowns (all of their terms) at zero, and without what was known of them."""
         kept = [{name: w for name, w in c.weights.items() if name not in names} for c in self.constraints]
         return replace(
             self.without_priors(names),
@@ -240,24 +237,19 @@ class Assembly:
 def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None) -> Assembly:
     """Put models of the same machine together: unknowns of the machine are shared, others are each model's own.
 
-    Args:
-        models: one for each session.
-        labels: names of the sessions, put before the names of their own unknowns; needed for more than one.
-
-    Raises:
-        ModelError: two unknowns of one model have the same name, or a constraint names an unknown that is not there.
+    The sessions' `labels`, needed for more than one, stand before the names of their own unknowns. A ModelError if two
+    unknowns of one model have the same name, or a constraint names an unknown that is not there.
     """
     parameters: list[Parameter] = []
     place: dict[str, int] = {}
     places: list[IntArray] = []
     for number, model in enumerate(models):
         index = []
-        seen: set[str] = set()
+        label = None if labels is None else labels[number]
+        for name, count in Counter(parameter.name for parameter in model.parameters).items():
+            if count > 1:
+                raise ModelError(f"the model has the unknown {name!r} twice")
         for parameter in model.parameters:
-            if parameter.name in seen:
-                raise ModelError(f"the model has the unknown {parameter.name!r} twice")
-            seen.add(parameter.name)
-            label = None if labels is None else labels[number]
             name = _published(parameter, label)
             if name not in place:
                 place[name] = len(parameters)
@@ -273,11 +265,8 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
     ]
     constraints = [weight_row(names, c.weights, m) for model, names in named for c in model.constraints]
     values = [c.value for model in models for c in model.constraints]
-    prior_list = [(weight_row(names, p.weights, m), p.value, p.sigma) for model, names in named for p in model.priors]
-    priors = None
-    if prior_list:
-        rows, value, sigma = zip(*prior_list, strict=True)
-        priors = PriorRows(np.array(rows), np.array(value), np.array(sigma))
+    known = [(weight_row(names, p.weights, m), p.value, p.sigma) for model, names in named for p in model.priors]
+    priors = PriorRows(*(np.array(part) for part in zip(*known, strict=True))) if known else None
     parts = [
         model.part(where[: len(model.own)], where[len(model.own) :])
         for model, where in zip(models, places, strict=True)
@@ -291,16 +280,7 @@ def _published(parameter: Parameter, label: str | None) -> str:
 
 
 def weight_row(names: Mapping[str, int], weights: Mapping[str, float], size: int) -> Array:
-    """(size,) a weighted sum of unknowns as a row.
-
-    Args:
-        names: place of each unknown in the row.
-        weights: by the unknown's name.
-        size: of the row.
-
-    Raises:
-        ModelError: an unknown that is not there.
-    """
+    """(size,) a weighted sum of unknowns, whose places are `names`, as a row; a ModelError if one is not there."""
     row = np.zeros(size)
     for name, weight in weights.items():
         if name not in names:

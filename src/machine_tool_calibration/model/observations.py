@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -73,9 +74,6 @@ class Observations:
         The machine's declared travel, so that a function's coefficients mean the same in every session. Where it is
         not declared, a reading lies outside of it, or the readings reach over less than most of it (polynomials over
         a part of their range are nearly one), what the sessions that are fitted together have read.
-
-        Args:
-            axis: x, y or z.
         """
         here = self.readings.column(axis)
         low, high = (self.covered or {}).get(axis, (float(here.min()), float(here.max())))
@@ -85,14 +83,7 @@ class Observations:
         return (first, last) if covered else (low, high)
 
     def sense(self, field: Array) -> Array:
-        """Columns of a position error.
-
-        Args:
-            field: (k, n, 3) displacement of the functional point per unit of each of k unknowns.
-
-        Returns:
-            (k, n) change of the readings.
-        """
+        """(k, n) change of the readings by a displacement (k, n, 3) of the functional point per unit of k unknowns."""
         return np.asarray(np.einsum("knj,nj->kn", field, self.direction))
 
 
@@ -102,13 +93,6 @@ def together(observed: Sequence[Observations]) -> Observations:
     The description is the first session's; columns and labels that a session lacks are left out, as is the turning of
     a mirror.
     """
-    return replace(
-        observed[0],
-        readings=joined([o.readings for o in observed]),
-        position=np.concatenate([o.position for o in observed]),
-        direction=np.concatenate([o.direction for o in observed]),
-        table_direction=np.concatenate([o.table_direction for o in observed]),
-        path=np.concatenate([o.path for o in observed]),
-        run=np.concatenate([o.run for o in observed]),
-        rotation_direction=None,
-    )
+    names = ("position", "direction", "table_direction", "path", "run")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(o, name) for o in observed]) for name in names}
+    return replace(observed[0], readings=joined([o.readings for o in observed]), rotation_direction=None, **arrays)

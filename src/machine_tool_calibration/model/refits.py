@@ -27,11 +27,7 @@ def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
     """The fit where the sum of squares is least, with the covariance that follows from the declared uncertainty alone.
 
     Neither what does not reproduce nor the scatter of the readings is in it; unknowns that are random functions keep
-    the size that the model was settled with.
-
-    Args:
-        joint: the fit.
-        covariance: (m, m) another one of the shared unknowns.
+    the size that the model was settled with. Or with another covariance (m, m) of the shared unknowns.
     """
     parts = tuple(joint.assembly.problem.parts)
     none = tuple(np.zeros((0, part.n_readings)) for part in parts)
@@ -43,14 +39,9 @@ def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
 def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None, *, again: bool = False) -> JointFit:
     """The fit that other readings would give, as `declared` states it.
 
-    Args:
-        joint: the fit of the readings as they are.
-        shifts: for each session (n,) what is added to its readings, m.
-        known: (q,) what is added to the values known besides the readings (the problem's priors), in their unit.
-        again: whether to solve the problem again; otherwise one step from the solution, linear in what is added.
-
-    Raises:
-        ModelError: the iteration does not converge.
+    For each session (n,) is added to its readings, m, and (q,) to the values known besides them (the problem's priors),
+    in their unit. One step from the solution, linear in what is added, or the problem solved `again`; a ModelError if
+    that does not converge.
     """
     problem, solution = joint.assembly.problem, joint.solution
     parts = [
@@ -69,13 +60,7 @@ def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None
 
 
 def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[JointFit]:
-    """The fit with all its unknowns drawn from their joint distribution as it is published, so many times.
-
-    Args:
-        joint: the fit.
-        rng: of the draws.
-        count: of draws.
-    """
+    """The fit with all its unknowns drawn from their joint distribution as it is published, so many times."""
     stated = joint.marginal
     published = stated.solution
     m = len(published.theta)
@@ -94,11 +79,10 @@ def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[Joi
 
 @single_blas()
 def covariance_of(joint: JointFit, size: Sequence[Array]) -> Array:
-    """(m, m) covariance of the shared unknowns from independent readings of another size than the fit weighs them by.
+    """(m, m) covariance of the shared unknowns from readings of another `size` than the fit weighs them by.
 
-    Args:
-        joint: a fit without points of their own, which would hide the readings.
-        size: for each session (n,) standard uncertainty of its readings, m.
+    That is for each session (n,) the standard uncertainty of its independent readings, m. The fit has no points of
+    their own, which would hide the readings.
     """
     solution, problem = joint.solution, joint.assembly.problem
     parts = [

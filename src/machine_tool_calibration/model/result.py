@@ -302,13 +302,10 @@ def _lost_places(session: Session) -> list[NotDetermined]:
 
 
 def correlated_with(undetermined: Array, names: Sequence[str], k: int, points: bool = False) -> str:
-    """Why nothing determines an unknown: which others may change together with it without any reading changing.
+    """Why nothing determines the k-th unknown: which others may change with it without any reading changing.
 
-    Args:
-        undetermined: (m, r) directions of the unknowns that nothing fixes.
-        names: of the unknowns.
-        k: which.
-        points: whether points have unknowns of their own, which are not among the names.
+    From the (m, r) directions of the unknowns that nothing fixes, and whether points have unknowns of their own, which
+    are not among the names.
     """
     direction = undetermined @ undetermined[k]
     others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -32,7 +32,7 @@ class MachineTable:
 
     chain: Chain  # the machine
     name: str  # EXX, ECY, … or C0Y, …
-    nodes: Array  # (k,) positions of the table on its axis, m; empty for a squareness
+    nodes: Array = field(default_factory=lambda: np.empty(0))  # (k,) positions on its axis, m; none of a squareness
 
     @property
     def is_squareness(self) -> bool:
@@ -47,10 +47,7 @@ class MachineTable:
     @property
     def is_straightness(self) -> bool:
         """Whether it is a translation across its axis."""
-        if self.is_squareness:
-            return False
-        motion = parse_motion(self.name)
-        return not motion.is_rotation and motion.component != motion.axis
+        return not self.is_squareness and parse_motion(self.name).is_straightness
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -80,15 +77,6 @@ class MachineTable:
     def scalar(self, position: Array, direction: Array) -> Array:
         """(n,) what a unit of the motion at each position adds along the given directions (n, 3)."""
         return np.asarray(np.einsum("nj,nj->n", self.field(position), direction))
-
-    def columns(self, position: Array, direction: Array) -> Array:
-        """(k, n) change along the direction per unit of each unknown.
-
-        Args:
-            position: (n, 3) commanded x, y, z, m.
-            direction: (n, 3).
-        """
-        return self.weights(position) * self.scalar(position, direction)
 
     def term(self, observations: Observations) -> Term:
         """The motion as a term: what it displaces, and the turning of a mirror with it."""
@@ -134,8 +122,7 @@ def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[Machin
     """All 18 error motions and 3 squareness errors of the linear axes that have a table; translations first."""
     moving = [axis for axis in "XYZ" if axis in chain.linear and len(nodes.get(axis, ())) > 1]
     out = [MachineTable(chain, f"E{c}{axis}", nodes[axis]) for axis in moving for c in "XYZ"]
-    pairs = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
-    out += [MachineTable(chain, name, np.empty(0)) for name, pair in pairs.items() if set(pair) <= set(moving)]
+    out += [MachineTable(chain, name) for name in reversed(SQUARENESS) if {*SQUARENESS[name]} <= {*moving}]
     out += [MachineTable(chain, f"E{c}{axis}", nodes[axis]) for axis in moving for c in "ABC"]
     return out
 
@@ -150,14 +137,9 @@ _READ = 1e-9
 def machine_terms(
     observations: Observations, tables: Sequence[MachineTable]
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
-    """Terms of those error motions that the readings can distinguish.
+    """Those tables that the readings can distinguish, their terms, and what was left out with the reason.
 
-    Args:
-        observations: the readings.
-        tables: candidates in the order of preference: what only repeats earlier ones is left out.
-
-    Returns:
-        The tables kept, their terms, and what was left out with the reason.
+    The candidates are in the order of preference: what only repeats earlier ones is left out.
     """
     kept, terms, left_out = [], [], []
     basis = np.zeros((0, len(observations)))
@@ -167,12 +149,7 @@ def machine_terms(
         norms = np.linalg.norm(columns, axis=1)
         # A rotation with a short lever arm still moves micrometres per radian: compare with one metre.
         if norms.max(initial=0.0) < 1e-9 * np.sqrt(len(observations)):
-            left_out.append(
-                NotDetermined(
-                    table.name,
-                    say("undetermined.does_not_move"),
-                )
-            )
+            left_out.append(NotDetermined(table.name, say("undetermined.does_not_move")))
             continue
         # The straight part of a straightness is not its own: it is the squareness. What is but rounding is nothing.
         read = read_nodes(columns)
@@ -181,12 +158,7 @@ def machine_terms(
         rest = unit - (unit @ basis.T) @ basis
         rest -= (rest @ basis.T) @ basis
         if np.linalg.norm(rest, axis=1).max(initial=0.0) < _OWN_SHARE:
-            left_out.append(
-                NotDetermined(
-                    table.name,
-                    say("undetermined.same_lever"),
-                )
-            )
+            left_out.append(NotDetermined(table.name, say("undetermined.same_lever")))
             continue
         _, s, vt = np.linalg.svd(rest, full_matrices=False)
         basis = np.concatenate([basis, vt[s > _OWN_SHARE]])
@@ -203,10 +175,8 @@ def read_nodes(columns: Array) -> BoolArray:
 def table_datum(tables: Sequence[MachineTable], placed: Sequence[BoolArray] | None = None) -> tuple[Constraint, ...]:
     """Zero of each table at the node next to the axis's zero, and no slope of a straightness.
 
-    Args:
-        tables: the error motions.
-        placed: (k,) of each table, whether the readings determine the value at a node, up to this datum; all if absent.
-            A value that nothing determines has no say in where the others are.
+    `placed` (k,) of each table says whether the readings determine the value at a node, up to this datum; all if
+    absent. A value that nothing determines has no say in where the others are.
     """
     known = [np.ones(len(table.labels), dtype=bool) for table in tables] if placed is None else placed
     return tuple(
@@ -245,13 +215,7 @@ def map_field(tables: Sequence[MachineTable], position: Array) -> Array:
 
 
 def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Array, Array]:
-    """(n, d) position errors and (n, d, d) their covariances.
-
-    Args:
-        field: (K, n, d) position error at each place per unit of each unknown.
-        theta: (K,) the unknowns.
-        covariance: (K, K) of these.
-    """
+    """(n, d) position errors and (n, d, d) their covariances from those of the unknowns (K,) by a field (K, n, d)."""
     k, n, d = field.shape
     error = (theta @ field.reshape(k, n * d)).reshape(n, d)
     return error, np.einsum("knd,kl,lne->nde", field, covariance, field, optimize=True)
@@ -262,13 +226,7 @@ OPEN_CHANGE = 1e-9
 
 
 def determined_part(error: Array, covariance: Array, loose: BoolArray) -> tuple[Array, Array, Array]:
-    """Position errors (n, 3), standard uncertainties (n, 3) and covariances (n, 3, 3) with NaN where not determined.
-
-    Args:
-        error: (n, 3).
-        covariance: (n, 3, 3).
-        loose: (n, 3) the components that are not determined.
-    """
+    """Position errors (n, 3), standard uncertainties, covariances (n, 3, 3) with NaN where they are `loose` (n, 3)."""
     uncertainty = np.sqrt(np.einsum("nii->ni", covariance).clip(0.0))
     whole = np.asarray(~loose.any(axis=1))
     return (
@@ -287,10 +245,7 @@ def in_space(values: Array) -> Array:
 def tables_content(tables: Iterable[MachineTable], value: Array, sigma: Array) -> dict[str, Any]:
     """For a map: nodes, values and standard uncertainties of each error motion; a squareness has no nodes.
 
-    Args:
-        tables: the error motions.
-        value: of their unknowns one after the other, m or rad.
-        sigma: standard uncertainty of each.
+    `value` and `sigma` are of the tables' unknowns one after the other, m or rad.
     """
     out: dict[str, Any] = {}
     first = 0

@@ -95,7 +95,7 @@ def build(session: Session, model: str) -> CircleModel:
     return CircleModel(
         observations=observations,
         terms=(
-            Term("C0Y", squareness.parameters, squareness.columns(position, direction)),
+            Term("C0Y", squareness.parameters, squareness.weights(position) * squareness.scalar(position, direction)),
             Term("scale_mismatch", (Parameter("scale_mismatch", "1"),), scale),
         ),
         constraints=(),

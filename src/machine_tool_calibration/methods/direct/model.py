@@ -72,23 +72,18 @@ def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[M
     for k, name in enumerate(terms):
         if name in terms[:k]:
             raise ModelError(f"terms names {name!r} twice")
-        for axis in _axes(name):
+        for axis in SQUARENESS.get(name) or parse_motion(name).axis:
             if axis not in chain.linear:
                 raise ModelError(f"terms names {name!r}, but the chain has no linear axis {axis}")
     tables = []
     for name in terms:
         if name in SQUARENESS:
-            tables.append(MachineTable(chain, name, np.empty(0)))
+            tables.append(MachineTable(chain, name))
             continue
         axis = parse_motion(name).axis
         same = sum(other not in SQUARENESS and parse_motion(other).axis == axis for other in terms)
         tables.append(MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], same)))
     return tuple(tables)
-
-
-def _axes(name: str) -> str:
-    pairs = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
-    return pairs.get(name) or parse_motion(name).axis
 
 
 @dataclass(frozen=True)

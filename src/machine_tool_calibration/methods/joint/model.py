@@ -114,7 +114,7 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
     out = []
     for name in names:
         if name in SQUARENESS:
-            out.append(MachineTable(chain, name, np.empty(0)))
+            out.append(MachineTable(chain, name))
             continue
         # Nodes of those that determine the motion: at further ones it would be mixed with others, and nothing gained.
         nodes = [table.nodes for table in every if table.name == name]

@@ -114,7 +114,7 @@ def plane_tables(chain: Chain, nodes: dict[str, Array], position: Array) -> tupl
         if axis not in chain.linear:
             raise ModelError(f"probing needs the axes X and Y; the chain has no {axis}")
     tables = [MachineTable(chain, f"E{component}{axis}", nodes[axis]) for axis in "XY" for component in "XY"]
-    tables.append(MachineTable(chain, "C0Y", np.empty(0)))
+    tables.append(MachineTable(chain, "C0Y"))
     along = [np.tile(np.eye(3)[j], (len(position), 1)) for j in range(2)]
     for axis in "XY":
         yaw = MachineTable(chain, f"EC{axis}", nodes[axis])
