@@ -59,6 +59,12 @@ class Estimate:
         }
 
 
+def determined_values(fit: Fit) -> tuple[Array, Array]:
+    """(m,) values of a model's unknowns and (m,) their standard uncertainties; NaN where they are not determined."""
+    u = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    return np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, u, np.nan)
+
+
 def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, ...]:
     """Coefficients of effects in a fit that the data determines, as `identify` publishes them."""
     published = fit.published

@@ -13,7 +13,7 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.methods.joint.map import between_nodes, squared_bend
-from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -65,8 +65,7 @@ def test_a_plate_where_only_step_diagonals_tell_the_straightness(several: Simple
         points, uncertainty = result.error_map.points, result.error_map.uncertainty
         tables = result.common.tables
         labels = [label for table in tables for label in table.labels]
-        columns = [t.columns(points, np.tile(np.eye(3)[2], (len(points), 1))) for t in tables]
-        open_ = np.concatenate(columns).T @ np.array([result.common.fixed[label] for label in labels])
+        open_ = map_field(tables, points)[:, :, 2].T @ np.array([result.common.fixed[label] for label in labels])
         error = (result.error_map.error - grid.truth.machine.position_error(points))[:, 2]
         error = error - open_ @ np.linalg.lstsq(open_, error, rcond=1e-9)[0]
         nodes = next(t.nodes for t in tables if t.name == "EZX")

@@ -97,7 +97,7 @@ def test_where_a_motion_is_seen_in_part_the_condition_is_on_that_part() -> None:
 def test_targets_have_their_nominal_height_and_angle_on_the_average() -> None:
     nominal = np.array([[0.1, 0.0, 0.02], [0.0, 0.3, 0.05], [0.2, 0.2, 0.7]])
     reference = nominal + np.array([[1e-3, 2e-3, 3e-3], [-4e-3, 1e-3, 5e-3], [0.5, 0.5, 0.5]])
-    names = [[f"{target}{axis}" for axis in "xyz"] for target in "PQK"]
+    names = [f"{target}{axis}" for target in "PQK" for axis in "xyz"]
     height, angle = target_constraints(np.eye(3)[2], names, nominal, reference, np.array([True, True, False]))
     assert height.weights == {"Pz": 1.0, "Qz": 1.0}
     assert height.value == pytest.approx(-8e-3)

@@ -35,7 +35,7 @@ from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positionin
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
     MachineTable,
@@ -207,6 +207,7 @@ def _datum(
     return tuple(needed), words, fixed * scale[:, None]
 
 
+_OPEN = {"none": "tables", "offset": "offsets", "rigid": "shifts"}
 # Share of the sum of squares from which scatter and reversal are all of it.
 _ALL = 0.95
 # Component of a unit direction below which a reading does not sense an axis: a beam that is a little off it.
@@ -255,9 +256,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error": error,
         "position_error_u": uncertainty,
         "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
-        "tables": _tables(tables, fit, own),
+        "tables": tables_content(tables, *(values[own:] for values in determined_values(fit))),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
-        "datum": _words(setups, bool(common.shape[1])),
+        "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,
     }
     # These are of the readings themselves: a restated fit changes nothing of them.
     if fit.joint.given is None:
@@ -300,11 +301,6 @@ def _by_direction(runs: Sequence[Mapping[str, Any]]) -> tuple[float, int, float]
     return squares, dof, reversal
 
 
-def _words(setups: SetupDatum, reduced: bool) -> str:
-    what = {"none": "tables", "offset": "offsets", "rigid": "shifts"}[setups.kind]
-    return say(f"datum.nothing_of_{what}") if reduced else setups.words
-
-
 def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
     """(3 n, q) unit displacements of all points that the setups leave open, in the directions that are read."""
     n = len(points)
@@ -323,9 +319,3 @@ def _states(position: Array, field: Array) -> IntArray:
     """The first reading of each position, once for every different state of the effects there."""
     key = np.concatenate([np.round(position * 1e9), field.transpose(1, 0, 2).reshape(len(position), -1)], axis=1)
     return np.sort(np.unique(key, axis=0, return_index=True)[1])
-
-
-def _tables(tables: Sequence[MachineTable], fit: Fit, first: int) -> dict[str, Any]:
-    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
-    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
-    return tables_content(tables, theta[first:], sigma[first:])

@@ -39,11 +39,6 @@ class Touches:
     lever: Array
 
 
-def rigid_motion(position: Array, normal: Array) -> Array:
-    """(3, n) displacement along normals (n, 2) of points (n, 2) per metre along x, along y, and radian."""
-    return np.stack([normal[:, 0], normal[:, 1], _lever(position, normal)])
-
-
 def nominal_points(description: Probing) -> tuple[Array, Array]:
     """(N, 2) points of the workpiece in its frame, m, and (N, 2) their outward unit normals."""
     position = np.array([point.position for point in description.workpiece])
@@ -66,11 +61,11 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
     angle = rotation_sign * readings.column("c")
     at, along = turned(position[point], angle), turned(normal[point], angle)
     zero = np.zeros(len(angle))
-    return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), _lever(at, along))
+    return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), table_lever(at, along))
 
 
-def _lever(position: Array, normal: Array) -> Array:
-    """(n,) n . (R(90 deg) p)."""
+def table_lever(position: Array, normal: Array) -> Array:
+    """(n,) displacement of points (n, 2) along their normals (n, 2) per radian of the table: n . (R(90 deg) p)."""
     lever = position[:, 0] * normal[:, 1] - position[:, 1] * normal[:, 0]
     lever[np.abs(lever) < _NO_LEVER * np.linalg.norm(position, axis=1)] = 0.0
     return np.asarray(lever)
@@ -219,7 +214,8 @@ def element(name: str, index: IntArray, position: Array, normal: Array, touched:
     used = touched[index]
     design = np.column_stack([np.ones(len(t)), t] if straight else [n, np.full(len(n), np.sign(signed))])[used]
     size = design.shape[1]
-    if len(design) < size or not _full_rank(design):
+    scaled = design / np.maximum(np.linalg.norm(design, axis=0), np.finfo(float).tiny)
+    if len(design) < size or np.linalg.svd(scaled, compute_uv=False)[-1] <= _LEAST_SINGULAR_VALUE:
         what = "offset and direction of the line" if straight else "centre and radius"
         few = f"{len(design)} touched points do not determine"
         raise CalibrationError(f"feature {name}: {few} {what}")
@@ -262,8 +258,3 @@ def _circle(position: Array, normal: Array) -> tuple[Array, float]:
     matrix[:, 2] = normal.T.reshape(-1)
     found = np.linalg.lstsq(matrix, position.T.reshape(-1), rcond=None)[0]
     return np.asarray(found[:2], dtype=np.float64), float(found[2])
-
-
-def _full_rank(design: Array) -> bool:
-    scaled = design / np.maximum(np.linalg.norm(design, axis=0), np.finfo(float).tiny)
-    return bool(np.linalg.svd(scaled, compute_uv=False)[-1] > _LEAST_SINGULAR_VALUE)

@@ -18,25 +18,17 @@ from machine_tool_calibration.arrays import COVERAGE, Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.probing.geometry import nominal_points, point_means, rigid_motion
+from machine_tool_calibration.methods.probing.geometry import nominal_points, point_means, table_lever
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.words import say
 
 # Share in the undetermined directions below which a point does not take part in them.
 _OPEN_SHARE = 1e-6
-
-
-@dataclass(frozen=True)
-class Errors:
-    """One number per point of the workpiece; NaN where the touches do not determine it."""
-
-    value: Array  # (N,) error along the outward normal, m
-    uncertainty: Array  # (N,) standard uncertainty, m
 
 
 @dataclass(frozen=True)
@@ -94,15 +86,11 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     return Responses(stated.solution.local[fit.index][0], own, half, mean @ free, scale, touched)
 
 
-def workpiece_errors(found: Responses) -> Errors:
-    """Errors in the datum: position, direction and form together."""
-    good = found.steady
-    variance = found.own + np.sum(found.half**2, axis=1)
-    return Errors(np.where(good, found.value, np.nan), np.where(good, np.sqrt(variance), np.nan))
+def workpiece_form(found: Responses, motion: Array) -> tuple[Array, Array]:
+    """(N,) errors without what motions (N, t) of the whole workpiece explain, and (N,) standard uncertainties, m.
 
-
-def workpiece_form(found: Responses, motion: Array) -> Errors:
-    """Errors without what motions (N, t) of the whole workpiece explain (least squares, all points alike)."""
+    By least squares, all points alike; NaN where the touches do not determine it.
+    """
     used = points_of_form(found, motion)
     basis = _orthonormal(motion[used])
     half = found.half[used] - basis @ (basis.T @ found.half[used])
@@ -113,7 +101,7 @@ def workpiece_form(found: Responses, motion: Array) -> Errors:
     value, uncertainty = np.full(len(used), np.nan), np.full(len(used), np.nan)
     value[used] = found.value[used] - basis @ (basis.T @ found.value[used])
     uncertainty[used] = np.sqrt(np.maximum(variance, 0.0))
-    return Errors(value, uncertainty)
+    return value, uncertainty
 
 
 def points_of_form(found: Responses, motion: Array) -> BoolArray:
@@ -127,10 +115,8 @@ def points_of_form(found: Responses, motion: Array) -> BoolArray:
 def common_motions(description: Probing, length_known: bool) -> Array:
     """(N, t) shift along x and y and turn of the workpiece, and its uniform growth where no length is known."""
     position, normal = nominal_points(description)
-    motion = rigid_motion(position, normal)
-    if not length_known:
-        motion = np.concatenate([motion, np.einsum("nd,nd->n", position, normal)[None]])
-    return np.asarray(motion.T)
+    growth = [] if length_known else [np.einsum("nd,nd->n", position, normal)]
+    return np.column_stack([normal, table_lever(position, normal), *growth])
 
 
 def _orthonormal(columns: Array) -> Array:
@@ -173,23 +159,24 @@ def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
 def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[NotDetermined, ...]]:
     points = model.description.workpiece
     found = responses(fit, model.touches.point, len(points))
-    errors = workpiece_errors(found)
-    form = workpiece_form(found, common_motions(model.description, model.length_known))
+    # Errors in the datum: position, direction and form together.
+    error, u = np.where(found.steady, [found.value, np.sqrt(found.own + np.sum(found.half**2, axis=1))], np.nan)
+    form, form_u = workpiece_form(found, common_motions(model.description, model.length_known))
     content = {
         "workpiece_points": [point.id for point in points],
-        "workpiece_error": errors.value,
-        "workpiece_error_u": errors.uncertainty,
-        "workpiece_form": form.value,
-        "workpiece_form_u": form.uncertainty,
+        "workpiece_error": error,
+        "workpiece_error_u": u,
+        "workpiece_form": form,
+        "workpiece_form_u": form_u,
     }
     quarters = 2.0 / np.pi * np.diff([setup.c for setup in model.description.setups])
     alike = np.allclose(quarters, np.round(quarters), atol=1e-3)
     lost = []
-    for k in np.flatnonzero(~np.isfinite(errors.value)):
+    for k in np.flatnonzero(~np.isfinite(error)):
         why = say("undetermined.not_touched")
         if found.touched[k]:
             why = say(f"undetermined.touches{'_quarter_turns' if alike else ''}")
-        if np.isfinite(form.value[k]):
+        if np.isfinite(form[k]):
             why = say("undetermined.only_form")
         lost.append(NotDetermined(f"workpiece point {points[k].id}", why))
     return content, tuple(lost)
@@ -209,9 +196,7 @@ def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[A
 
 def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
     names = [parameter.name for parameter in fit.model.parameters]
-    value = np.where(fit.determined, fit.theta, np.nan)
-    uncertainty = np.where(fit.determined, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), np.nan)
-    out = {}
+    (value, uncertainty), out = determined_values(fit), {}
     for name in ("EXC", "EYC", "ECC"):
         pick = [names.index(f"{name}({setup_id})") for setup_id in setup_ids]
         out[name], out[f"{name}_u"] = value[pick], uncertainty[pick]
@@ -255,27 +240,20 @@ def monte_carlo(
     if distribution not in get_args(Distribution):
         raise CalibrationError(f"no distribution {distribution!r}; there are {', '.join(get_args(Distribution))}")
     open_ = np.asarray(np.isnan(rows).any(axis=1))
-    gains = _gains(fit, np.where(open_[:, None], 0.0, rows))
+    of_touches, of_others = _gains(fit, np.where(open_[:, None], 0.0, rows))
     rng = np.random.default_rng(seed)
     found = np.empty((len(rows), draws))
     for first in range(0, draws, _DRAWS_AT_ONCE):
         count = min(_DRAWS_AT_ONCE, draws - first)
-        part = gains.touch @ standard_draws(distribution, rng, (gains.touch.shape[1], count))
-        found[:, first : first + count] = part + gains.normal @ rng.standard_normal((gains.normal.shape[1], count))
+        part = of_touches @ standard_draws(distribution, rng, (of_touches.shape[1], count))
+        found[:, first : first + count] = part + of_others @ rng.standard_normal((of_others.shape[1], count))
     found[open_] = np.nan
     low, high = np.quantile(found, [(1.0 - COVERAGE) / 2, (1.0 + COVERAGE) / 2], axis=1)
     return MonteCarlo(draws, distribution, found.std(axis=1, ddof=1), low, high)
 
 
-@dataclass(frozen=True)
-class _Gains:
+def _gains(fit: Fit, rows: Array) -> tuple[Array, Array]:
     """Change of each quantity per standard uncertainty of touches (q, n) and of the other, normal, inputs (q, k)."""
-
-    touch: Array
-    normal: Array
-
-
-def _gains(fit: Fit, rows: Array) -> _Gains:
     model = fit.model
     assert isinstance(model, ProbingModel)
     if len(fit.joint.assembly.models) > 1:
@@ -307,4 +285,4 @@ def _gains(fit: Fit, rows: Array) -> _Gains:
     touch = own - (shared @ centred) / sigma
     drift = (touch @ columns[m:].T) * ratio
     scatter = stated.scatter
-    return _Gains(scatter * touch * sigma, np.concatenate([-shared @ lengths.T, scatter * drift], axis=1))
+    return scatter * touch * sigma, np.concatenate([-shared @ lengths.T, scatter * drift], axis=1)

@@ -71,10 +71,8 @@ def motion_constraints(table: TableReadings, labels: list[list[str]], loose: Arr
     rank = int((s > 1e-9 * max(s.max(initial=0.0), 1.0)).sum())
     rest = gauge @ vt[rank:].T
     if rest.shape[2]:
-        scale = np.repeat([1.0, size], 3)
-        sensed = np.eye(6) - loose
-        scaled = np.einsum("kij,jkg->ikg", sensed, rest * scale[:, None, None]) * scale[:, None, None]
-        rows.append(scaled.reshape(6 * n, -1).T)
+        scale = np.repeat([1.0, size], 3)[:, None, None]
+        rows.append((np.einsum("kij,jkg->ikg", np.eye(6) - loose, rest * scale) * scale).reshape(6 * n, -1).T)
     names = [label for row in labels for label in row]
     return [
         Constraint({name: float(w) for name, w in zip(names, row, strict=True) if w})
@@ -84,18 +82,15 @@ def motion_constraints(table: TableReadings, labels: list[list[str]], loose: Arr
 
 
 def target_constraints(
-    axis: Array, names: list[list[str]], nominal: Array, reference: Array, seen: BoolArray
+    axis: Array, names: list[str], nominal: Array, reference: Array, seen: BoolArray
 ) -> list[Constraint]:
     """The targets (T, 3) that were seen together have their nominal height and angle about the axis."""
-    along = np.tile(axis, (len(nominal), 1))
-    around = np.cross(axis, nominal)
     out = []
-    for field in (along, around):
+    for field in (np.tile(axis, (len(nominal), 1)), np.cross(axis, nominal)):
         weights = field * seen[:, None]
         if np.abs(weights).max() > 1e-9:
             value = float(np.sum(weights * (nominal - reference)))
-            flat = [name for row in names for name in row]
-            out.append(Constraint({n: float(w) for n, w in zip(flat, weights.ravel(), strict=True) if w}, value))
+            out.append(Constraint({n: float(w) for n, w in zip(names, weights.ravel(), strict=True) if w}, value))
     return out
 
 

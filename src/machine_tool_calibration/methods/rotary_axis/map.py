@@ -13,7 +13,7 @@ from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
 from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.session.checks.places import off_stated
 from machine_tool_calibration.words import say
 
@@ -64,9 +64,8 @@ _MISPLACED = 20.0
 def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
     """The contract's content for `rotary_axis`."""
     table, stations, targets = model.table, model.stations, model.targets
-    k, own = len(table.nodes), len(model.own)
-    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
-    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
+    k, own, s = len(table.nodes), len(model.own), stations.size
+    theta, sigma = determined_values(fit)
     content: dict[str, Any] = {table.axis.lower(): table.nodes}
     for j, name in enumerate(table.motions):
         mine = slice(own + j * k, own + (j + 1) * k)
@@ -74,7 +73,6 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
     points, error, cov = _position_errors(model, fit)
     uncertainty = np.sqrt(np.einsum("nii->ni", cov).clip(0.0))
     place = slice(own + 6 * k, own + 6 * k + targets.size)
-    s = stations.size
     line, why = _line(model, fit)
     content |= {
         "points": points,
@@ -88,8 +86,8 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
         "stations_u": sigma[:s].reshape(-1, 3),
         "axis_average_line": line,
         "datum": ROTARY_DATUM,
+        "iso230_7": _error_motion_values(model, fit),
     }
-    content["iso230_7"] = _error_motion_values(model, fit)
     untold = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()
     return ErrorMap(content, points, error, uncertainty, cov, untold)
 
@@ -137,18 +135,13 @@ def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Ar
 def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
     """The axis average line in the machine frame, None where it is not given, and why if a station stands elsewhere."""
     setups = model.description.setups
-    known = [
-        s
-        for s, setup in enumerate(setups)
-        if setup.position_uncertainty is not None and fit.determined[3 * s : 3 * s + 3].all()
-    ]
+    placed = np.asarray(fit.determined[: 3 * len(setups)].reshape(-1, 3).all(axis=1))
+    known = [s for s, setup in enumerate(setups) if setup.position_uncertainty is not None and placed[s]]
     result, why = None, ""
     if known:
         index = np.concatenate([3 * s + np.arange(3) for s in known])
-        found, covariance = (
-            model.stations[known] + fit.theta[index].reshape(-1, 3),
-            fit.covariance[np.ix_(index, index)],
-        )
+        found = model.stations[known] + fit.theta[index].reshape(-1, 3)
+        covariance = fit.covariance[np.ix_(index, index)]
         stated = np.array([setups[s].position for s in known])
         uncertainty = np.array([setups[s].position_uncertainty for s in known])
         off = np.linalg.norm(off_stated(found, stated), axis=1)

@@ -12,8 +12,7 @@ the error motions, so a nominal place that is wrong by more than stated does no 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -53,7 +52,7 @@ from machine_tool_calibration.model.model import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.checks.places import refuse_misplaced
-from machine_tool_calibration.session.description import RotaryAxis
+from machine_tool_calibration.session.description import RotaryAxis, StationSetup, Target
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures, say, together
 
@@ -86,11 +85,7 @@ class RotaryAxisModel(MethodModel):
     @property
     def own(self) -> tuple[Parameter, ...]:
         """Rotation centre of every station, and path at the datum of every run."""
-        out = [
-            place_of(setup.id, axis, float(position[j]))
-            for setup, position in zip(self.description.setups, self.stations, strict=True)
-            for j, axis in enumerate("xyz")
-        ]
+        out = _places(self.description.setups, self.stations)
         repeated = len(np.unique(self.table.run_key[:, 1])) > 1
         for (setup, repeat, target), path in zip(self.table.run_key, self.datum_path, strict=True):
             pair = f"{self.description.setups[setup].id}.{self.description.targets[target].id}"
@@ -111,14 +106,8 @@ class RotaryAxisModel(MethodModel):
         # A station with fewer runs than others has columns of zeros there, which may point anywhere.
         zeros = np.repeat(station[:, :1], int(order.max()) + 1, axis=1)
         zeros[self.table.run_key[:, 0], order] = own_index[count:]
-        return FunctionPart(
-            group_rows(self.table.readings.setup),
-            self.sigma,
-            self._linearise(),
-            np.column_stack([station, zeros]),
-            dense_index,
-            linear=False,
-        )
+        blocks, groups = np.column_stack([station, zeros]), group_rows(self.table.readings.setup)
+        return FunctionPart(groups, self.sigma, self._linearise(), blocks, dense_index, linear=False)
 
     def _order_of_run(self) -> IntArray:
         """(runs,) place of each run among those of its station."""
@@ -134,7 +123,6 @@ class RotaryAxisModel(MethodModel):
         zero = 3 + self._order_of_run()[table.run]
         offsets = np.zeros((int(zero.max()) - 2, n))
         offsets[zero - 3, np.arange(n)] = -1.0
-
         return partial(self._linearised, self.dense(), path, stations, zero, offsets)
 
     def _linearised(
@@ -235,27 +223,26 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
 
 def _check_places(model: RotaryAxisModel) -> None:
     """Refuse (ModelError) where even a table that moves as it likes at every angle is missed."""
+    session = model.observations.session
     residuals = robust_start(assemble([model]).problem).residuals[0]
-    missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
-    if not missed <= _LOST * model.observations.session.sigma:
-        session, stated = model.observations.session, (model.description.setups, model.description.targets)
+    missed = float(np.median(np.abs(residuals))) * session.sigma
+    if not missed <= _LOST * session.sigma:
+        stated = model.description.setups, model.description.targets
         if not session.description.trust_units:
             stations, targets = (np.array([entry.position for entry in entries]) for entries in stated)
             refuse_wrong_rows(session, Start(stations, targets, missed), found=False)
         by = f" by {figures(1e3 * missed)} mm in the middle" if np.isfinite(missed) else ""
         raise ModelError(
-            f"{model.observations.session.source}: no places of stations and targets near the stated ones explain the "
+            f"{session.source}: no places of stations and targets near the stated ones explain the "
             f"readings (they are missed{by}); {SURVEYED}"
         )
 
 
 def _held(model: RotaryAxisModel) -> RotaryAxisModel:
     """The model with the stated places of stations and targets, as far as the readings leave them open."""
-    stations, targets = model.description.setups, model.description.targets
-    nominal = np.ravel([entry.position for entry in stations] + [entry.position for entry in targets])
-    uncertainties = [entry.position_uncertainty for entry in stations]
-    uncertainties += [entry.position_uncertainty for entry in targets]
-    stated = max(value or 0.0 for value in uncertainties)
+    entries: list[StationSetup | Target] = [*model.description.setups, *model.description.targets]
+    nominal = np.ravel([entry.position for entry in entries])
+    stated = max(entry.position_uncertainty or 0.0 for entry in entries)
     names = [p.name for p in model.own[: model.stations.size]] + [p.name for p in model.terms[6].parameters]
     priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * stated))
     if not priors:
@@ -271,6 +258,12 @@ def _moved(start: Start, model: RotaryAxisModel) -> Start:
     return replace(start, stations=start.stations + theta[:s].reshape(-1, 3), targets=start.targets + targets)
 
 
+def _places(entries: Sequence[StationSetup | Target], start: Array) -> list[Parameter]:
+    """Coordinates of stations or targets, counted from first estimates (k, 3), m."""
+    pairs = zip(entries, start, strict=True)
+    return [place_of(entry.id, axis, float(place[j])) for entry, place in pairs for j, axis in enumerate("xyz")]
+
+
 def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisModel:
     description = session.description.as_a(RotaryAxis)
     arm = table.turned(start.targets)
@@ -278,31 +271,22 @@ def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisMo
     path = np.linalg.norm(away, axis=1)
     g = away / path[:, None]
     observations = Observations(session, table.readings, arm, g, g, path, table.run)
-    units = ("m", "m", "m", "rad", "rad", "rad")
-    motions = [
-        tuple(motion_value(name, node, unit) for node in table.nodes)
-        for name, unit in zip(table.motions, units, strict=True)
-    ]
-    labels = [[parameter.name for parameter in row] for row in motions]
-    places = [
-        [place_of(target.id, axis, float(value)) for axis, value in zip("xyz", position, strict=True)]
-        for target, position in zip(description.targets, start.targets, strict=True)
-    ]
-    names = [[parameter.name for parameter in row] for row in places]
+    places = _places(description.targets, start.targets)
     nominal = np.array([target.position for target in description.targets])
     k = len(table.nodes)
-    columns = np.zeros((6 * k + 3 * len(names), len(g)))
+    columns = np.zeros((6 * k + nominal.size, len(g)))
     _fill(columns, table, g, arm, np.zeros_like(g))
-    terms = [
-        Term(name, row, columns[j * k : (j + 1) * k])
-        for j, (name, row) in enumerate(zip(table.motions, motions, strict=True))
-    ]
-    terms.append(Term("targets", tuple(itertools.chain(*places)), columns[6 * k :]))
+    terms = []
+    for j, (name, unit) in enumerate(zip(table.motions, ("m", "m", "m", "rad", "rad", "rad"), strict=True)):
+        values = tuple(motion_value(name, node, unit) for node in table.nodes)
+        terms.append(Term(name, values, columns[j * k : (j + 1) * k]))
+    labels = [[parameter.name for parameter in term.parameters] for term in terms]
+    terms.append(Term("targets", tuple(places), columns[6 * k :]))
     size = float(np.sqrt(np.mean(np.sum(nominal**2, axis=1)))) or 1.0
     loose = loose_motions(table, g, arm, size)
-    seen = np.isin(np.arange(len(names)), table.target)
+    seen = np.isin(np.arange(len(nominal)), table.target)
     constraints = motion_constraints(table, labels, loose, size)
-    constraints += target_constraints(table.direction, names, nominal, start.targets, seen)
+    constraints += target_constraints(table.direction, [p.name for p in places], nominal, start.targets, seen)
     return RotaryAxisModel(
         observations=observations,
         terms=tuple(terms),

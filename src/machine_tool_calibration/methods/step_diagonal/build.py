@@ -1,9 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a session to the model of its step diagonals; angular errors from different orders of the moves.
 
-The latter as in Ibaraki and Hata 2010, Section 3.3, derived anew: the same move of one axis at two places differs by
-angular errors only. With l the beam, d the displacement since the start at (x0, y0, z0) and the chain w-Y-X-b-Z-t, the
-angular errors E of each axis change a reading by
+To first order, with l the beam, d the nominal displacement since the start of the run, e the position error and t the
+mirror's tilt (the normal is l + t, t across l), a reading n.d / (n.l) is
+
+    l.d + l.(e - e_start) + t.d.
+
+A rotation E of the tool against the workpiece (the sum of the angular errors of the axes) turns the mirror about the
+functional point, which by then has moved by d off the beam's axis: the reading changes by E.(l x d), beside the
+displacement E x arm that the same rotation gives the functional point.
+
+Angular errors from the orders are as in Ibaraki and Hata 2010, Section 3.3, derived anew: the same move of one axis at
+two places differs by angular errors only. With the start at (x0, y0, z0) and the chain w-Y-X-b-Z-t, those of each axis
+change a reading by
 
     X: E.(l x (x - x0, y - y0, -z0))    Y: E.(l x (-x0, y - y0, -z0))    Z: E.(l x (x - x0, y - y0, z - z0))
 
@@ -15,7 +24,7 @@ same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +33,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.estimation.solve import solve
+from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import (
     Run,
     across,
@@ -33,7 +43,6 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 )
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
-from machine_tool_calibration.methods.step_diagonal.terms import sensed_tables, tilt_terms
 from machine_tool_calibration.model.model import (
     Constraint,
     Kind,
@@ -47,6 +56,63 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
+
+_LEAST_SENSITIVITY = 1e-6  # m/m
+
+
+def sensed_tables(
+    tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations
+) -> tuple[tuple[MachineTable, ...], tuple[NotDetermined, ...]]:
+    """Tables at those block positions at which a reading senses them, squareness as it is, and what none senses."""
+    kept, left_out, position = [], [], observations.position
+    for table in tables:
+        if table.is_squareness:
+            if np.abs(table.term(observations).columns).max() < 1e-12:
+                left_out.append(NotDetermined(table.name, say("undetermined.no_reading")))
+            else:
+                kept.append(table)
+            continue
+        motion = parse_motion(table.name)
+        axis, along = "XYZ".index(motion.axis), "XYZ".index(motion.component)
+        sees = np.abs(observations.direction[:, along]) > _LEAST_SENSITIVITY
+        # those that enter the interpolation by more than rounding
+        nodes = np.abs(interpolation(blocks[axis], position[sees, axis])).max(axis=1, initial=0.0) > 1e-3
+        moved = sees & (np.abs(position[:, axis] - blocks[axis][0]) > 0)
+        if nodes.sum() < 2 or not moved.any():
+            left_out.append(NotDetermined(table.name, say("undetermined.no_run_senses")))
+            continue
+        kept.append(MachineTable(table.chain, table.name, blocks[axis][nodes]))
+    return tuple(kept), tuple(left_out)
+
+
+def tilt_terms(
+    runs: Sequence[Run], observations: Observations, displacement: Array, one_mirror: bool
+) -> tuple[Term, ...]:
+    """Terms `ppp.tilt` of two tilts, rad, for each setting of the mirror, which `one_mirror` keeps between orders.
+
+    `ppp.tilt_1` is towards the horizontal direction across the beam, `ppp.tilt_2` towards the other
+    (`geometry.across`). A tilt that no reading shows (a diagonal in a plane) is left out.
+    """
+    setup = observations.readings.setup
+    settings: dict[str, list[int]] = {}
+    for k, run in enumerate(runs):
+        if run.diagonal:
+            settings.setdefault(run.name if one_mirror else run.id, []).append(k)
+    out = []
+    for name, members in settings.items():
+        mine = np.isin(setup, members)
+        if not mine.any():
+            continue
+        columns, parameters = [], []
+        for number, direction in enumerate(across(runs[members[0]].beam), start=1):
+            column = np.where(mine, displacement @ direction, 0.0)
+            if np.abs(column).max() > 1e-9:
+                columns.append(column)
+                parameters.append(Parameter(f"{name}.tilt_{number}", "rad", -0.02, 0.02, kind=Kind.TILT, owner=name))
+        if columns:
+            out.append(Term(f"{name}.tilt", tuple(parameters), np.array(columns)))
+    return tuple(out)
+
 
 # Share of the largest movement below which values that may move lie on a line.
 _SAME_LINE = 1e-6
@@ -120,7 +186,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         angles=(),
         spread=None,
         nominal=observations.path,
-        offsets=_offsets(session, readings),
+        offsets=tuple(_offsets(session, readings)),
     )
     if not _complete(base, description.blocks):
         base = replace(base, constraints=_datum(base))
@@ -144,13 +210,10 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
     return observations, displacement
 
 
-def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
-    pairs = np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
-    named = ((session.setup_ids[setup], int(repeat)) for setup, repeat in pairs)
-    return tuple(
-        Parameter(f"{setup}.offset_{repeat}", "m", kind=Kind.RUN_OFFSET, owner=setup, at=repeat)
-        for setup, repeat in named
-    )
+def _offsets(session: Session, readings: Readings) -> Iterator[Parameter]:
+    for setup, repeat in np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T.tolist():
+        name = session.setup_ids[setup]
+        yield Parameter(f"{name}.offset_{repeat}", "m", kind=Kind.RUN_OFFSET, owner=name, at=repeat)
 
 
 def _complete(model: StepDiagonalModel, blocks: int) -> bool:
@@ -166,16 +229,11 @@ def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
     loose = solve(assembly.problem).undetermined[assembly.places[0]]
     if not loose.size:
         return model.constraints
-    place = {parameter.name: k for k, parameter in enumerate(model.parameters)}
-    return table_datum(
-        model.tables,
-        [
-            _placed(table.nodes, loose[[place[label] for label in table.labels]])
-            if table.is_straightness
-            else np.ones(len(table.labels), dtype=bool)
-            for table in model.tables
-        ],
-    )
+    place, placed = {parameter.name: k for k, parameter in enumerate(model.parameters)}, []
+    for table in model.tables:
+        own = loose[[place[label] for label in table.labels]]
+        placed.append(_placed(table.nodes, own) if table.is_straightness else np.ones(len(own), dtype=bool))
+    return table_datum(model.tables, placed)
 
 
 def _placed(nodes: Array, loose: Array) -> BoolArray:
@@ -198,8 +256,7 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     """(n,) what the first-order readings leave out, at the solution of the first-order model."""
     assembly = assemble([model])
     # Gross errors have no say: their squares would bend the nominal path.
-    theta = robust_start(assembly.problem).theta
-    theta = theta[assembly.places[0]]
+    theta = robust_start(assembly.problem).theta[assembly.places[0]]
     first, count = len(model.own), sum(len(table.labels) for table in model.tables)
     table_theta = theta[first : first + count]
     setup = model.observations.readings.setup
@@ -224,19 +281,17 @@ def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
     return out
 
 
-def _as_own(table: MachineTable, term: Term) -> Term:
-    """An angular error whose unknowns are the session's own, not the machine's."""
-    names = tuple(motion_value(table.name, node, "rad", shared=False, prefix="angle.") for node in table.nodes)
-    return Term(f"angle.{table.name}", names, term.columns)
-
-
 def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
     coarse = (replace(t, nodes=coarse_nodes(base.blocks["XYZ".index(t.name[2])])) for t in rotations)
     told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
     left_out = base.left_out + tuple(NotDetermined(t.name, _ONLY_SIZE) for t in rotations)
     if not told:
         return replace(base, left_out=left_out)
-    spread = Spread(tuple(table for table, _ in told), tuple(_as_own(table, term) for table, term in told))
+    own = []  # with unknowns of the session's own, not the machine's
+    for table, term in told:
+        names = (motion_value(table.name, node, "rad", shared=False, prefix="angle.") for node in table.nodes)
+        own.append(Term(f"angle.{table.name}", tuple(names), term.columns))
+    spread = Spread(tuple(table for table, _ in told), tuple(own))
     whole = replace(
         base,
         terms=base.terms + spread.terms,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -119,6 +118,13 @@ class StepDiagonalModel(MethodModel):
         names = tuple(label for labels in self.spread.names for label in labels)
         return SmallAngles(names, self.spread.nodes)
 
+    @property
+    def edges(self) -> Array:
+        """(n, 3) block positions along the edges that meet in the first ones, axis after axis, m."""
+        corner = np.array([nodes[0] for nodes in self.blocks])
+        each = (np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(self.blocks))
+        return np.concatenate(list(each))
+
     def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
         """Error motions that make up the position errors, and the names of their unknowns."""
         tables = [*self.tables, *self.angles]
@@ -133,13 +139,8 @@ class StepDiagonalModel(MethodModel):
 
         Angular errors count by their lever arms along the edges that meet in the first block positions.
         """
-        places = []
-        for axis, nodes in enumerate(self.blocks):
-            at = np.tile([b[0] for b in self.blocks], (len(nodes), 1))
-            at[:, axis] = nodes
-            places.append(at)
         tables, names = self._mapped()
-        field = map_field(tables, np.concatenate(places))
+        field = map_field(tables, self.edges)
         place = {p.name: k for k, p in enumerate(self.parameters)}
         index = np.array([place[name] for name in names], dtype=np.int64)
         return field.reshape(len(field), -1), index
@@ -175,14 +176,11 @@ class StepDiagonalModel(MethodModel):
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""
         out = []
-        tables = {
-            (parse_motion(t.name).axis, parse_motion(t.name).component): t for t in self.tables if not t.is_squareness
-        }
+        tables = {table.name: table for table in self.tables}
         for axis, nodes in zip("XYZ", self.blocks, strict=True):
             there = np.full((len(nodes), 3), np.nan)
             for j, component in enumerate("XYZ"):
-                table = tables.get((axis, component))
-                if table is not None:
+                if (table := tables.get(f"E{component}{axis}")) is not None:
                     there[np.isin(np.round(nodes, 9), np.round(table.nodes, 9)), j] = 1.0
             out.append(there.ravel())
         return np.concatenate(out)
@@ -202,14 +200,12 @@ def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:
     """Position errors of each axis at its block positions, straightness and squareness."""
     profiles = model.profiles(fit)
     content: dict[str, Any] = {}
-    for letter, nodes, error, uncertainty in zip(
-        "xyz", model.blocks, profiles.error, profiles.uncertainty, strict=True
-    ):
-        content[letter], content[f"{letter}_u"] = error, uncertainty
-        content[f"{letter}_position"] = nodes
+    for letter, nodes, error, u in zip("xyz", model.blocks, profiles.error, profiles.uncertainty, strict=True):
+        content |= {letter: error, f"{letter}_u": u, f"{letter}_position": nodes}
     figures = profiles.figures()
     for kind in ("positioning", "straightness", "squareness"):
-        content[kind] = _paired({f.name: (f.value, f.uncertainty) for f in figures if f.kind == kind})
+        own = [figure for figure in figures if figure.kind == kind]
+        content[kind] = {key: v for f in own for key, v in ((f.name, f.value), (f"{f.name}_u", f.uncertainty))}
     content |= _angular(model, fit)
     told = fit.joint.marginal.random
     if told is not None:
@@ -220,10 +216,7 @@ def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:
     content["datum"] = model.datum
     if profiles.oriented:
         content["datum"] = say("datum.oriented", own=model.datum, what=profiles.oriented)
-    corner = np.array([nodes[0] for nodes in model.blocks])
-    points = np.concatenate(
-        [np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(model.blocks)]
-    )
+    points = model.edges
     error, uncertainty = np.concatenate(profiles.error), np.concatenate(profiles.uncertainty)
     n = len(points)
     blocks = profiles.covariance.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
@@ -256,9 +249,8 @@ def _angular(model: StepDiagonalModel, fit: Fit) -> dict[str, Any]:
             weights = interpolation(table.nodes, nodes)
             column = "ABC".index(motion.component)
             value[:, column] = weights.T @ fit.theta[at]
-            uncertainty[:, column] = np.sqrt(
-                np.maximum(np.einsum("kn,kl,ln->n", weights, fit.covariance[np.ix_(at, at)], weights), 0.0)
-            )
+            square = np.einsum("kn,kl,ln->n", weights, fit.covariance[np.ix_(at, at)], weights)
+            uncertainty[:, column] = np.sqrt(np.maximum(square, 0.0))
         out[f"{letter}_angular"], out[f"{letter}_angular_u"] = value, uncertainty
     return out
 
@@ -276,7 +268,3 @@ def _why(model: StepDiagonalModel, measured: Array, determined: Array) -> str:
     if len(diagonals) < len(moved):
         lacking.insert(0, say("undetermined.diagonals", n=len(diagonals), count=len(moved)))
     return say("undetermined.runs", lacking=together(lacking or [say("undetermined.too_few")], ", "))
-
-
-def _paired(values: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    return {key: v for name, (value, u) in values.items() for key, v in ((name, value), (f"{name}_u", u))}

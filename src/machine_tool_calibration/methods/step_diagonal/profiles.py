@@ -58,8 +58,7 @@ class Profiles:
     def uncertainty(self) -> tuple[Array, Array, Array]:
         """For each axis (N + 1, 3) standard uncertainties, m; NaN where not determined."""
         flat = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        shaped = [np.where(np.isfinite(e), u, np.nan) for e, u in zip(self.error, self.split(flat), strict=True)]
-        return shaped[0], shaped[1], shaped[2]
+        return self.split(np.where(np.isfinite(self._known), flat, np.nan))
 
     @property
     def moved(self) -> tuple[int, ...]:

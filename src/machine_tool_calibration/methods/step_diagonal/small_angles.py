@@ -104,27 +104,20 @@ def coarse_nodes(blocks: Array) -> Array:
 
 def shape_covariance(nodes: Array, length: float, share: float, zero: int = 0) -> Array:
     """(k, k) of a smooth random function, 0 at one node, mean variance 1; by the share of long waves."""
-    return (1.0 - share) * _waves(nodes, length, zero) + share * _waves(nodes, _LONG, zero)
-
-
-def _waves(nodes: Array, length: float, zero: int) -> Array:
     u = (nodes - nodes[0]) / (nodes[-1] - nodes[0])
-    kernel = np.exp(-0.5 * ((u[:, None] - u[None]) / length) ** 2)
     since = np.eye(len(u))
     since[:, zero] -= 1.0
-    covariance = since @ kernel @ since.T
-    return np.asarray(covariance / np.mean(np.diag(covariance)))
+
+    def waves(length: float) -> Array:
+        covariance = since @ np.exp(-0.5 * ((u[:, None] - u[None]) / length) ** 2) @ since.T
+        return np.asarray(covariance / np.mean(np.diag(covariance)))
+
+    return (1.0 - share) * waves(length) + share * waves(_LONG)
 
 
 def mean_shape(nodes: Array, zero: int = 0) -> Array:
     """(k, k) covariance of a random function of size 1, the mean over the shapes that are expected."""
     return np.asarray(np.mean([shape_covariance(nodes, *shape, zero) for shape in _SHAPES], axis=0))
-
-
-def _modes(covariance: Array) -> tuple[Array, Array]:
-    """(k,) standard deviations and (k, k) orthonormal shapes of a random function at its nodes, all possible."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.sqrt(np.maximum(values, _FLOOR * values[-1])), vectors
 
 
 def _root(covariance: Array) -> Array:
@@ -227,7 +220,8 @@ def angular_priors(names: Sequence[Sequence[str]], covariances: Sequence[Array])
     """What is known of each angular error (names, covariance) beside the readings, for a single fit."""
     priors = []
     for labels, covariance in zip(names, covariances, strict=True):
-        deviation, shapes = _modes(covariance)
+        values, shapes = np.linalg.eigh(covariance)
+        deviation = np.sqrt(np.maximum(values, _FLOOR * values[-1]))  # all shapes are possible
         for size, shape in zip(deviation, shapes.T, strict=True):
             weights = {label: float(w) for label, w in zip(labels, shape, strict=True)}
             priors.append(Prior(weights, 0.0, float(size)))

@@ -97,8 +97,7 @@ class TrackingModel(MethodModel):
         """Rotation centre and dead path of every station."""
         out = []
         for setup, position, path in zip(self.description.setups, self.stations, self.path, strict=True):
-            axes = zip("xyz"[: self.dimension], position, strict=False)
-            out += [place_of(setup.id, axis, float(value)) for axis, value in axes]
+            out += [place_of(setup.id, "xyz"[j], float(position[j])) for j in range(self.dimension)]
             out.append(dead_path_of(setup.id, float(path)))
         return tuple(out)
 
@@ -121,9 +120,7 @@ class TrackingModel(MethodModel):
 
     def why_not_determined(self, name: str) -> str | None:
         """A station's coordinate that hardly changes its readings."""
-        if name not in self.declared:
-            return None
-        return say("undetermined.station_loose")
+        return say("undetermined.station_loose") if name in self.declared else None
 
     @property
     def known(self) -> Array:
@@ -139,22 +136,15 @@ class TrackingModel(MethodModel):
         path = readings.displacement + self.path[readings.setup]
         beam = None if self.follows else self.observations.direction.T[:d]
         if self.tables is None:
+            groups, places = group_points(self.point, readings.setup), (self.targets, self.stations)
+            target, station = (place.T[:d].copy() for place in places)
             return MultilaterationPart(
-                group_points(self.point, readings.setup),
-                path,
-                self.sigma,
-                self.targets.T[:d].copy(),
-                self.stations.T[:d].copy(),
-                beam,
-                self.dense(),
-                block_index,
-                dense_index,
+                groups, path, self.sigma, target, station, beam, self.dense(), block_index, dense_index
             )
         nominal = (self.targets[self.point] - self.stations[readings.setup])[:, :d].T
         linearise = partial(_linearised, path, nominal, self.dense(), readings.setup, beam)
-        return FunctionPart(
-            group_rows(readings.setup), self.sigma, linearise, block_index, dense_index, not self.follows
-        )
+        groups = group_rows(readings.setup)
+        return FunctionPart(groups, self.sigma, linearise, block_index, dense_index, not self.follows)
 
 
 def _linearised(
@@ -175,14 +165,26 @@ def _linearised(
 
 def build(session: Session, model: str = "free") -> TrackingModel:
     """The model of a tracking interferometer's session, with free targets or the machine's tables."""
+    free = _free(session)
+    if model == "free":
+        return replace(free, constraints=_station_datum(free))
+    nodes = {axis: axis_nodes(free.targets[:, j]) for j, axis in enumerate("XYZ"[: free.dimension])}
+    candidates = linear_axis_errors(free.description.machine.kinematics, nodes)
+    tables, terms, left_out = machine_terms(free.observations, candidates)
+    constraints = table_datum(tables, [read_nodes(term.columns) for term in terms])
+    datum = say("datum.and_map", own=RIGID_BODY_DATUM, map=MAP_DATUM)
+    return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=datum, tables=tables)
+
+
+def _free(session: Session) -> TrackingModel:
+    """The model with free targets, without a datum."""
     description = session.description.as_a(TrackingInterferometer)
     d = description.dimension
     # A target whose readings were all lost is a target all the same: it keeps its place in the map.
     read = np.isfinite(session.readings.displacement)
     everywhere = session.readings.position()[:, :d]
     first, point = distinct_places(everywhere)
-    targets = everywhere[first]
-    readings = session.readings
+    targets, readings = everywhere[first], session.readings
     if not read.all():
         readings, point = readings.select(read), point[read]
     position = readings.position()
@@ -200,14 +202,11 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = unit_vectors(readings.column("azimuth"), elevation)
     path = np.zeros(len(stations))
-    for s in range(len(stations)):
-        mine = np.flatnonzero(readings.setup == s)
-        # No single reading decides.
-        path[s] = np.median(length[mine] - readings.displacement[mine]) if len(mine) else 0.0
+    for s in np.unique(readings.setup):  # no single reading decides
+        path[s] = np.median((length - readings.displacement)[readings.setup == s])
+    observed = Observations(session, readings, position, direction, np.zeros_like(direction), length, readings.setup)
     free = TrackingModel(
-        observations=Observations(
-            session, readings, position, direction, np.zeros_like(direction), length, readings.setup
-        ),
+        observations=observed,
         terms=(),
         constraints=(),
         priors=(),
@@ -221,15 +220,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         carried=carried_stations(point, readings.setup, len(targets), len(stations), d),
         tables=None,
     )
-    free = replace(free, priors=tuple(_known_places(free)))
-    if model == "free":
-        return replace(free, constraints=_station_datum(free))
-    chain = description.machine.kinematics
-    nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
-    tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
-    constraints = table_datum(tables, [read_nodes(term.columns) for term in terms])
-    datum = say("datum.and_map", own=RIGID_BODY_DATUM, map=MAP_DATUM)
-    return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=datum, tables=tables)
+    return replace(free, priors=tuple(_known_places(free)))
 
 
 def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
@@ -372,7 +363,8 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
         "dead_path_u": own_u[:, d],
         "datum": MAP_DATUM,
     }
-    lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
+    places = {k: ", ".join(f"{1e3 * v:.6g}" for v in model.targets[k]) for k in network.why}
+    lost = tuple(NotDetermined(f"target ({places[k]}) mm", why) for k, why in network.why.items())
     lost += tuple(_vague(model, vague, j) for j in range(d) if vague[:, j].any())
     names = [parameter.name for parameter in model.own]
     moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
@@ -390,7 +382,3 @@ def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
     kind = "_line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "_plane"
     why = say(f"undetermined.vague{kind if flat else ''}", size=f"{1e3 * _VAGUE:g}")
     return NotDetermined(f"position_error along {'xyz'[j]} of {where}", why)
-
-
-def _place(position: Array) -> str:
-    return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"
