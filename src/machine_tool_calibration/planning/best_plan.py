@@ -125,39 +125,29 @@ def best_plan(
     seed: int = 0,
     progress: Progress = lambda what, share: None,
 ) -> BestPlan:
-    """The best plan of what the text of a procedure's file offers.
+    """The best plan of what the text of a procedure's file (`source` in messages) offers.
 
-    Args:
-        text: of the file.
-        source: its name, for messages.
-        assumed: of the measurement.
-        told: effects whose sizes the plan is to determine; the map's position errors if there are none.
-        seed: of the random starts.
-        progress: told what is being done and the share that is finished; a KeyboardInterrupt ends the search.
-
-    Raises:
-        SessionError: the procedure cannot be run, or a candidate is none.
-        ModelError: an effect is not known or cannot be told; nothing is determined by any plan.
+    It is to determine the sizes of the effects that are `told`, or the map's position errors if there are none. A
+    KeyboardInterrupt of `progress` ends the search. A SessionError if the procedure cannot be run, or a candidate is
+    none; a ModelError if an effect is not known or cannot be told, or nothing is determined by any plan.
     """
     offered = offer(text, source, both_senses=bool(told))
     progress("what every candidate tells", 0.0)
     candidates, points, complete = _candidates(offered, assumed, told)
     found = search(offered, candidates, seed=seed, progress=lambda what, share: progress(what, _SEARCH * share))
+
+    def later(what: str, share: float) -> object:
+        return progress(what, _SEARCH + (1 - _SEARCH) * share)
+
     lowest = 0.0
     if not found.stopped:
         with suppress(KeyboardInterrupt):
-            lowest = bound(
-                offered, candidates, found, progress=lambda what, share: progress(what, _SEARCH + (1 - _SEARCH) * share)
-            )
-
-    def quality(choice: Choice) -> PlanQuality:
-        variances = candidates.variances(offered.weights(choice))[candidates.told]
-        return _quality(offered, choice, np.sqrt(variances))
-
+            lowest = bound(offered, candidates, found, progress=later)
+    present, best = (_quality(offered, choice, candidates) for choice in (offered.present, found.choice))
     count = (len(offered.setups), 0 if offered.targets == ("",) else len(offered.targets))
     return BestPlan(
-        offered.text(found.choice), quality(offered.present), quality(found.choice), lowest, points, tuple(told), count,
-        found.tried, found.stopped, complete,
+        offered.text(found.choice), present, best, lowest, points, tuple(told), count, found.tried, found.stopped,
+        complete,
     )  # fmt: skip
 
 
@@ -168,7 +158,6 @@ def quickest_plan(
     *,
     u: float | None = None,
     told: Sequence[str] = (),
-    seed: int = 0,
     progress: Progress = lambda what, share: None,
 ) -> str:
     """The file of a procedure whose setups are those that come soonest to what is wanted, the most useful ones first.
@@ -180,7 +169,7 @@ def quickest_plan(
     progress("what every candidate tells", 0.0)
     candidates, _, _ = _candidates(offered, assumed, told)
     goal = _MARGIN * u if u is not None else _SIZE
-    return offered.text(quickest(offered, candidates, goal, seed=seed, progress=progress))
+    return offered.text(quickest(offered, candidates, goal, progress))
 
 
 def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:
@@ -217,7 +206,8 @@ def _with_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     return model.with_terms(terms)
 
 
-def _quality(offered: Offer, choice: Choice, u: Array) -> PlanQuality:
+def _quality(offered: Offer, choice: Choice, candidates: Candidates) -> PlanQuality:
+    u = np.sqrt(candidates.variances(offered.weights(choice))[candidates.told])
     entries: Sequence[Any] = offered.procedure.session.setups
     places = [getattr(entries[k], "position", None) for k in choice.setups]
     stations = np.array([place for place in places if place is not None]).reshape(-1, 3)

@@ -14,7 +14,6 @@ left of all three.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -29,7 +28,7 @@ from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.planning.options import Option, Proposal, further_options
+from machine_tool_calibration.planning.options import Proposal, further_options
 from machine_tool_calibration.session.session import Session
 
 ANGULAR = 5e-6
@@ -88,16 +87,10 @@ class Dominant:
 def dominant(
     session: Session, *, model: str | None = None, angular: float = ANGULAR, drift: float = DRIFT
 ) -> Dominant | None:
-    """What dominates the uncertainty of a session's map, and what would make it smaller.
+    """What dominates the uncertainty of a session's map, and what would make it smaller; None without a map.
 
-    Args:
-        session: the measurement; of a planned one only the geometry matters.
-        model: variant of the method's model.
-        angular: expected root mean square of the machine's angular errors, rad.
-        drift: expected rate of the reading's drift, m/s.
-
-    Returns:
-        None where the readings do not determine a map.
+    Of a planned session only the geometry matters. Expected are `angular`, the root mean square of the machine's
+    angular errors, rad, and `drift`, the rate of the reading's drift, m/s.
     """
     try:
         built = build_model(session, model)[0]
@@ -119,8 +112,12 @@ def dominant(
     found = Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
     if cause == "readings":
         return found
-    tried = [(option, _uncertainty(option.session, model, angular, drift)) for option in further_options(session)]
-    return _with_remedies(found, [(option, after) for option, after in tried if np.isfinite(after)])
+    every = [(option, _uncertainty(option.session, model, angular, drift)) for option in further_options(session)]
+    tried = [(option, after) for option, after in every if np.isfinite(after)]
+    again = next((after for option, after in tried if option.kind == "again"), whole)
+    better = sorted((t for t in tried if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
+    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST_REMEDIES])
+    return replace(found, again=again, remedies=remedies)
 
 
 def limits_of(session: Session, model: str | None = None) -> Dominant | None:
@@ -147,13 +144,6 @@ def _warming(session: Session) -> float:
     good = np.isfinite(air) & np.isfinite(time)
     hours = float(np.ptp(time[good])) / 3600.0 if good.any() else 0.0
     return float(np.ptp(air[good])) / hours if hours > 0 else 0.0
-
-
-def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
-    again = next((after for option, after in tried if option.kind == "again"), found.uncertainty)
-    better = sorted((t for t in tried if t[1] < _WORTHWHILE * again), key=lambda t: t[1])
-    remedies = tuple(Remedy(uncertainty=after, **o.proposal) for o, after in better[:_MOST_REMEDIES])
-    return replace(found, again=again, remedies=remedies)
 
 
 def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:

@@ -78,14 +78,9 @@ def detectable(
     """
     screened, excluded = _screened(Pool(joint), effects, progress)
     needed = float(np.log(max(len(screened), 1.0 / priors.EFFECT)))
-    visible, absorbed = [], []
-    for candidate in screened:
-        best = candidate.smallest(needed)
-        if best is None:
-            absorbed.append(candidate.effect)
-        else:
-            visible.append(best)
-    return Detectable(tuple(visible), tuple(absorbed), excluded)
+    best = {candidate.effect: candidate.smallest(needed) for candidate in screened}
+    absorbed = tuple(name for name, one in best.items() if one is None)
+    return Detectable(tuple(one for one in best.values() if one is not None), absorbed, excluded)
 
 
 @dataclass(frozen=True)
@@ -309,17 +304,8 @@ def forecast(
 ) -> Forecast:
     """What a procedure will determine, if its readings scatter as declared and mountings add no spread.
 
-    Args:
-        procedure: what is to be measured.
-        model: variant of the method's model.
-        own: the user's own effects, beside the catalogue.
-        warming: change of the air's temperature that is assumed, K per hour.
-        angular: root mean square of the machine's angular errors that is assumed for what dominates, rad.
-        progress: told what is being done, and the share that is finished.
-
-    Raises:
-        SessionError: the procedure cannot be run.
-        ModelError: it does not allow the model.
+    While the air warms by so many K per hour; for what dominates, with angular errors of that root mean square, rad. A
+    SessionError if the procedure cannot be run; a ModelError if it does not allow the model.
     """
     progress("planning the steps", 0.0)
     planned = planned_session(procedure, warming)

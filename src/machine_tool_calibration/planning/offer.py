@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -49,12 +50,7 @@ class Offer:
     @property
     def setups(self) -> tuple[str, ...]:
         """Ids of all setups."""
-        return tuple(entry.id for entry in self._setups)
-
-    @property
-    def _setups(self) -> Sequence[Any]:
-        entries: Sequence[Any] = self.procedure.session.setups
-        return entries
+        return tuple(entry.id for entry in self.procedure.session.setups)
 
     @cached_property
     def unit_seconds(self) -> Array:
@@ -133,9 +129,7 @@ class Offer:
         if "workpiece" in session:
             session["workpiece"] = [entry for entry in session["workpiece"] if entry.get("feature", "work") in kept]
         content["session"] = session
-        return yaml.dump(
-            content, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
-        )
+        return _dumped(content)
 
 
 def offer(text: str, source: str, *, both_senses: bool = False) -> Offer:
@@ -197,7 +191,8 @@ def _with_candidates(
             if entry in entries or entry in nameless:
                 continue
             nameless.append({key: value for key, value in entry.items() if key != "id"})
-            name = str(entry.pop("id", None) or next(_free(letter, taken)))
+            free = (name for k in itertools.count(1) if (name := f"{letter}{k}") not in taken)
+            name = str(entry.pop("id", None) or next(free))
             if name in taken:
                 raise SessionError(f"{where}[{number}]: the id {name!r} is taken; without one they are numbered")
             taken.add(name)
@@ -207,13 +202,7 @@ def _with_candidates(
     return entries
 
 
-def _free(letter: str, taken: Collection[str]) -> Iterator[str]:
-    number = 1
-    while True:
-        if f"{letter}{number}" not in taken:
-            yield f"{letter}{number}"
-        number += 1
-
-
 def _dumped(content: Mapping[str, Any]) -> str:
-    return yaml.dump(content, Dumper=PlainDumper, sort_keys=False)
+    return yaml.dump(
+        content, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
+    )

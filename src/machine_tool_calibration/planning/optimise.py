@@ -143,19 +143,12 @@ def search(
 
 
 @single_blas()
-def quickest(
-    offered: Offer,
-    candidates: Candidates,
-    goal: float,
-    *,
-    seed: int = 0,
-    progress: Progress = lambda what, share: None,
-) -> Choice:
+def quickest(offered: Offer, candidates: Candidates, goal: float, progress: Progress) -> Choice:
     """The plan that comes to a largest standard uncertainty soonest, followed by what would help most after it.
 
     Its setups are in an order in which each is the best after those before it; as many as are allowed.
     """
-    judge, rng = _Judge(offered, candidates), np.random.default_rng(seed)
+    judge, rng = _Judge(offered, candidates), np.random.default_rng(0)
     exchange = _Exchange(offered, offered.choices.seconds or np.inf)
     plans = []
     for number in range(1, exchange.most_setups + 1):
@@ -244,14 +237,15 @@ class _Exchange:
         chosen: tuple[int, ...] = getattr(now, which)
         if chosen[place] in self.always[which]:
             return []
-        return [_having(now, which, _with(_without(chosen, place), k)) for k in self.idle(now, which)]
+        rest = _without(chosen, place)
+        return [Choice(**{**vars(now), which: _with(rest, k)}) for k in self.idle(now, which)]
 
     def resized(self, now: Choice, which: str) -> list[Choice]:
         """One setup or target more or less."""
         chosen: tuple[int, ...] = getattr(now, which)
         free = [k for k, number in enumerate(chosen) if number not in self.always[which]]
         others = [_with(chosen, k) for k in self.idle(now, which)] + [_without(chosen, k) for k in free]
-        return [_having(now, which, other) for other in others]
+        return [Choice(**{**vars(now), which: other}) for other in others]
 
     def idle(self, now: Choice, which: str) -> list[int]:
         """Setups or targets that a plan does without."""
@@ -278,10 +272,6 @@ class _Exchange:
         repeats = int(rng.choice(self.repeats)) if number is None else self.repeats[-1]
         choice = self.thinned(Choice(tuple(setups), tuple(sorted((*always, *targets))), repeats))
         return replace(choice, setups=tuple(sorted(choice.setups)))
-
-
-def _having(now: Choice, which: str, chosen: tuple[int, ...]) -> Choice:
-    return Choice(**{**vars(now), which: chosen})
 
 
 def _with(chosen: tuple[int, ...], more: int) -> tuple[int, ...]:
@@ -326,7 +316,7 @@ def _relaxed(program: _Relaxed, candidates: Candidates, scale: float, progress: 
         variance, slope = (part[told] / scale for part in candidates.slopes(program.weights(shares)))
         if not np.isfinite(variance).all():
             return np.inf  # not even all candidates together determine it with so many repeats
-        slope = program.by_shares(slope)
+        slope = slope.reshape(len(slope), program.count, -1) @ program.each  # by the shares
         near = np.argsort(-variance)[:_MOST_TANGENTS]
         near = near[variance[near] >= _TANGENT_SHARE * variance[near[0]]]
         tangents = np.vstack([tangents, slope[near]])
@@ -348,7 +338,7 @@ class _Relaxed:
     def __init__(self, offered: Offer, repeats: int) -> None:
         """State the rules for a number of repeats."""
         setups, targets = len(offered.setups), len(offered.targets)
-        self.count, self.setups, self._each = setups * targets, setups, offered.in_each_sense(repeats)
+        self.count, self.setups, self.each = setups * targets, setups, offered.in_each_sense(repeats)
         spent = offered.unit_seconds.reshape(-1)
         size = self.count + setups + 1  # the candidates, how far each setup is there, and the bound itself
         time, number = np.zeros(size), np.zeros(size)
@@ -367,11 +357,7 @@ class _Relaxed:
 
     def weights(self, shares: Array) -> Array:
         """How often each candidate is measured where setups have targets in part."""
-        return np.outer(shares, self._each).reshape(-1)
-
-    def by_shares(self, slopes: Array) -> Array:
-        """(q, count) derivatives by the shares, of (q, n) those by the weights."""
-        return np.asarray(slopes.reshape(len(slopes), self.count, -1) @ self._each)
+        return np.outer(shares, self.each).reshape(-1)
 
     def solved(self, tangents: Array, values: Array, *, whole: bool = False) -> tuple[float, Array]:
         """What no plan falls below, and shares at which the tangents, `values` at zero, come to it.

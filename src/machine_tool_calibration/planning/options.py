@@ -69,14 +69,11 @@ class Option(Proposal):
 
 
 def mounted_again(session: Session, rows: IntArray) -> tuple[Description, IntArray, str]:
-    """The setups of some readings made again.
+    """The setups of some readings made again: their description, which takes each one's place, what comes on top.
 
     An instrument that goes from station to station, or a mirror from diagonal to diagonal, has to be mounted again for
-    any further reading: then the setup's unknowns are new ones. A part on the rotary table stays where it is.
-
-    Returns:
-        The description with them, for each setup the one that takes its place, and what comes on top of the measuring
-        time, in words.
+    any further reading: then the setup's unknowns are new ones. A part on the rotary table stays where it is. What
+    comes on top is of the measuring time, in words.
     """
     description = session.description
     mounted = spec_of(session).mounted(description)
@@ -121,7 +118,7 @@ def _repeated(session: Session, rows: IntArray) -> Iterator[Option]:
     ) -> Option:
         besides = " and ".join(text for text in (mounting, aside) if text)
         setup = place[session.readings.setup[changed.rows]]
-        extended = appended(session, changed, setup=setup, description=description)
+        extended = appended(session, changed, setup, description)
         return Option.of(session, kind, together((measure, how), ""), extended, besides, turned)
 
     yield option("again", say("measure.as_before"), Changed(rows))
@@ -198,10 +195,7 @@ def _approaches(session: Session, rows: IntArray, group: IntArray, before: float
 def _runs(session: Session, rows: IntArray) -> IntArray:
     """(k,) runs, numbered."""
     readings = session.readings
-    keys = [readings.setup[rows]]
-    if "target" in readings.labels:
-        keys.append(readings.labels["target"][rows])
-    return groups(*keys)
+    return groups(readings.setup[rows], *(readings.labels[name][rows] for name in readings.labels if name == "target"))
 
 
 def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None:

@@ -44,8 +44,8 @@ def _diagonals(
     session: Session, description: StepDiagonal, runs: Sequence[Run], used: Sequence[int]
 ) -> Iterator[Option]:
     """The space diagonals that no setup runs, in the order of moves of the first that was run."""
-    made = {_forward(runs[k].sign) for k in used if np.all(runs[k].sign)}
     like = [k for k in used if np.all(runs[k].sign)]
+    made = {tuple((runs[k].sign * runs[k].sign[2]).tolist()) for k in like}  # run towards increasing z
     missing = [sign for sign in _SPACE if sign not in made]
     if not like or not missing:
         return
@@ -56,8 +56,8 @@ def _diagonals(
         start = np.where(np.array(sign) > 0, low, high)
         motion = np.array(sign) * np.abs(runs[like[0]].motion)
         beam = motion / np.linalg.norm(motion)
-        new.append((like[0], replace(runs[like[0]], id=name, name=name, sign=np.array(sign), start=start,
-                                     motion=motion, beam=beam)))  # fmt: skip
+        own = {"id": name, "name": name, "sign": np.array(sign), "start": start, "motion": motion, "beam": beam}
+        new.append((like[0], Run(**{**vars(runs[like[0]]), **own})))
     names = together((run.id for _, run in new), say("text.and"))
     yield _option(session, description, new, "diagonal", say("measure.diagonals", n=len(new), names=names))
 
@@ -98,11 +98,6 @@ def _orders(session: Session, description: StepDiagonal, runs: Sequence[Run], us
             yield _option(session, description, new, "order", words)
 
 
-def _forward(sign: Array) -> tuple[float, ...]:
-    """Signs of a diagonal run towards increasing z."""
-    return tuple((sign * sign[2]).tolist())
-
-
 def _reach(runs: Sequence[Run], used: Sequence[int]) -> tuple[Array, Array]:
     """(3,) lower and (3,) upper ends of what was measured, m."""
     ends = np.array([place for k in used for place in (runs[k].start, runs[k].start + runs[k].motion)])
@@ -129,12 +124,9 @@ def _option(
     at, towards = np.concatenate(position), np.concatenate(sign)
     columns = {axis: at[:, j] for j, axis in enumerate("xyz") if axis in session.readings.columns}
     columns |= {f"dir_{a}": towards[:, j] for j, a in enumerate("xyz") if f"dir_{a}" in session.readings.columns}
-    extended = appended(
-        session,
-        Changed(np.concatenate(rows), columns, np.concatenate(displacement)),
-        setup=np.concatenate(setup),
-        description=description.model_copy(update={"setups": tuple(setups)}),
-    )
+    made = Changed(np.concatenate(rows), columns, np.concatenate(displacement))
+    whole = description.model_copy(update={"setups": tuple(setups)})
+    extended = appended(session, made, np.concatenate(setup), whole)
     return Option.of(session, kind, words, extended, _MOUNTED)
 
 
@@ -143,7 +135,7 @@ def _in_one_more(session: Session, setup: Setup, changed: Changed) -> tuple[Sess
     description = session.description
     whole = description.model_copy(update={"setups": (*description.setups, setup)})
     new = np.full(len(changed.rows), len(description.setups), dtype=np.int64)
-    return appended(session, changed, setup=new, description=whole)
+    return appended(session, changed, new, whole)
 
 
 def further_stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:
@@ -156,8 +148,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
     arm = old[used] - middle
     angle = np.sort(np.arctan2(arm[:, 1], arm[:, 0]))
     gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
-    widest = int(np.argmax(gaps))
-    at = angle[widest] + gaps[widest] / 2
+    at = angle[np.argmax(gaps)] + gaps.max() / 2
     reach = float(np.median(np.hypot(arm[:, 0], arm[:, 1])))
     height = float(np.median(old[used, 2]))
     between = np.array([middle[0] + reach * np.cos(at), middle[1] + reach * np.sin(at), height])
@@ -175,8 +166,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
             changed["azimuth"], changed["elevation"] = pointing(points, place)
             if getattr(description, "dimension", 3) == 2:
                 changed["elevation"] = np.zeros(len(points))
-        at_words = ", ".join(f"{v:.2f}" for v in place)
-        words = say(f"measure.{where}", place=at_words)
+        words = say(f"measure.{where}", place=", ".join(f"{v:.2f}" for v in place))
         extended = _in_one_more(session, setup, Changed(rows, changed, distance - distance[0]))
         yield Option.of(session, "station", words, extended, "setting up the instrument")
 

@@ -77,20 +77,12 @@ class Changed:
 
 
 def appended(
-    session: Session, changed: Changed, *, setup: IntArray | None = None, description: Description | None = None
+    session: Session, changed: Changed, setup: IntArray, description: Description
 ) -> tuple[Session, float | None]:
-    """The session followed by readings that are taken as some of its own were.
+    """The session followed by readings that are taken as some of its own were, and the extra time, s.
 
-    The surroundings go on as they did: the first new reading finds the air of the first of the rows in time.
-
-    Args:
-        session: the measurement.
-        changed: the further readings.
-        setup: (k,) their setups; as before if absent.
-        description: with the setups that are new.
-
-    Returns:
-        The session, whose new readings have numbers above those of its own, and the extra time, s.
+    The surroundings go on as they did: the first new reading finds the air of the first of the rows in time. The new
+    readings have numbers above those of the session's own, and setups (k,) of a description that has the new ones.
     """
     old, rows = session.readings, changed.rows
     new = old.select(rows)
@@ -103,7 +95,6 @@ def appended(
     if gaps is not None:
         columns["time"] = old.columns["time"].max() + np.cumsum(gaps)
         seconds = float(gaps.sum())
-    setup = new.setup if setup is None else setup
     last = np.array([old.repeat[old.setup == s].max(initial=-1) for s in range(int(setup.max(initial=0)) + 1)])
     new = replace(
         new,
@@ -116,7 +107,7 @@ def appended(
     if spec_of(session).counts_from_run:
         first = first_of_group(new.setup, new.repeat, *(new.labels[n] for n in ("target",) if n in new.labels))
         new = replace(new, displacement=new.displacement - new.displacement[first])
-    return replace(session, description=description or session.description, readings=joined([old, new])), seconds
+    return replace(session, description=description, readings=joined([old, new])), seconds
 
 
 # Share of an effect's squared norm outside the model below which nothing of it is seen (1 % of the norm).
@@ -207,16 +198,10 @@ def sense(
 ) -> Sensed:
     """What a session, or several of one machine, with readings that may not have been taken yet, sense of effects.
 
-    Args:
-        subject: the measurements; of the new readings' displacements only the rough size matters.
-        effects: what is looked for; what cannot act in these readings is left out.
-        present: effects that are in the model already; they take the place of those that are chosen by name.
-        at: which of the sessions has the new readings.
-        first_row: number of the first new reading.
-        turned: angles about Z by which the part in which an effect sits is turned in the new readings, rad.
-
-    Raises:
-        ModelError: the readings do not allow the model.
+    Effects that cannot act are left out; those `present` in the model take the place of those chosen by name. The new
+    readings, of whose displacements only the rough size matters, are those from `first_row` of the session `at`; in
+    them the part in which an effect sits is `turned` by its angle about Z, rad. A ModelError if the readings do not
+    allow the model.
     """
     chosen = replace(FitRequest.of(subject), effects=())
     several = len(chosen.sessions) > 1

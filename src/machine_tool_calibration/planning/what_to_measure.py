@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
@@ -155,8 +157,7 @@ def visibilities(
         # What is not shared has columns of its own in every session.
         coefficient = coefficients[k % len(coefficients)]
         possible = max(abs(coefficient.low), abs(coefficient.high))
-        limit = possible / 2.0
-        strength = np.array([information * limit**2 / variance])
+        strength = np.array([information * (possible / 2.0) ** 2 / variance])
         needed = smallest_signal(strength, float(strength[0]), -np.log(priors.EFFECT)) ** 2 * variance
         smallest = r.detectable.get(coefficient.name)
         if smallest is not None and before[k] > 0:
@@ -185,39 +186,29 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     Every proposal is added to the session as readings without values; what they sense of each effect outside the
     model's freedom follows from geometry alone.
     """
-    groups = alias_groups_of(diagnosis)
-    assumed = assumed_effects(diagnosis)
-    present = present_effects(diagnosis)
+    assumed, present = assumed_effects(diagnosis), present_effects(diagnosis)
     chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
     limits = limits_of(sessions[0], chosen.model) if len(sessions) == 1 else None
 
-    def tried(option: Option, at: int) -> Sensed | None:
+    def sensed(subject: FitRequest, at: int = 0, **new: Any) -> Sensed | None:
         try:
-            return sense(
-                chosen.instead(at, option.session),
-                list(assumed.values()),
-                present=present,
-                at=at,
-                first_row=option.first_row,
-                turned=option.turned,
-            )
+            return sense(subject, list(assumed.values()), present=present, at=at, **new)
         except (CalibrationError, np.linalg.LinAlgError):
             return None
 
-    try:
-        now = sense(chosen, list(assumed.values()), present=present)
-    except (CalibrationError, np.linalg.LinAlgError):
+    now = sensed(chosen)
+    if now is None:
         return Advice(dominant=limits)
     options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
     seen: list[tuple[Option, Sensed]] = []
     for number, (k, option) in enumerate(options):
         progress("what to measure next", number / len(options))
-        found = tried(option, k)
+        found = sensed(chosen.instead(k, option.session), k, first_row=option.first_row, turned=option.turned)
         if found is not None:
             named = option if labels is None else replace(option, measure=together((labels[k], option.measure), ": "))
             seen.append((named, found))
     separations = []
-    for group in groups:
+    for group in alias_groups_of(diagnosis):
         given = [name for name in diagnosis.accepted if name not in group]
         separation = _separation(group, now.beside(given), [(o, s.beside(given)) for o, s in seen])
         if separation is not None:
