@@ -135,11 +135,8 @@ def axis_tables(result: Result | JointResult) -> AxisTables:
     sessions = [model.observations.session for model in models]
     common = getattr(result, "common", None) or models[0]
     tables: Sequence[MachineTable] = getattr(common, "tables", None) or ()
-    left_out = [
-        entry
-        for entry in result.not_determined
-        if entry.name[:3] in SQUARENESS or entry.name.startswith(("E", "backlash_"))
-    ]
+    named = ("E", "backlash_", *SQUARENESS)
+    left_out = [entry for entry in result.not_determined if entry.name.startswith(named)]
     squareness: dict[str, tuple[float, float]] = {}
     if "x_position" in result.error_map.content:
         found, words = _profiles(result.error_map.content, left_out), _IN_PROFILES
@@ -180,23 +177,20 @@ def _terms(
             continue
         if parse_motion(table.name).axis not in "XYZ":
             continue
-        nodes = np.asarray(table.nodes, dtype=float)
         value = np.array([np.nan if e is None else e.value for e in estimates])
         spread = np.array([np.nan if e is None else e.standard_uncertainty for e in estimates])
-        _take(AxisTable(table.name, nodes, value, spread), found, left_out)
+        _take(AxisTable(table.name, table.nodes, value, spread), found, left_out)
     return found, squareness
 
 
 def _profiles(content: Mapping[str, Any], left_out: list[NotDetermined]) -> list[AxisTable]:
     found: list[AxisTable] = []
     for letter in "xyz":
-        nodes, error, spread = content[f"{letter}_position"], content[letter], content[f"{letter}_u"]
-        for j, component in enumerate("XYZ"):
-            _take(AxisTable(f"E{component}{letter.upper()}", nodes, error[:, j], spread[:, j]), found, left_out)
-        if f"{letter}_angular" in content:
-            angles, angles_u = content[f"{letter}_angular"], content[f"{letter}_angular_u"]
-            for j, component in enumerate("ABC"):
-                _take(AxisTable(f"E{component}{letter.upper()}", nodes, angles[:, j], angles_u[:, j]), found, left_out)
+        for components, key in (("XYZ", letter), ("ABC", f"{letter}_angular")):
+            for j, component in enumerate(components if key in content else ()):
+                value, u = content[key][:, j], content[f"{key}_u"][:, j]
+                table = AxisTable(f"E{component}{letter.upper()}", content[f"{letter}_position"], value, u)
+                _take(table, found, left_out)
     return found
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec, spec_of
-from machine_tool_calibration.session.checks.places import Misplaced, has_stations, misplaced
+from machine_tool_calibration.session.checks.places import has_stations, misplaced
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
@@ -58,14 +58,14 @@ def suspicious_fits(
 ) -> list[str]:
     """What is suspicious in the sessions of fits, or as measured, in words: also places found elsewhere than stated."""
     named = [""] * len(fits) if labels is None else [f"{label}: " for label in labels]
-    found = [together((name, one.words), "") for name, fit in zip(named, fits, strict=True) for one in _elsewhere(fit)]
-    return [*suspicions(sessions or [fit.model.observations.session for fit in fits], labels), *found]
-
-
-def _elsewhere(fit: Fit) -> Iterator[Misplaced]:
-    session = fit.model.observations.session
-    if has_stations(session):
-        yield from misplaced(session, error_map(fit).content)
+    own = [fit.model.observations.session for fit in fits]
+    found = [
+        together((name, one.words), "")
+        for name, fit, session in zip(named, fits, own, strict=True)
+        if has_stations(session)
+        for one in misplaced(session, error_map(fit).content)
+    ]
+    return [*suspicions(sessions or own, labels), *found]
 
 
 def rejected_readings(session: Session) -> tuple[Rejected, ...]:

@@ -64,23 +64,14 @@ class JointResult(Identified):
         """The unknowns that the data determines; those of an instrument carry the session's label."""
         solution = self.fit.published
         sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
-        return [
-            self.estimate(p, value, u)
-            for p, value, u, good in zip(
-                self.fit.assembly.parameters, solution.theta, sigma, solution.determined, strict=True
-            )
-            if good
-        ]
+        found = zip(self.fit.assembly.parameters, solution.theta, sigma, solution.determined, strict=True)
+        return [self.estimate(p, value, u) for p, value, u, good in found if good]
 
     @property
     def not_determined(self) -> list[NotDetermined]:
         """What no session determines, with the reason."""
-        out = {
-            entry.name: entry.why
-            for model in self.common.models
-            for entry in model.left_out
-            if entry.effect in self.effects
-        }
+        left_out = (entry for model in self.common.models for entry in model.left_out)
+        out = {entry.name: entry.why for entry in left_out if entry.effect in self.effects}
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
         points = any(fit.part.n_points for fit in self.fit.fits)
@@ -93,6 +84,7 @@ class JointResult(Identified):
 
     def document(self) -> dict[str, Any]:
         """The result as a JSON document: that of a single session, with the sessions and their agreement."""
+        sessions = zip(self.labels, self.fits, self.model_names, self.observations, strict=True)
         return {
             "format": "mtcal-result/1",
             "method": "joint",
@@ -112,9 +104,7 @@ class JointResult(Identified):
                     "used": len(fit.model.observations),
                     "rms_residual": rms(fit.residuals),
                 }
-                for label, fit, name, count in zip(
-                    self.labels, self.fits, self.model_names, self.observations, strict=True
-                )
+                for label, fit, name, count in sessions
             ],
             "agreement": plain(asdict(self.agreement)),
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],

@@ -65,18 +65,10 @@ def positioning(position: Array, direction: Array, deviation: Array) -> Position
     m = len(target)
     up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)
     down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
-    return Positioning(
-        position=target,
-        mean_up=up_mean,
-        mean_down=down_mean,
-        s_up=up_s,
-        s_down=down_s,
-        count_up=up_n,
-        count_down=down_n,
-        reversal=up_mean - down_mean,
-        repeatability=_repeatability(up_mean, up_s, down_mean, down_s),
-        **{name: float(value) for name, value in _of_axis(up_mean, up_s, down_mean, down_s).items()},
-    )
+    repeatability = _repeatability(up_mean, up_s, down_mean, down_s)
+    figures: dict[str, Any] = {name: float(value) for name, value in _of_axis(up_mean, up_s, down_mean, down_s).items()}
+    found = (up_mean, down_mean, up_s, down_s, up_n, down_n, up_mean - down_mean, repeatability)
+    return Positioning(target, *found, **figures)
 
 
 def _repeatability(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> Array:
@@ -210,29 +202,20 @@ def of_diagonals(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for run in runs:
         plane = "".join(axis for axis, sign in zip("XYZ", run["axis"], strict=True) if sign != "0")
         kinds.setdefault("body" if len(plane) == 3 else plane, []).append(run)
-    tests = [
-        {
-            "diagonals": kind,
-            "measured": len({_either_way(run["axis"]) for run in own}),
-            "of": 4 if kind == "body" else 2,
-            **{key: value for figure in ("E", "E_up", "E_down", "B") for key, value in _largest(own, figure).items()},
-        }
-        for kind, own in kinds.items()
-    ]
+    tests = []
+    for kind, own in kinds.items():
+        # one diagonal, whichever way it was moved
+        measured = {frozenset((run["axis"], run["axis"].translate(str.maketrans("PN", "NP")))) for run in own}
+        told = {"diagonals": kind, "measured": len(measured), "of": 4 if kind == "body" else 2}
+        tests.append(told | _largest(own, "E") | _largest(own, "E_up") | _largest(own, "E_down") | _largest(own, "B"))
     return {"runs": list(runs), "tests": tests}
-
-
-def _either_way(signs: str) -> frozenset[str]:
-    """Of a diagonal, whichever way it was moved."""
-    return frozenset((signs, signs.translate(str.maketrans("PN", "NP"))))
 
 
 def _largest(runs: Sequence[dict[str, Any]], figure: str) -> dict[str, float]:
     """The largest of a figure with its expanded uncertainty, under its name of ISO 230-6; NaN where one lacks it."""
-    value = np.array([run[figure] for run in runs])
-    worst = int(np.argmax(value))  # the first NaN, where there is one
+    worst = runs[int(np.argmax([run[figure] for run in runs]))]  # the first NaN, where there is one
     name = figure.replace("E", "E_D").replace("B", "B_D")
-    return {name: float(value[worst]), f"{name}_U": float(runs[worst].get(f"{figure}_U", np.nan))}
+    return {name: float(worst[figure]), f"{name}_U": float(worst.get(f"{figure}_U", np.nan))}
 
 
 def _line(observations: Observations, mine: IntArray) -> Array | None:

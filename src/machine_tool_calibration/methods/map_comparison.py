@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy import special
@@ -126,18 +125,9 @@ def compare_maps(
     kept = np.einsum("qs,qs->q", span, span) < 1.0 - _ROUNDING_SHARE
     difference = np.where(kept, difference, 0.0)
     spread = [np.where(kept, np.sqrt(np.einsum("kq,kq->q", row, row)), 0.0) for row in (*free, both)]
-    values = [_placed(there, one) for one in (b + difference, b, *spread)]
-    return MapComparison(
-        points=points,
-        first=values[0],
-        second=values[1],
-        u_first=values[2],
-        u_second=values[3],
-        u=values[4],
-        motion=_motion(moves, scale, a - b, rows[0] - rows[1]),
-        p_value=joint_p_value(difference, both, draws),
-        labels=labels,
-    )
+    one, two, u_one, u_two, u = (_placed(there, values) for values in (b + difference, b, *spread))
+    motion = _motion(moves, scale, a - b, rows[0] - rows[1])
+    return MapComparison(points, one, two, u_one, u_two, u, motion, joint_p_value(difference, both, draws), labels)
 
 
 def _motions(points: Array, there: BoolArray) -> tuple[Array, float]:
@@ -221,22 +211,16 @@ def compare_fits(
             "the maps have no point in common: measure at the same commanded positions, or take a model whose map "
             "covers them"
         )
-    own = [
-        map_draws(one, draws, seed + k, partial(_share, progress, k))[:, pair] / np.sqrt(draws)
-        for k, (one, pair) in enumerate(zip((first, second), pairs, strict=True))
-    ]
-    return compare_maps(
-        first.error_map.points[pairs[0]],
-        first.error_map.error[pairs[0]],
-        second.error_map.error[pairs[1]],
-        (own[0], own[1]),
-        draws,
-        labels,
-    )
+    own = []
+    for k, (fitted, pair) in enumerate(zip((first, second), pairs, strict=True)):
 
+        def told(share: float, k: int = k) -> None:
+            progress("drawing both maps", (k + share) / 2)
 
-def _share(progress: Callable[[str, float], None], number: int, share: float) -> None:
-    progress("drawing both maps", (number + share) / 2)
+        own.append(map_draws(fitted, draws, seed + k, told)[:, pair] / np.sqrt(draws))
+    points = first.error_map.points[pairs[0]]
+    one, two = (found.error_map.error[pair] for found, pair in zip((first, second), pairs, strict=True))
+    return compare_maps(points, one, two, (own[0], own[1]), draws, labels)
 
 
 def common_points(first: Array, second: Array) -> tuple[IntArray, IntArray]:

@@ -20,7 +20,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.error_motion import polynomials
-from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, interpolation, parse_motion
 from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.model.fit import JointFit, screen_joint
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
@@ -116,19 +116,9 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
         partners = {entry.session, *entry.others}
         near = (candidates[k] for (k, _, _), log in zip(tests, logs, strict=True) if log < _ALIKE * logs[best])
         alike = [other.motion for other in near if other.session in partners and other.motion != entry.motion]
-        value, uncertainty = scores.difference(chosen, entry.shape, float(np.sqrt(factor)))
-        found.append(
-            Contradiction(
-                labels[entry.session],
-                tuple(labels[k] for k in entry.others),
-                entry.motion,
-                tuple(dict.fromkeys(alike)),
-                value,
-                uncertainty,
-                entry.unit,
-                p,
-            )
-        )
+        value, u = scores.difference(chosen, entry.shape, float(np.sqrt(factor)))
+        one, others = labels[entry.session], tuple(labels[k] for k in entry.others)
+        found.append(Contradiction(one, others, entry.motion, tuple(dict.fromkeys(alike)), value, u, entry.unit, p))
         scores = scores.without(chosen)
         pending = [k for k in pending if k != chosen and candidates[k].columns.size]
     text = say("agreement.agree", n=count, p=f"{smallest:.2g}") if count else say("agreement.nothing_shared")
@@ -165,7 +155,7 @@ def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
             seen = _seen(term)
             also = {j: seen & _seen_of(models[j], term.name) for j in range(len(models)) if j != index}
             common = [k for k, p in enumerate(term.parameters) if any(p.name in names for names in also.values())]
-            others = [j for j, names in also.items() if names]
+            others = (j for j, names in also.items() if names)
             read = {j: both for j in others if (both := _read_by_both(model, models[j], term.name)) is not None}
             if not common or not read:
                 continue
@@ -187,7 +177,7 @@ def _seen_of(model: MethodModel, name: str) -> set[str]:
 
 def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | None:
     """Positions between which both sessions depend on an error motion, m; none, or empty where it has no position."""
-    if not _is_motion(name):
+    if name not in ERROR_MOTIONS or name[2] not in "XYZ":
         return np.empty(0)
     axis = "XYZ".index(parse_motion(name).axis)
     ends = []
@@ -198,10 +188,6 @@ def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | No
         ends.append((float(at.min()), float(at.max())))
     low, high = max(e[0] for e in ends), min(e[1] for e in ends)
     return np.linspace(low, high, _POSITIONS) if low <= high + _RANGES_TOUCH else None
-
-
-def _is_motion(name: str) -> bool:
-    return len(name) == 3 and name not in SQUARENESS and name[0] == "E" and name[1] in "XYZABC" and name[2] in "XYZ"
 
 
 def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
@@ -97,7 +97,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
     solution = joint.published
-    content: dict[str, Any] = {"tables": _tables(common.tables, joint, index)}
+    content: dict[str, Any] = {"tables": tables_content(common.tables, *(values[index] for values in _values(joint)))}
     content |= _rotary(joint)
     if angles is not None:
         content |= {"angular_size": angles.size, "angular_probability": angles.probability}
@@ -121,12 +121,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
         covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > OPEN_CHANGE
     error, uncertainty, covariance = determined_part(error, covariance, loose | beyond)
-    content |= {
-        "points": points,
-        "position_error": error,
-        "position_error_u": uncertainty,
-        "datum": common.datum,
-    }
+    content |= {"points": points, "position_error": error, "position_error_u": uncertainty, "datum": common.datum}
     return ErrorMap(content, points, error, uncertainty, covariance, lost)
 
 
@@ -184,21 +179,17 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
     return np.asarray(points[::step])
 
 
-def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) -> dict[str, Any]:
-    good = joint.published.determined[index]
-    value = np.where(good, joint.published.theta[index], np.nan)
-    sigma = np.where(good, np.sqrt(np.diag(joint.published.covariance)[index].clip(0.0)), np.nan)
-    return tables_content(tables, value, sigma)
+def _values(joint: JointFit) -> tuple[Array, Array]:
+    """(m,) values of the shared unknowns and (m,) standard uncertainties; NaN where they are not determined."""
+    published, u = joint.published, np.sqrt(np.diag(joint.published.covariance).clip(0.0))
+    return np.where(published.determined, published.theta, np.nan), np.where(published.determined, u, np.nan)
 
 
 def _rotary(joint: JointFit) -> dict[str, Any]:
     out: dict[str, Any] = {}
-    good = joint.published.determined
-    sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))
-    for index, parameter in enumerate(joint.assembly.parameters):
+    for parameter, value, u in zip(joint.assembly.parameters, *_values(joint), strict=True):
         if parameter.shared and parameter.kind is Kind.MOTION and parse_motion(parameter.owner).axis in "ABC":
             entry = out.setdefault(parameter.owner, {"nodes": [], "value": [], "value_u": []})
-            entry["nodes"].append(parameter.at)
-            entry["value"].append(joint.published.theta[index] if good[index] else np.nan)
-            entry["value_u"].append(sigma[index] if good[index] else np.nan)
+            for key, one in (("nodes", parameter.at), ("value", value), ("value_u", u)):
+                entry[key].append(one)
     return {"rotary": out} if out else {}
