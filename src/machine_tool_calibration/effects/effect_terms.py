@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -76,17 +77,8 @@ def effect_term(
 
 
 def _coefficient(effect: Effect, of: Coefficient, reference: float, shared: bool) -> Parameter:
-    return Parameter(
-        f"{effect.id}.{of.name}",
-        of.unit,
-        of.low,
-        of.high,
-        reference,
-        shared,
-        kind=Kind.EFFECT,
-        owner=effect.id,
-        meaning=of.meaning,
-    )
+    name, kind = f"{effect.id}.{of.name}", Kind.EFFECT
+    return Parameter(name, of.unit, of.low, of.high, reference, shared, kind, effect.id, meaning=of.meaning)
 
 
 def common_shape(
@@ -94,66 +86,61 @@ def common_shape(
 ) -> tuple[tuple[float, ...], list[Array]]:
     """Nonlinear coefficients with which an effect explains most of the residuals of one or several sessions.
 
-    A grid first, as there are several minima, then a search around its best value.
-
-    Returns:
-        The nonlinear coefficients and, for each session, the linear ones there; none where the effect does not act.
-
-    Raises:
-        ModelError: the grid is empty.
+    A grid first, as there are several minima, then a search around its best value. Also, for each session, the linear
+    ones there; none where the effect does not act. A ModelError if the grid is empty.
     """
     if not grid:
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
-    observed = _acting(effect, joint)
-    discrete = all(coefficient.discrete for coefficient in effect.shapes)
-
-    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[bool]]:
-        terms, names = [], []
-        for k, readings in enumerate(observed):
-            tried = [] if readings is None else [effect_term(effect, readings, shape, mapped=False) for shape in shapes]
-            numbered = [
-                tuple(replace(p, name=f"{s}: {p.name}") for p in term.parameters) for s, term in enumerate(tried)
-            ]
-            terms.append([replace(t, parameters=own) for t, own in zip(tried, numbered, strict=True)])
-            names.append([[joint.assembly.published(k, p) for p in own] for own in numbered])
-        screened = screen_joint(joint, terms)
-        place = {name: j for j, name in enumerate(screened.names)}
-        gains, sizes, told = [], [], []
-        for s in range(len(shapes)):
-            mine = [[place[name] for name in own[s]] if own else [] for own in names]
-            pick = np.unique(np.concatenate(mine).astype(np.int64))
-            inner, right = screened.gram[np.ix_(pick, pick)], screened.gram[pick, -1]
-            scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
-            inner = inner / np.outer(scale, scale)
-            size = np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ (right / scale) / scale
-            gains.append(float(right @ size))
-            told.append(not discrete or bool(np.linalg.eigvalsh(inner)[0] > _LEAST_SHARE_LEFT))
-            sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
-        return gains, sizes, told
-
+    explained = partial(_explained, joint, effect)
     gains, sizes, told = explained(grid)
     best = int(np.argmax(gains))
-    if discrete:
+    if all(coefficient.discrete for coefficient in effect.shapes):
         # As many unknowns as the readings tell: how large they plausibly are keeps those that are nothing small.
         best = max((k for k, enough in enumerate(told) if enough), default=0)
-    shape, size = grid[best], sizes[best]
-    if len(shape) == 1 and len(grid) > 1 and not discrete:
-        ordered = sorted(s[0] for s in grid)
-        place = ordered.index(shape[0])
-        low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
-        # Slow to load, and few effects need it.
-        from scipy import optimize
+        return grid[best], sizes[best]
+    if len(grid[best]) > 1 or len(grid) == 1:
+        return grid[best], sizes[best]
+    ordered = sorted(s[0] for s in grid)
+    place = ordered.index(grid[best][0])
+    low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
+    from scipy import optimize  # slow to load, and few effects need it
 
-        found = optimize.minimize_scalar(
-            lambda value: -explained([(float(value),)])[0][0],
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": 1e-4 * low},
-        )
-        if -found.fun > gains[best]:
-            shape = (float(found.x),)
-            size = explained([shape])[1][0]
-    return shape, size
+    found = optimize.minimize_scalar(
+        lambda value: -explained([(float(value),)])[0][0],
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-4 * low},
+    )
+    if -found.fun <= gains[best]:
+        return grid[best], sizes[best]
+    shape = (float(found.x),)
+    return shape, explained([shape])[1][0]
+
+
+def _explained(
+    joint: JointFit, effect: Effect, shapes: Sequence[tuple[float, ...]]
+) -> tuple[list[float], list[list[Array]], list[bool]]:
+    """For each shape what an effect explains of the residuals, its sizes in each session, and if all are told."""
+    terms, names = [], []
+    for k, readings in enumerate(_acting(effect, joint)):
+        tried = [] if readings is None else [effect_term(effect, readings, shape, mapped=False) for shape in shapes]
+        numbered = [tuple(replace(p, name=f"{s}: {p.name}") for p in term.parameters) for s, term in enumerate(tried)]
+        terms.append([replace(t, parameters=own) for t, own in zip(tried, numbered, strict=True)])
+        names.append([[joint.assembly.published(k, p) for p in own] for own in numbered])
+    screened = screen_joint(joint, terms)
+    place = {name: j for j, name in enumerate(screened.names)}
+    gains, sizes, told = [], [], []
+    for s in range(len(shapes)):
+        mine = [[place[name] for name in own[s]] if own else [] for own in names]
+        pick = np.unique(np.concatenate(mine).astype(np.int64))
+        inner, right = screened.gram[np.ix_(pick, pick)], screened.gram[pick, -1]
+        scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
+        inner = inner / np.outer(scale, scale)
+        size = np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ (right / scale) / scale
+        gains.append(float(right @ size))
+        told.append(bool(np.linalg.eigvalsh(inner).min(initial=np.inf) > _LEAST_SHARE_LEFT))
+        sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
+    return gains, sizes, told
 
 
 def _acting(effect: Effect, joint: JointFit) -> list[Observations | None]:
@@ -220,12 +207,9 @@ def _without_repeated_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Ter
     for k in sorted(range(len(terms)), key=lambda k: len(terms[k].columns)):
         own = np.arange(starts[k], starts[k + 1])
         # Among a term's own columns the model decides: what they repeat of each other is not meant.
-        again = np.array(
-            [
-                bool(seen[j] and _repeats(inner, j, [*taken, *own[:i]]) and not _repeats(inner, j, own[:i].tolist()))
-                for i, j in enumerate(own)
-            ]
-        )
+        pairs = ((j, own[:i].tolist()) for i, j in enumerate(own))
+        said = [seen[j] and _repeats(inner, j, [*taken, *b]) and not _repeats(inner, j, b) for j, b in pairs]
+        again = np.array(said, dtype=bool)
         if (again.all() and len(own) == 1) or not again.any():
             taken += [int(j) for j in own if seen[j]]
             continue
@@ -268,23 +252,17 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
         for effect in curved:
             others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
             fit = fit_models([base.with_terms(others)]).fits[0]
-            shape, sizes = common_shape(fit.joint, effect, effect.shape_grid(observations))
-            shapes[effect.id] = shape, sizes[fit.index]
+            shape, found = common_shape(fit.joint, effect, effect.shape_grid(observations))
+            shapes[effect.id] = shape, found[fit.index]
     full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
     loose = _unbounded(full, curved, {name: shape for name, (shape, _) in shapes.items()})
     if loose:
         # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
         why = say("undetermined.not_bounded")
-        held = [
-            effect_term(
-                effect, observations, shapes[effect.id][0], None if effect.id in loose else shapes[effect.id][1]
-            )
-            for effect in curved
-        ]
-        base = replace(
-            base, left_out=base.left_out + tuple(NotDetermined(name, why, effect) for effect, name in loose.items())
-        )
-        full = base.with_terms(held)
+        sizes = {name: None if name in loose else size for name, (_, size) in shapes.items()}
+        held = [effect_term(effect, observations, shapes[effect.id][0], sizes[effect.id]) for effect in curved]
+        unbounded = tuple(NotDetermined(name, why, effect) for effect, name in loose.items())
+        full = replace(base, left_out=base.left_out + unbounded).with_terms(held)
     return full.settled()
 
 
