@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.map_comparison import LEVEL, common_points, compare_maps, joint_p_value
@@ -96,14 +96,8 @@ class Check:
 def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ()) -> Check:
     """Hold an earlier map against a measurement of the same machine that is independent of it.
 
-    Args:
-        earlier: the map.
-        now: the measurement.
-        history: earlier measurements of the machine by the same method and model, in order: of `SESSIONS` or more the
-            spread between sessions is told, and counts.
-
-    Raises:
-        CalibrationError: they are the same data, or have nothing in common.
+    Of `SESSIONS` or more earlier measurements of the machine by the same method and model, in order, the spread between
+    sessions is told, and counts. A CalibrationError if both are the same data, or have nothing in common.
     """
     if earlier.sha256 == now.sha256:
         raise CalibrationError(f"{now.label}: is the measurement that the map {earlier.label} was made from")
@@ -188,7 +182,7 @@ def _part(earlier: Statement, now: Statement, name: str, between: float) -> Chan
     else:
         u, p = np.sqrt(sigmas[0][good] ** 2 + sigmas[1][good] ** 2 + spread), None
     size = (float(before[0]), float(after[0])) if at is None else (float(np.ptp(before)), float(np.ptp(after)))
-    places = ((),) * len(u) if at is None else tuple((float(place),) for place in at)
+    places = ((),) * len(u) if at is None else tuple((place,) for place in at.tolist())
     return _change(name, one.unit, size, after - before, u, places, between, p)
 
 
@@ -229,8 +223,8 @@ def _position(earlier: Statement, now: Statement, between: float) -> Change | No
     k, j = np.nonzero(np.isfinite(first + second) & (u > 0))
     if not len(k):
         return None
-    size = (_rms(first[k, j]), _rms(second[k, j]))
-    places = tuple(tuple(map(float, points[i])) for i in k)
+    size = (rms(first[k, j]), rms(second[k, j]))
+    places = tuple(map(tuple, points[k].tolist()))
     return _change(POSITION_ERROR, "m", size, (second - first)[k, j], u[k, j], places, between, p, j)
 
 
@@ -258,12 +252,8 @@ def _change(
         u=float(u[most]),
         at=places[most],
         along=None if along is None else int(along[most]),
-        rms=_rms(difference),
-        u_rms=_rms(u),
+        rms=rms(difference),
+        u_rms=rms(u),
         between=between,
         p_value=chance,
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

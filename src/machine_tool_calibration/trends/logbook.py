@@ -16,7 +16,7 @@ import json
 import sqlite3
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
@@ -145,14 +145,10 @@ def entry_of(
 
 def date_of(text: str, where: str) -> str:
     """A day or moment in ISO 8601, as it is entered; a CalibrationError if it is none."""
-    try:
-        return datetime.date.fromisoformat(text).isoformat()
-    except ValueError:
-        pass
-    try:
-        return datetime.datetime.fromisoformat(text).isoformat()
-    except ValueError:
-        raise CalibrationError(f"{where}: {text!r} is no date such as 2026-05-04 (ISO 8601)") from None
+    for kind in (datetime.date, datetime.datetime):
+        with suppress(ValueError):
+            return kind.fromisoformat(text).isoformat()
+    raise CalibrationError(f"{where}: {text!r} is no date such as 2026-05-04 (ISO 8601)")
 
 
 def _instrument(session: Session) -> str:
@@ -180,13 +176,9 @@ class Logbook:
         self.path = path
 
     def add(self, entry: Entry) -> tuple[Entry, bool]:
-        """Enter a session.
+        """Enter a session: the entry as it is in the logbook, and whether it is new; otherwise nothing was changed.
 
-        Returns:
-            The entry as it is in the logbook, and whether it is new; otherwise nothing was changed.
-
-        Raises:
-            CalibrationError: the file is no logbook, or cannot be written.
+        A CalibrationError if the file is no logbook, or cannot be written.
         """
         with self._open(make=True) as database, database:
             database.execute("BEGIN IMMEDIATE")  # so that nobody enters between looking and entering
@@ -196,20 +188,14 @@ class Logbook:
             values = {name: getattr(entry, name) for name in _COLUMNS}
             values["result"] = json.dumps(entry.result, ensure_ascii=False, allow_nan=False)
             values["sizes"] = json.dumps([size.document() for size in entry.sizes], ensure_ascii=False)
-            names = ", ".join(_COLUMNS)
-            places = ", ".join("?" * len(_COLUMNS))
+            names, places = ", ".join(_COLUMNS), ", ".join("?" * len(_COLUMNS))
             done = database.execute(f"INSERT INTO entries ({names}) VALUES ({places})", [*values.values()])
         return replace(entry, number=int(done.lastrowid or 0)), True
 
     def add_diagnosis(self, sha256: str, document: Mapping[str, Any]) -> None:
-        """Keep what a diagnosis of a session says; one that is there already stays.
+        """Keep what a diagnosis of a session says, in the types of JSON, by the SHA-256 of the session's data.
 
-        Args:
-            sha256: of the session's data.
-            document: in the types of JSON.
-
-        Raises:
-            CalibrationError: as for `add`.
+        One that is there already stays. A CalibrationError as for `add`.
         """
         text = json.dumps(document, ensure_ascii=False, allow_nan=False)
         with self._open(make=True) as database, database:
@@ -239,10 +225,8 @@ class Logbook:
             return tuple(found)
         known = list(dict.fromkeys(entry.machine for entry in found))
         if machine not in known:
-            listed = ", ".join(known) or "none"
-            raise CalibrationError(
-                f"{self.path}: no machine {machine!r}{did_you_mean(machine, known)}; there is {listed}"
-            )
+            near, listed = did_you_mean(machine, known), ", ".join(known) or "none"
+            raise CalibrationError(f"{self.path}: no machine {machine!r}{near}; there is {listed}")
         return tuple(entry for entry in found if entry.machine == machine)
 
     def of_one(self, machine: str | None = None) -> tuple[Entry, ...]:

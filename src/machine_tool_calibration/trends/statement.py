@@ -188,11 +188,8 @@ def _parts(published: Numbers, content: Mapping[str, Any], effects: Sequence[str
                 found.append(Part(f"E{component}{name.upper()}", "m", members[j::3], at))
         elif name in ERROR_MOTIONS and quantity.count > 1 and quantity.at is not None:
             found.append(Part(name, quantity.unit, members, quantity.at))
-        elif quantity.count == 1 and (
-            name in SQUARENESS
-            or LOCATION.fullmatch(name)
-            or figure_of(name) == "B_mean"
-            or name.partition(".")[0] in effects
-        ):
-            found.append(Part(name, quantity.unit, members, None))
+        elif quantity.count == 1:
+            of_axes = name in SQUARENESS or LOCATION.fullmatch(name) or figure_of(name) == "B_mean"
+            if of_axes or name.partition(".")[0] in effects:
+                found.append(Part(name, quantity.unit, members, None))
     return {part.name: part for part in found}
