@@ -234,25 +234,18 @@ def range_rows(columns: Columns) -> Rows:
     if not rotary:
         columns.need(_AXES[:2], "the commanded position")
     numbers: dict[str, Array] = {axis: columns.filled(axis, columns.number(axis)) for axis in moved}
-    if not rotary:
-        numbers |= {axis: values + columns.origin(axis) for axis, values in numbers.items()}
-    labels: dict[str, np.ndarray] = {"setup": stations}
-    if rotary:
-        labels["target"] = columns.text("target")
-    if columns.has("point"):
-        labels["point"] = columns.text("point")
-    notes = []
-    numbers["time"] = columns.number("time") if columns.has("time") else np.arange(len(table), dtype=np.float64)
-    if not columns.has("time"):
-        notes.append("no column of time: readings count as taken in the order of the file, one second apart")
-    place = _groups(stations, *(labels[key] for key in labels if key == "target"), *(numbers[a] for a in moved))
+    numbers |= {} if rotary else {axis: values + columns.origin(axis) for axis, values in numbers.items()}
+    named = [*(["target"] if rotary else ()), *(["point"] if columns.has("point") else ())]
+    labels: dict[str, np.ndarray] = {"setup": stations} | {name: columns.text(name) for name in named}
+    timed = columns.has("time")
+    numbers["time"] = columns.number("time") if timed else np.arange(len(table), dtype=np.float64)
+    order = "no column of time: readings count as taken in the order of the file, one second apart"
+    notes = [] if timed else [order]
+    place = _groups(stations, *([labels["target"]] if rotary else ()), *(numbers[a] for a in moved))
     numbers["repeat"] = columns.number("repeat") if columns.has("repeat") else occurrence(place).astype(float)
     numbers |= columns.others((*_NOT_KEPT, *_AXES, *"abc"))
-    if rotary:
-        block = _groups(stations, labels["target"], numbers["repeat"])
-    else:
-        block = _groups(stations)
-    numbers["displacement"] = distance - _first(block, distance)
+    block = (stations, labels["target"], numbers["repeat"]) if rotary else (stations,)
+    numbers["displacement"] = distance - _first(_groups(*block), distance)
     position = np.column_stack([numbers.get(axis, np.zeros(len(table))) for axis in _AXES])
     setups = [
         {"id": name, "position": _station(columns, name, stations == name, position, None if rotary else points, notes)}
@@ -262,11 +255,7 @@ def range_rows(columns: Columns) -> Rows:
     if rotary:
         described |= {"method": "rotary_axis", "targets": _targets(columns, labels["target"])}
     else:
-        described |= {
-            "method": "tracking_interferometer",
-            "dimension": len(moved),
-            "pointing": "tracking",
-        }
+        described |= {"method": "tracking_interferometer", "dimension": len(moved), "pointing": "tracking"}
     if mapping.align:
         raise SessionError(f"{table.source}: align is for points; distances need none")
     return Rows(numbers, labels, np.arange(len(table)), described, tuple(notes))
