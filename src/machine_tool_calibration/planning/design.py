@@ -210,26 +210,13 @@ class Candidates:
         These are (m, q) of the shared unknowns and (P, d, q) of the points' own.
         """
         some = np.flatnonzero(weights > 0)
-        there = self._there(some)
-        place = np.flatnonzero(there)
-        at = np.full(self.size, -1)
-        at[place] = np.arange(len(place))
-        shared = np.zeros((len(place), len(place)))
-        points, d = self.units[0].local.shape[:2]
-        local, mixed = np.zeros((points, d, d)), np.zeros((points, d, len(place)))
-        for u in some:
-            own, where = self.units[u], at[self.units[u].seen]
-            good = where >= 0
-            where = where[good]
-            shared[np.ix_(where, where)] += weights[u] * own.shared[np.ix_(good, good)]
-            if d:
-                local += weights[u] * own.local
-                mixed[:, :, where] += weights[u] * own.mixed[:, :, good]
+        place = np.flatnonzero(self._there(some))
+        shared, local, mixed = self._normal(weights, some, place)
         rows = self._priors[:, place]
         rows = rows[(rows != 0).any(axis=1)]
         shared += rows.T @ rows
         squares = np.diag(shared).copy()
-        functions, own_functions = self._functions[:, place], self._own_functions
+        functions, own_functions, d = self._functions[:, place], self._own_functions, local.shape[1]
         lost = np.zeros(len(functions), dtype=bool)
         inner = np.zeros(len(functions))
         inverse, of_points = np.zeros_like(local), 0
@@ -243,28 +230,42 @@ class Candidates:
             inner = np.einsum("qpd,pdq->q", own_functions, seen, optimize=True)
             functions = functions - np.einsum("qpd,pdk->qk", own_functions, folded, optimize=True)
         constraints = self.constraints[:, place]
-        normal = solve_normal(
-            shared, np.zeros(len(place)), constraints, np.zeros(len(constraints)), np.maximum(squares, 1e-300)
-        )
+        goals = np.zeros(len(constraints))
+        normal = solve_normal(shared, np.zeros(len(place)), constraints, goals, np.maximum(squares, 1e-300))
         half = functions @ normal.half
         variance = inner + np.einsum("qr,qr->q", half, half)
         if normal.undetermined.shape[1]:
             # judged beside the length of the function in the unknowns' own units
             open_part = np.abs(functions @ normal.undetermined)
-            scale = np.linalg.norm(functions, axis=1)
-            lost |= (open_part > 1e-6 * scale[:, None]).any(axis=1)
+            lost |= (open_part > 1e-6 * np.linalg.norm(functions, axis=1)[:, None]).any(axis=1)
         if hasattr(self, "_least"):
             lost |= variance > _LOST * self._least
-        variance = np.where(lost, np.inf, variance)
         x_shared = np.zeros((self.size, len(functions) if responses else 0))
-        x_local = np.zeros((points, d, x_shared.shape[1]))
+        x_local = np.zeros((*local.shape[:2], x_shared.shape[1]))
         if responses:
             x_shared[place] = normal.half @ half.T
             if d:
                 x_local = seen - np.einsum("pdk,kq->pdq", folded, x_shared[place], optimize=True)
-        told = of_points + normal.rank
         readings = int(self._readings[some].sum())
-        return variance, x_shared, x_local, (readings + len(rows) - told) / max(readings, 1)
+        redundancy = (readings + len(rows) - of_points - normal.rank) / max(readings, 1)
+        return np.where(lost, np.inf, variance), x_shared, x_local, redundancy
+
+    def _normal(self, weights: Array, some: IntArray, place: IntArray) -> tuple[Array, Array, Array]:
+        """Normal equations of some candidates: of the k shared unknowns, of the points' own, and of both mixed."""
+        at = np.full(self.size, -1)
+        at[place] = np.arange(len(place))
+        points, d = self.units[0].local.shape[:2]
+        shared = np.zeros((len(place), len(place)))
+        local, mixed = np.zeros((points, d, d)), np.zeros((points, d, len(place)))
+        for u in some:
+            own, where = self.units[u], at[self.units[u].seen]
+            good = where >= 0
+            where = where[good]
+            shared[np.ix_(where, where)] += weights[u] * own.shared[np.ix_(good, good)]
+            if d:
+                local += weights[u] * own.local
+                mixed[:, :, where] += weights[u] * own.mixed[:, :, good]
+        return shared, local, mixed
 
 
 def _inverses(local: Array) -> tuple[Array, BoolArray]:

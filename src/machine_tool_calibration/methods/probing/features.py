@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,43 +82,41 @@ def features(
 
     `named` has the ids of the points of features that the session's points do not name; `centres` further features,
     each the circle or line through the centres of several (names, or patterns such as `pin*`). Of the `frame`, the
-    first feature, a circle, has no error, and the second gives the direction: a circle has no error in Y (none in
-    X, where the two lie rather along Y), a line does not turn. `distances` are between centres, a centre and a
-    line, or two parallel lines (from the first one to the middle of the points of the second); `angles` between
-    lines, or at the second of three circles, at most half a turn. A CalibrationError says that there are no
-    features, or that those that are asked for do not exist or do not fit together; a ModelError, that it is no
-    probing session.
+    first feature, a circle, has no error, and the second gives the direction: a circle has no error in Y (none in X,
+    where the two lie rather along Y), a line does not turn. `distances` are between centres, a centre and a line, or
+    two parallel lines (from the first one to the middle of the points of the second); `angles` between lines, or at the
+    second of three circles, at most half a turn. A CalibrationError if there are no features, or those that are asked
+    for do not exist or do not fit together; a ModelError if it is no probing session.
     """
     model = fit.model
     if not isinstance(model, ProbingModel):
-        method = model.observations.session.method
-        raise ModelError(f"features are those of a probed workpiece; this session is of the method {method}")
+        name = model.observations.session.method
+        raise ModelError(f"features are those of a probed workpiece; this session is of the method {name}")
     found = responses(fit, model.touches.point, len(model.description.workpiece))
     made, left_out = elements(model.description, found.touched, named)
     if not made:
-        why = "; ".join(f"{name}: {text}" for name, text in left_out.items())
+        why = "; ".join(map(": ".join, left_out.items()))
         raise CalibrationError(f"no feature: {why}; a list of points (--features) says which belong together")
     known = {one.name: one for one in made}
-    for name, patterns in (centres or {}).items():
-        known[name] = through(name, _round(known, name, patterns))
+    for further, patterns in (centres or {}).items():
+        known[further] = through(further, _round(known, further, patterns))
     asked = [q for one in known.values() for q in _own(one)]
     asked += [_distance(*(_named(known, name, "distance") for name in pair)) for pair in distances]
     asked += [_angle([_named(known, name, "angle") for name in several]) for several in angles]
     motion = common_motions(model.description, model.length_known)
     used = points_of_form(found, motion)
-    whole = np.zeros((motion.shape[1], len(motion)))
-    whole[:, used] = np.linalg.pinv(motion[used])
-    conditions, words = whole, "without the shift and turn of the workpiece as a whole (least squares)"
+    conditions = np.zeros(motion.T.shape)
+    conditions[:, used] = np.linalg.pinv(motion[used])
+    words = "without the shift and turn of the workpiece as a whole (least squares)"
     if frame is not None:
-        conditions, words = _frame(known, frame)
-        conditions = np.concatenate([conditions, whole[3:]])
+        conditions[:3], words = _frame(known, frame)
     if not model.length_known:
         words += "; no length was measured: the workpiece as a whole has its nominal size, lengths are relative to it"
-    rows = np.array([quantity.rows for quantity in asked])
+    rows = np.array([q.rows for q in asked])
     # A motion that no point senses, such as the turn of a disc, is none that could be taken out.
     rows = rows - (rows @ motion) @ np.linalg.pinv(conditions @ motion) @ conditions
     result = found.combine(rows)
-    quantities = tuple(Quantity(q.of, q.what, q.unit, q.nominal, row) for q, row in zip(asked, rows, strict=True))
+    quantities = tuple(replace(q, rows=row) for q, row in zip(asked, rows, strict=True))
     return Features(tuple(known.values()), quantities, result.value, result.covariance, words, left_out)
 
 
@@ -143,18 +141,15 @@ def _round(known: Mapping[str, Element], name: str, patterns: Sequence[str]) -> 
 
 
 def _own(one: Element) -> list[Quantity]:
+    told: list[tuple[str, str, float]]
     if isinstance(one, Circle):
-        nominal = (*one.place, one.radius)
-        what, units = ("x", "y", "radius"), "mmm"
+        told = [("x", "m", one.place[0]), ("y", "m", one.place[1]), ("radius", "m", one.radius)]
     else:
         assert isinstance(one, Line)
         # No negative zero: it would be minus a half turn.
-        nominal = (float(one.place @ one.normal), float(np.arctan2(one.along[1] + 0.0, one.along[0])))
-        what, units = ("offset", "direction"), ("m", "rad")  # type: ignore[assignment]
-    return [
-        Quantity((one.name,), name, unit, float(value), row)
-        for name, unit, value, row in zip(what, units, nominal, one.rows, strict=True)
-    ]
+        turned = float(np.arctan2(one.along[1] + 0.0, one.along[0]))
+        told = [("offset", "m", float(one.place @ one.normal)), ("direction", "rad", turned)]
+    return [Quantity((one.name,), *own[:2], float(own[2]), row) for own, row in zip(told, one.rows, strict=True)]
 
 
 def _distance(first: Element, second: Element) -> Quantity:

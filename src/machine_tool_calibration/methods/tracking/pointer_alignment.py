@@ -85,25 +85,8 @@ def rotation_centre(
     own = _constants(np.zeros(len(angle), dtype=np.int64) if run is None else run)
     fixed = np.column_stack([np.cos(angle), np.sin(angle), own])
     waves = [wave(order * angle) for order in range(2, HIGHEST_ORDER + 1) for wave in (np.cos, np.sin)]
-    turned = 2 * np.pi - float(gaps_around(angle)[1].max())
-    if turned < _LEAST_TURN:
-        raise ModelError(
-            f"the beam turns by {np.degrees(turned):.0f}° only: over less than half a turn the radial error motion of "
-            "the axis cannot be told from eccentricity"
-        )
-    if np.linalg.svd(fixed, compute_uv=False)[-1] < _ROUNDING * len(angle):
-        raise ModelError("two opposite azimuths do not tell where the axis is: three or more different ones are needed")
     random = np.column_stack(waves)
-    span, sizes, _ = np.linalg.svd(np.column_stack([fixed, random]), full_matrices=False)
-    span = span[:, sizes > _ROUNDING * sizes[0]]
-    inner = span.T @ displacement
-    outside, dof = displacement - span @ inner, len(displacement) - span.shape[1]
-    if dof < 1:
-        raise ModelError(
-            f"too few readings: {len(displacement)} at {len(np.unique(angle))} azimuths do not tell the scatter from "
-            f"the radial error motion; more than {span.shape[1]} are needed"
-        )
-    fit = _Mixed(span.T @ fixed, span.T @ random, inner, float(outside @ outside), len(displacement))
+    fit = _mixed(angle, fixed, random, displacement)
     found, noise, radial, (variance, size) = fit.averaged()
     parts = {"scatter of the readings": noise[:2, :2], "radial error motion of the axis": radial[:2, :2]}
     if machine > 0:
@@ -120,6 +103,28 @@ def rotation_centre(
         scatter=float(np.sqrt(variance)),
         residuals=displacement - fixed @ found,
     )
+
+
+def _mixed(angle: Array, fixed: Array, random: Array, displacement: Array) -> _Mixed:
+    """The readings as eccentricity, waves of random size and scatter; a ModelError if they do not tell these apart."""
+    turned = 2 * np.pi - float(gaps_around(angle)[1].max())
+    if turned < _LEAST_TURN:
+        raise ModelError(
+            f"the beam turns by {np.degrees(turned):.0f}° only: over less than half a turn the radial error motion of "
+            "the axis cannot be told from eccentricity"
+        )
+    if np.linalg.svd(fixed, compute_uv=False)[-1] < _ROUNDING * len(angle):
+        raise ModelError("two opposite azimuths do not tell where the axis is: three or more different ones are needed")
+    span, sizes, _ = np.linalg.svd(np.column_stack([fixed, random]), full_matrices=False)
+    span = span[:, sizes > _ROUNDING * sizes[0]]
+    inner = span.T @ displacement
+    outside = displacement - span @ inner
+    if len(displacement) <= span.shape[1]:
+        raise ModelError(
+            f"too few readings: {len(displacement)} at {len(np.unique(angle))} azimuths do not tell the scatter from "
+            f"the radial error motion; more than {span.shape[1]} are needed"
+        )
+    return _Mixed(span.T @ fixed, span.T @ random, inner, float(outside @ outside), len(displacement))
 
 
 @dataclass(frozen=True)
