@@ -113,16 +113,11 @@ def unit_of_figure(name: str) -> str:
 
 
 def decide(value: float, tolerance: float, probability: float, rule: str, level: float) -> str:
-    """Pass, fail or undecided.
+    """Pass, fail or undecided, by a measured value (absolute of what has a sign) and the probability of conformity.
 
-    Args:
-        value: measured, of what has a sign its absolute value.
-        tolerance: the largest that conforms.
-        probability: of conformity.
-        rule: guarded (ISO 14253-1: conformity and non-conformity are both to be proved, else undecided),
-            guarded-acceptance (JCGM 106, 8.3.2: all else fails), guarded-rejection (8.3.3: all else passes), simple
-            (8.2, simple acceptance or shared risk: the measured value decides).
-        level: probability that proves it, such as 0.95.
+    Rules: guarded (ISO 14253-1: conformity and non-conformity are both to be proved, by the probability `level`, else
+    undecided), guarded-acceptance (JCGM 106, 8.3.2: all else fails), guarded-rejection (8.3.3: all else passes), simple
+    (8.2, simple acceptance or shared risk: the measured value decides).
     """
     if rule == "simple":
         return "pass" if value <= tolerance else "fail"
@@ -147,21 +142,11 @@ def conformity(
     """Hold what was identified against tolerances.
 
     Where the readings contradict the model, nothing that rests on it passes or fails; the figures of ISO 230-2 and
-    ISO 230-6 are of the readings themselves.
-
-    Args:
-        fitted: the sessions.
-        tolerances: by name, m or rad: an error motion (the range over its axis), a squareness (its absolute value), a
-            figure of ISO 230-2 (`A` of all axes, `A_X` of one), or `volumetric`.
-        rule: of decision, one of `RULES`.
-        level: conformance probability of the rule.
-        budget: whose uncertainties are taken, or what the readings show where that is more. Without one the
-            uncertainty lacks what instrument and temperature add, and every tolerance stays undecided.
-        seed: of the draws.
-        progress: is told what is done and which share of it.
-
-    Raises:
-        ModelError: no tolerance, nothing of that name has one, one that is not positive, or a rule that is none.
+    ISO 230-6 are of the readings themselves. Tolerances, m or rad, are by name: of an error motion (the range over its
+    axis), a squareness (its absolute value), a figure of ISO 230-2 (`A` of all axes, `A_X` of one), or `volumetric`.
+    The uncertainties are those of the budget, or what the readings show where that is more; without one they lack what
+    instrument and temperature add, and every tolerance stays undecided. A ModelError: no tolerance, nothing of that
+    name has one, one that is not positive, or a rule (`RULES`, `level` its conformance probability) that is none.
     """
     if not tolerances:
         raise ModelError("no tolerance is given")
@@ -279,10 +264,14 @@ class _Conformity:
             value = float(figure.kind.work_out(values[None])[0])
             as_measured = self.draws(figure, values, spread)
             if value > tolerance:
+                # Beyond it, which it may be by noise alone, of so many values: as probable as that values which just
+                # keep the tolerance come out as large (Efron and Tibshirani 1993, chapter 16).
                 kept = self.draws(figure, figure.kind.within(values, tolerance), spread)
-                probability = _of_values_that_keep_it(value, kept)
+                probability = min(float(np.mean(kept >= value)), 0.5)
             else:
-                probability = _about_the_measured(value, as_measured, tolerance)
+                # Noise lifted the largest of many values rather than lowered it: the true one scatters about it as the
+                # draws do about their median.
+                probability = float(np.mean(as_measured - np.median(as_measured) + value <= tolerance))
             low, high = np.percentile(as_measured, [2.275, 97.725])
             u = float(high - low) / 4.0
         if self.budget is None:
@@ -320,10 +309,7 @@ class _Conformity:
         if self.budget is not None:
             contributors = [line.contributor for line in self.budget.lines if line.contributor is not None]
             return draw_readings(self.fitted, contributors, _SAMPLES, self.seed).deviation
-        return self.of_identification()
-
-    def of_identification(self) -> Array:
-        """Deviations by the joint distribution of all unknowns as it is published."""
+        # by the joint distribution of all unknowns as it is published
         rng = np.random.default_rng(self.seed)
         mapped = sum(q.count for q in self.numbers.quantities if figure_of(q.name) is None)
         out = np.zeros((_SAMPLES, len(self.numbers.value)))
@@ -342,10 +328,7 @@ class _Conformity:
         if name == VOLUMETRIC and error_map.not_determined:
             entry = error_map.not_determined[0]
             return say("conformity.why_named", name=entry.name, why=entry.why)
-        known = self.numbers.by_name
-        if name in known:
-            return say("conformity.part_missing")
-        return say("conformity.not_given")
+        return say("conformity.part_missing" if name in self.numbers.by_name else "conformity.not_given")
 
 
 def _single(value: float, u: float, dof: float, tolerance: float, *, signed: bool) -> float:
@@ -361,23 +344,6 @@ def _single(value: float, u: float, dof: float, tolerance: float, *, signed: boo
         return float(special.ndtr(t) if np.isinf(dof) else special.stdtr(dof, t))
 
     return below(tolerance) - below(-tolerance) if signed else below(tolerance)
-
-
-def _about_the_measured(value: float, as_measured: Array, tolerance: float) -> float:
-    """Probability that the largest of many values, or their range, keeps a tolerance which the measured one keeps.
-
-    Noise lifted that rather than lowered it: the true one scatters about it as the draws do about their median.
-    """
-    return float(np.mean(as_measured - np.median(as_measured) + value <= tolerance))
-
-
-def _of_values_that_keep_it(value: float, kept: Array) -> float:
-    """The same where the measured one is beyond the tolerance, which it may be by noise alone, of so many values.
-
-    It is as probable as that values which just keep the tolerance come out as large as that, of which `kept` are draws
-    (Efron and Tibshirani 1993, chapter 16).
-    """
-    return min(float(np.mean(kept >= value)), 0.5)
 
 
 def _range(values: Array) -> Array:

@@ -93,17 +93,14 @@ def pattern(contributor: Contributor, observed: Sequence[Observations]) -> Patte
     if not any(mine):
         read = ", ".join(dict.fromkeys(str(o.session.instrument or "no instrument that is named") for o in observed))
         raise ModelError(f"contributor {contributor.name!r} is of a {contributor.instrument}, and {read} read this")
-    effects = [
-        tuple(own * part for part in effect_on_readings(contributor, o)) for own, o in zip(mine, observed, strict=True)
-    ]
-    numbers, single = [], True
-    first = 0
+    each = [effect_on_readings(contributor, o) for o in observed]
+    slope, curvature = (np.concatenate([on * e[k] for on, e in zip(mine, each, strict=True)]) for k in (0, 1))
+    numbers, single, first = [], True, 0
     for o in observed:
         own = sharing(contributor, o)
         single &= _repeats_alone(own, o)
         numbers.append(own + (0 if contributor.varies == "never" else first))
         first += int(own.max(initial=-1)) + 1
-    slope, curvature = (np.concatenate([effect[k] for effect in effects]) for k in (0, 1))
     return Pattern(contributor, slope, curvature, np.concatenate(numbers), single)
 
 
@@ -148,20 +145,19 @@ def _from_zero(observed: Observations) -> Array:
 
 def sharing(contributor: Contributor, observed: Observations) -> IntArray:
     """(n,) number of the value of a contributor that each reading of a session has, from 0."""
-    n, setup = len(observed), observed.readings.setup
+    readings = observed.readings
     match contributor.varies:
         case "reading":
-            return np.arange(n)
+            return np.arange(len(observed))
         case "place":
             return distinct_places(observed.position)[1]
         case "angle":
-            direction = np.round(observed.direction * _SAME_DIRECTION).astype(np.int64)
-            return groups(setup, *direction.T)
+            return groups(readings.setup, *np.round(observed.direction * _SAME_DIRECTION).astype(np.int64).T)
         case "run":
-            return groups(observed.run, observed.readings.repeat)
+            return groups(observed.run, readings.repeat)
         case "setup":
-            return groups(setup)
-    return np.zeros(n, dtype=np.int64)
+            return groups(readings.setup)
+    return np.zeros(len(observed), dtype=np.int64)
 
 
 def _repeats_alone(group: IntArray, observed: Observations) -> bool:

@@ -241,13 +241,12 @@ class _Propagation:
         priors = self.joint.assembly.problem.priors
         self.known = np.zeros(0) if priors is None else priors.sigma
         self.points = any(part.dimension for part in self.joint.assembly.problem.parts)
-        still = np.zeros(len(self.sigma))
         self.published = everything(fitted)
         count = sum(q.count for q in self.published.quantities if figure_of(q.name))
         self.iso = slice(len(self.published.value) - count, len(self.published.value))
         self.repeatability = np.zeros(len(self.published.value))
         self.repeatability[self.iso] = np.nan_to_num(self.published.u[self.iso])
-        self.base = self.values(still)
+        self.base = self.values(np.zeros(len(self.sigma)))
 
     def split(self, shift: Array) -> list[Array]:
         """Of all readings, those of each session."""
@@ -261,10 +260,6 @@ class _Propagation:
         mapped = numbers(self.fitted, changed(self.joint, parts, known, again=again)).value
         figures = iso_numbers(self.fitted, parts if of_figures is None else self.split(of_figures))
         return np.concatenate([mapped, figures.value])
-
-    def response(self, shift: Array, known: Array | None = None) -> Array:
-        """(M,) change of what is published."""
-        return self.values(shift, known) - self.base
 
     def budget(self, draws: int) -> Budget:
         """All contributors one after the other."""
@@ -283,7 +278,7 @@ class _Propagation:
         """One contributor."""
         squares = np.zeros(len(self.base))
         if own.curvature.any():
-            squares = self.response(own.mean) ** 2
+            squares = (self.values(own.mean) - self.base) ** 2
         added, how = self.spread(own)
         added[self.iso] = np.where(self.shown(own), 0.0, added[self.iso])
         reading = float(np.sqrt(own.mean**2 + own.size**2).max(initial=0.0))
@@ -304,7 +299,7 @@ class _Propagation:
         squares = np.zeros(len(self.base))
         for g in there:
             shift = own.signed * (own.group == g)
-            change = self.response(shift) ** 2
+            change = (self.values(shift) - self.base) ** 2
             if self.iso.stop > self.iso.start:
                 change[self.iso] = self.of_figures(shift)
             squares += change
@@ -343,7 +338,7 @@ class _Propagation:
                 figures = iso_numbers(self.fitted, self.split(shift)).value
                 total[self.iso] += (figures - self.base[self.iso]) ** 2 / DRAWS
             else:
-                total += self.response(shift) ** 2 / DRAWS
+                total += (self.values(shift) - self.base) ** 2 / DRAWS
         return total
 
     @cached_property
@@ -380,7 +375,8 @@ class _Propagation:
         still, squares = np.zeros(len(self.sigma)), np.zeros(len(self.base))
         for k, sigma in enumerate(self.known):
             self.progress(KNOWN, k / len(self.known))
-            squares += self.response(still, sigma * (np.arange(len(self.known)) == k)) ** 2
+            known = sigma * (np.arange(len(self.known)) == k)
+            squares += (self.values(still, known) - self.base) ** 2
         return np.sqrt(squares)
 
     def drawn(self, draws: int, *, again: bool) -> Drawn:

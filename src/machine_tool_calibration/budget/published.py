@@ -234,9 +234,8 @@ def _at(name: str, nodes: Any, width: int, k: int) -> str:
 
 def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:
     """The machine's error motions that are unknowns, as tables, then every unknown by its name, as it is published."""
-    published = joint.published
+    published, good = joint.published, joint.published.determined
     sigma = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
-    good = published.determined
     nodes: dict[str, list[int]] = {}
     for k, parameter in enumerate(joint.assembly.parameters):
         if parameter.kind is Kind.MOTION and parameter.shared:

@@ -60,21 +60,12 @@ def each(
     scheduler: str | None = None,
     workers: int | None = None,
 ) -> Iterator[Done[Item, Found]]:
-    """Do the work for each item; one that fails is told as such, and ends nothing.
+    """What came of the work for each item as soon as it is finished; one that fails is told as such, and ends nothing.
 
-    Args:
-        work: of one item. Like the items and what it gives, it has to be one that pickle can send to another process;
-            on a cluster it finds the files that the items name under the same names.
-        items: all of them.
-        scheduler: address of a Dask scheduler, such as tcp://10.0.0.5:8786; processes of this machine without one.
-        workers: how many processes of this machine, as many as it has processors if None; 0 for none, one item after
-            the other in this process.
-
-    Yields:
-        What came of each as soon as it is finished, in any order; with `workers=0` in theirs.
-
-    Raises:
-        CalibrationError: Dask is not installed, or its scheduler does not answer or goes away.
+    By a Dask scheduler (address such as tcp://10.0.0.5:8786), or by so many processes of this machine, as many as it
+    has processors if None; with 0 one item after the other in this process, else in any order. Work, items and what it
+    gives have to be such as pickle can send; on a cluster the work finds the files that items name under the same
+    names. A CalibrationError if Dask is not installed, or its scheduler does not answer or goes away.
     """
     if workers == 0 and scheduler is None:
         yield from map(partial(_attempt, work), items)

@@ -116,18 +116,11 @@ def judged(
     problems: Sequence[tuple[str, str]] = (),
     added: int = 0,
 ) -> Machines:
-    """Judge all machines of a logbook.
+    """Judge all machines of a logbook by their entries, and by diagnoses by the SHA-256 of the session.
 
-    Args:
-        entries: of all machines.
-        diagnoses: what diagnoses say, by the SHA-256 of the session.
-        limits: that sizes should keep, by name, m or rad; for every machine that has such a size.
-        largest_u: U (k = 2) of a length beyond which a machine needs attention, m.
-        problems: sessions that could not be evaluated, with the reason.
-        added: sessions that were entered now.
-
-    Raises:
-        ModelError: a limit for what is in no entry, or in another unit.
+    Limits that sizes should keep, by name, m or rad, are for every machine that has such a size; `largest_u` is the U
+    (k = 2) of a length beyond which a machine needs attention, m. A ModelError: a limit for what is in no entry, or in
+    another unit.
     """
     names = {size.name for entry in entries for size in entry.sizes}
     for name in limits or {}:
@@ -141,9 +134,6 @@ def judged(
         has = {size.name for entry in own for size in entry.sizes}
         found = trend(own, {name: value for name, value in (limits or {}).items() if name in has})
         machines.append(Machine(own, found, tuple(diagnoses.get(entry.sha256) for entry in own), largest_u))
-    ranked = sorted(machines, key=_urgency)
+    # the most urgent first
+    ranked = sorted(machines, key=lambda one: (not one.causes, [cause not in one.causes for cause in CAUSES], one.name))
     return Machines(tuple(ranked), tuple(sorted(problems)), added)
-
-
-def _urgency(machine: Machine) -> tuple[bool, list[bool], str]:
-    return not machine.causes, [cause not in machine.causes for cause in CAUSES], machine.name

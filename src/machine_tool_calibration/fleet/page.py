@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.fleet.machines import Machine, Machines
+from machine_tool_calibration.fleet.machines import Machines
 from machine_tool_calibration.fleet.picture import draw_fleet
 from machine_tool_calibration.fleet.texts import effects_table, fleet_line, machines_table, problems_table, states_table
 from machine_tool_calibration.plots.trend import draw_trend
@@ -26,20 +26,7 @@ _DRAWN, _NUMBERS = 12, 3
 
 
 def write_page(fleet: Machines, book: Path, file: Path, words: Words) -> Path:
-    """Write the page of a fleet.
-
-    Args:
-        fleet: its machines.
-        book: the logbook that they are in.
-        file: an HTML file.
-        words: of the page's language.
-
-    Returns:
-        The file.
-
-    Raises:
-        CalibrationError: it cannot be written.
-    """
+    """Write the page of a fleet, which is in a logbook, as an HTML file; a CalibrationError if it cannot be written."""
     parts: dict[str, list[Block]] = {
         "attention": list(_attention(fleet)),
         "effects": [_untitled(effects_table(fleet))],
@@ -79,23 +66,15 @@ def _attention(fleet: Machines) -> Iterator[Block]:
     yield _untitled(machines_table(fleet, fleet.attention))
     changed = [one for one in fleet.attention if one.trend.alarms]
     for machine in changed[:_DRAWN]:
-        yield _changes(machine)
-
-
-def _changes(machine: Machine) -> Picture:
-    shown = replace(machine.trend, courses=machine.trend.alarms[:_NUMBERS])
-    return Picture(
-        f"trend_{machine.name}", say("fleet.figure_trend", machine=Verbatim(machine.name)), draw_trend(shown)
-    )
+        title = say("fleet.figure_trend", machine=Verbatim(machine.name))
+        shown = replace(machine.trend, courses=machine.trend.alarms[:_NUMBERS])
+        yield Picture(f"trend_{machine.name}", title, draw_trend(shown))
 
 
 def _provenance(fleet: Machines, book: Path) -> TextTable:
     software = sorted({entry.software for one in fleet.machines for entry in one.entries})
-    rows = (
-        (say("fleet.logbook"), Verbatim(book)),
-        (say("fleet.software"), Verbatim(", ".join(software))),
-    )
-    return TextTable("", ("", ""), rows)
+    told = ((say("fleet.logbook"), Verbatim(book)), (say("fleet.software"), Verbatim(", ".join(software))))
+    return TextTable("", ("", ""), told)
 
 
 def _untitled(table: TextTable) -> TextTable:

@@ -121,16 +121,8 @@ def is_known(place: Place, known: frozenset[str]) -> bool:
 
 
 def _told(found: Diagnosis) -> dict[str, Any]:
-    return dict(
-        plain(
-            {
-                "verdict": found.verdict,
-                "effects": list(_effects(found)),
-                "likely": found.likely,
-                "outliers": len(found.gross_errors),
-            }
-        )
-    )
+    told = {"verdict": found.verdict, "effects": list(_effects(found)), "likely": found.likely}
+    return dict(plain({**told, "outliers": len(found.gross_errors)}))
 
 
 def _effects(found: Diagnosis) -> Iterator[dict[str, Any]]:

@@ -30,19 +30,13 @@ def identified_table(done: Sequence[Done[Place, Identified]]) -> TextTable:
             told = one.found.document
             largest = 2.0 * float(one.found.values.loc[one.found.values["unit"] == "m", "u"].max())
             model = ", ".join([told["model"], *told["effects"]])
-            row[1:6] = [
-                told["method"],
-                model,
-                str(told["used"]),
-                micrometres(told["rms_residual"]),
-                micrometres(largest),
-            ]
+            residual, u = micrometres(told["rms_residual"]), micrometres(largest)
+            row[1:6] = [told["method"], model, str(told["used"]), residual, u]
         rows.append(tuple(row))
     problems = sum(1 for one in done if one.problem)
     columns = heads("session", "method", "model", "readings", "residual_um", "largest_U_um", "why")
-    return TextTable(
-        say("fleet.identified", n=len(done)), columns, tuple(rows), say("fleet.failed", n=problems) if problems else ""
-    )
+    failed = say("fleet.failed", n=problems) if problems else ""
+    return TextTable(say("fleet.identified", n=len(done)), columns, tuple(rows), failed)
 
 
 def identified_document(done: Sequence[Done[Place, Identified]]) -> dict[str, Any]:
