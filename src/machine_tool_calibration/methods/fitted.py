@@ -137,9 +137,8 @@ def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = 
         ((model, name),) = _all_built(chosen, built)
         return FittedSessions(fit_models([model]), None, (name,), chosen.effects)
     common, names = joint_models(chosen, built)
-    return FittedSessions(
-        fit_models(common.models, chosen.labels, random_of(common.angles)), common, names, chosen.effects
-    )
+    joint = fit_models(common.models, chosen.labels, random_of(common.angles))
+    return FittedSessions(joint, common, names, chosen.effects)
 
 
 def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:

@@ -50,12 +50,9 @@ def first_defect(
 ) -> str:
     """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing.
 
-    Args:
-        error: of the record that the content was read into.
-        source: name of the file, or of what else was read.
-        document: the file's content with its lines; without it no line is named.
-        record: what was read; for what a misspelt key may have meant.
-        unnamed: parts of a defect's place that pydantic puts in and that are no keys, such as names of variants.
+    `source` names the file, or what else was read; without the `document` no line is named. The `record` tells what a
+    misspelt key may have meant; `unnamed` are parts of a defect's place that pydantic puts in and that are no keys,
+    such as names of variants.
     """
     order = ("extra_forbidden", "missing")
     defects = error.errors(include_url=False)

@@ -109,10 +109,7 @@ class MethodSpec:
             )
 
     def magnitudes(self, session: Session, place: Place) -> None:
-        """Refuse values of the method's own keys and columns that can only be a wrong unit.
-
-        A SessionError: the key or column, the value, and the unit that is suspected.
-        """
+        """Refuse (SessionError) values of the method's own keys and columns that can only be a wrong unit."""
 
     def nominal(self, session: Session, place: Place) -> Iterator[Judgement]:
         """Judgements by the nominal geometry, by which common mistakes are found."""

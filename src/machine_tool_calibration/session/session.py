@@ -118,12 +118,7 @@ class Session:
         return replace(self, readings=readings, recorded=None)
 
     def without(self, gone: BoolArray, *, as_lost: bool = False) -> Session:
-        """The same measurement with readings left out; `as_recorded` still has them.
-
-        Args:
-            gone: (n,) which.
-            as_lost: whether they stay as readings that are missing.
-        """
+        """The same measurement with readings (n,) left out, or as missing ones; `as_recorded` still has them."""
         readings = self.readings
         left = replace(readings, displacement=np.where(gone, np.nan, readings.displacement)) if as_lost else None
         return replace(self, readings=left or readings.select(~gone), recorded=self.as_recorded)

@@ -87,14 +87,8 @@ def summarize(session: Session) -> SessionSummary:
 def _setup(session: Session, index: int, missing: Any, time: Any) -> SetupSummary:
     mine = session.readings.setup == index
     first, last = _range(None if time is None else time[mine])
-    return SetupSummary(
-        id=session.setup_ids[index],
-        readings=int(np.count_nonzero(mine)),
-        missing=int(np.count_nonzero(mine & missing)),
-        repeats=len(np.unique(session.readings.repeat[mine])),
-        first_time=first,
-        last_time=last,
-    )
+    counts = int(np.count_nonzero(mine)), int(np.count_nonzero(mine & missing))
+    return SetupSummary(session.setup_ids[index], *counts, len(np.unique(session.readings.repeat[mine])), first, last)
 
 
 def _range(values: Any) -> tuple[float | None, float | None]:

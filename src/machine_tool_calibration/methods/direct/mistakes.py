@@ -13,7 +13,7 @@ from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, explanation, scaled, with_values
+from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, explanation, scaled, with_columns
 from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
@@ -88,7 +88,7 @@ def _read(session: Session) -> Iterator[Supposition]:
         (1e-3, "the actual position in millimetres"),
     ):
         what = f"displacement looks like {name}; a deviation is actual minus commanded"
-        yield with_values(session, what, displacement=factor * session.readings.displacement - _along(session))
+        yield with_columns(session, what, displacement=factor * session.readings.displacement - _along(session))
 
 
 def _affine(seen: Observations, plane: list[int]) -> Array | None:

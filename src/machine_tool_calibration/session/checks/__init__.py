@@ -48,13 +48,10 @@ def _check_missing(session: Session, place: Place) -> None:
     measured = np.isfinite(readings.displacement)
     if not measured.any():
         raise SessionError(f"{place.readings}: no reading: every displacement is missing")
+    empty = {name: ~np.isfinite(values) for name, values in readings.columns.items()}
+    empty |= {name: values == "" for name, values in readings.labels.items()}
     for name in needed_columns(session.description):
-        if name in readings.columns:
-            bad = first_true(measured & ~np.isfinite(readings.columns[name]))
-        elif name in readings.labels:
-            bad = first_true(measured & (readings.labels[name] == ""))
-        else:
-            continue
+        bad = first_true(measured & empty[name]) if name in empty else None
         if bad is not None:
             raise SessionError(f"{place.row(readings.row[bad])}: {name} is missing where a displacement was read")
 

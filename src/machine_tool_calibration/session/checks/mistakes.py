@@ -80,28 +80,21 @@ def check_consistency(session: Session, place: Place) -> None:
 def scaled(session: Session, *factors: tuple[float, str]) -> Iterator[Supposition]:
     """Displacements multiplied by a factor: in another unit (`UNITS`), or of another sense (`SENSES`)."""
     for factor, what in factors:
-        readings = replace(session.readings, displacement=factor * session.readings.displacement)
-        yield Supposition(what, session.with_readings(readings))
+        yield with_columns(session, what, displacement=factor * session.readings.displacement)
 
 
 def with_columns(session: Session, what: str, **columns: Array) -> Supposition:
-    """Other values, each (n,), in columns."""
-    readings = replace(session.readings, columns={**session.readings.columns, **columns})
-    return Supposition(what, session.with_readings(readings))
-
-
-def with_values(session: Session, what: str, **columns: Array) -> Supposition:
-    """The same, also of the displacements."""
+    """Other values, each (n,), in columns, that of the displacement among them."""
     displacement = columns.pop("displacement", session.readings.displacement)
-    changed = session.with_readings(replace(session.readings, displacement=displacement))
-    return with_columns(changed, what, **columns)
+    readings = replace(session.readings, displacement=displacement, columns={**session.readings.columns, **columns})
+    return Supposition(what, session.with_readings(readings))
 
 
 def shifted(session: Session, name: str, values: Array) -> Iterator[Supposition]:
     """Values (n,) of a column, or `displacement`, that slipped by some rows against the others."""
     for rows in _SLIPPED:
         which = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'down' if rows > 0 else 'up'}"
-        yield with_values(session, f"{name} looks shifted by {which}", **{name: np.roll(values, -rows)})
+        yield with_columns(session, f"{name} looks shifted by {which}", **{name: np.roll(values, -rows)})
 
 
 def in_degrees(session: Session, what: str, *names: str) -> Supposition:
@@ -193,19 +186,14 @@ def _shares(session: Session, held: Held) -> tuple[IntArray, Array, Array]:
     return group, bad / np.maximum(every, 1), np.asarray(bad, dtype=float)
 
 
-def _worst(session: Session, held: Held) -> tuple[IntArray, int, int]:
-    """In the group where the most contradict: those readings, the worst first, how many it has, and its setup."""
+def _words(session: Session, place: Place, held: Held, likelier: str) -> str:
+    """What contradicts what, in the group where the most do, the worst first, and what is likelier meant."""
+    read = session.readings
     group, share, _ = _shares(session, held)
     mine = group == np.argmax(share)
     rows = np.flatnonzero(held.bad & mine)
     rows = rows[np.argsort(-held.off[rows], kind="stable")]
-    return rows, int(mine.sum()), int(session.readings.setup[rows[0]])
-
-
-def _words(session: Session, place: Place, held: Held, likelier: str) -> str:
-    """What contradicts what, in the group where the most do, and what is likelier meant."""
-    read = session.readings
-    rows, count, setup = _worst(session, held)
+    count, setup = int(mine.sum()), int(read.setup[rows[0]])
     by = f"contradicts {held.against}"
     if held.unit:
         by = f"is {_size(float(held.off[rows[0]]), held.unit)} off {held.against}"
@@ -226,10 +214,10 @@ def _slips(session: Session) -> Iterator[Supposition]:
     for name, value in values.items():
         yield from shifted(session, name, value)
         for factor, what in _TIMES:
-            yield with_values(session, f"{name} looks {what}", **{name: value / factor})
+            yield with_columns(session, f"{name} looks {what}", **{name: value / factor})
     for one, other in itertools.combinations(values, 2):
         what = f"the columns {one} and {other} look exchanged"
-        yield with_values(session, what, **{one: values[other], other: values[one]})
+        yield with_columns(session, what, **{one: values[other], other: values[one]})
 
 
 def _size(value: float, unit: str) -> str:

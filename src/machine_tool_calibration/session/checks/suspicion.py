@@ -29,7 +29,7 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)
-    checks = (_still, _rounded, _beside, _repeated, _approached, _of_method)
+    checks = (_still, _rounded, _beside, _repeated, _approached, lambda one: spec_of(one).suspicious(one))
     return [together((name, words), "") for name, session in pairs for check in checks for words in check(session)]
 
 
@@ -88,7 +88,3 @@ def _approached(session: Session) -> Iterator[str]:
         # From one side alone many machines approach whichever way they come.
         if n >= _FEWEST_MOVES and opposite > _OPPOSITE * n and len(np.unique(sense[move != 0.0])) > 1:
             yield say("suspicion.approach", column=name, n=opposite, count=n)
-
-
-def _of_method(session: Session) -> Iterator[str]:
-    return spec_of(session).suspicious(session)

@@ -76,11 +76,10 @@ def _positions(session: Session, place: Place) -> None:
 def _instrument(session: Session, place: Place) -> None:
     description = session.description
     for index, setup in enumerate(description.setups):
-        if isinstance(setup, StationSetup) and max(map(abs, setup.position)) > _FARTHEST_STATION:
+        far = max(map(abs, setup.position)) if isinstance(setup, StationSetup) else 0.0
+        if far > _FARTHEST_STATION:
             where = f"{place.description}: setups[{index}].position"
-            raise SessionError(
-                f"{where}: station {setup.id!r} is {max(map(abs, setup.position)):g} m away; {MILLIMETRES}"
-            )
+            raise SessionError(f"{where}: station {setup.id!r} is {far:g} m away; {MILLIMETRES}")
     for key in ("targets", "workpiece"):
         for index, entry in enumerate(getattr(description, key, ())):
             reach = max(map(abs, entry.position))
@@ -88,10 +87,8 @@ def _instrument(session: Session, place: Place) -> None:
                 raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {MILLIMETRES}")
     sigma = description.standard_uncertainty.displacement
     if sigma > 1e-2:
-        raise SessionError(
-            f"{place.description}: standard_uncertainty.displacement is {sigma:g} m; "
-            "this looks like another unit than metres"
-        )
+        where = f"{place.description}: standard_uncertainty.displacement"
+        raise SessionError(f"{where} is {sigma:g} m; this looks like another unit than metres")
 
 
 def _angles(session: Session, place: Place) -> None:
@@ -110,10 +107,9 @@ def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
     if spec_of(session).reads_deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
-        like = _like_places(session, typical) if typical > 0.02 else None
-        if like is not None:
-            raise SessionError(f"{place.readings}: the columns {like} and displacement look exchanged")
         if typical > 0.02:
+            if (like := _like_places(session, typical)) is not None:
+                raise SessionError(f"{place.readings}: the columns {like} and displacement look exchanged")
             raise SessionError(
                 f"{place.readings}: displacement is {typical:g} m in the middle; "
                 "these look like millimetres or micrometres; deviations are in metres"
@@ -148,9 +144,7 @@ def _environment(session: Session, place: Place) -> None:
     columns = session.readings.columns
     known = [name for name in _TEMPERATURES if name in columns and np.isfinite(columns[name]).any()]
     # Parts may be warm; where the air is, or all of them, no workshop is.
-    middle = {name: float(np.nanmedian(columns[name])) for name in known[:1] if name == "temperature_air"} or {
-        name: float(np.nanmedian(columns[name])) for name in known
-    }
+    middle = {name: float(np.nanmedian(columns[name])) for name in known[: 1 if "temperature_air" in known else None]}
     if middle and min(middle.values()) > _HOT and max(middle.values()) < _HOTTEST:
         name = min(middle, key=lambda name: middle[name])
         raise SessionError(
