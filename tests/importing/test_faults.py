@@ -35,7 +35,7 @@ from .tables import GOOD, RUNS, SESSION, WIDE, points, read
         (GOOD, {"columns": {"x": "Y", "actual_x": "M"}, "units": {}}, r"no column 'Y' \(x\); it has 'X', 'M'$"),
         ("X;M;K\n0;1;2\n".replace(";", "\t") + "1,2,3\n", {}, r"line 3: 1 cells where the header has 3$"),
         (GOOD, {"units": {}}, r"the unit of x \(column 'X'\) is not given, as in --unit x=mm"),
-        (GOOD, {"units": {"length": "furlong"}}, r"units: unknown unit 'furlong'; known are m, mm"),
+        (GOOD, {"units": {"length": "furlong"}}, r"units.length: unknown unit 'furlong'; known are m, mm"),
         (GOOD, {"units": {"length": "deg"}}, r"x is a length, and deg is no unit of it$"),
         (
             GOOD,

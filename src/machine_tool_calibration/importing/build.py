@@ -115,14 +115,13 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
     """The rows of several tables, in the order of time where that was stamped, and (n, 2) table and row of each."""
     lengths = [len(part.row) for part in parts]
     origin = np.column_stack([np.repeat(np.arange(len(parts)), lengths), np.concatenate([part.row for part in parts])])
+    sized = list(zip(parts, lengths, strict=True))
     numbers = {
-        name: np.concatenate(
-            [part.numbers.get(name, np.full(n, np.nan)) for part, n in zip(parts, lengths, strict=True)]
-        )
+        name: np.concatenate([part.numbers.get(name, np.full(n, np.nan)) for part, n in sized])
         for name in dict.fromkeys(name for part in parts for name in part.numbers)
     }
     labels = {
-        name: np.concatenate([part.labels.get(name, np.full(n, "")) for part, n in zip(parts, lengths, strict=True)])
+        name: np.concatenate([part.labels.get(name, np.full(n, "")) for part, n in sized])
         for name in dict.fromkeys(name for part in parts for name in part.labels)
     }
     setups: dict[str, tuple[str, object]] = {}

@@ -132,13 +132,8 @@ class Columns:
         units = self.mapping.units
         named = unit_in_name(rule.column)
         given = rule.unit or units.get(role)
-        if (
-            given is not None
-            and named is not None
-            and dimension(named) == dimension(given)
-            and named != given
-            and not self.mapping.trusted
-        ):
+        differ = given is not None and named is not None and named != given and dimension(named) == dimension(given)
+        if differ and not self.mapping.trusted:
             raise SessionError(
                 f"{self.table.source}: the column {rule.column!r} says {named}, but {role} is given in {given}"
             )

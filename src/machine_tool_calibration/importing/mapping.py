@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
@@ -29,20 +29,10 @@ _COMMON = {
     "air_pressure": "pressure",
 }
 _ANGLES = dict.fromkeys(("azimuth", "bearing", "elevation", "zenith"), "angle")
+_ACTUAL = {f"actual_{axis}": "length" for axis in _XYZ}
 ROLES: dict[str, dict[str, str]] = {
-    "points": {
-        **_COMMON,
-        **{f"{what}_{axis}": "length" for what in ("actual", "deviation") for axis in _XYZ},
-        "range": "length",
-        **_ANGLES,
-    },
-    "ranges": {
-        **_COMMON,
-        "target": "text",
-        "range": "length",
-        **_ANGLES,
-        **{f"actual_{axis}": "length" for axis in _XYZ},
-    },
+    "points": {**_COMMON, **_ACTUAL, **{f"deviation_{axis}": "length" for axis in _XYZ}, "range": "length", **_ANGLES},
+    "ranges": {**_COMMON, "target": "text", "range": "length", **_ANGLES, **_ACTUAL},
     "iso230-2": {
         **_COMMON,
         **dict.fromkeys(("position", "actual", "deviation"), "length"),
@@ -75,11 +65,9 @@ class Run(Record):
     direction: Literal["up", "down"]  # of approach
 
 
-def _rule(value: Any) -> Any:
-    return {"column": str(value)} if isinstance(value, str | int) else value
-
-
-Column = Annotated[ColumnRule, BeforeValidator(_rule)]
+Column = Annotated[
+    ColumnRule, BeforeValidator(lambda value: {"column": str(value)} if isinstance(value, str | int) else value)
+]
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
 
 
@@ -94,7 +82,7 @@ class Mapping(Record):
     columns: dict[str, Column] = Field(default_factory=dict)  # where each quantity stands (`ROLES`)
     extras: dict[str, Column] = Field(default_factory=dict)  # covariates by the name that they get, with their column
     # of each dimension (length, angle, …) or quantity (x, deviation, …)
-    units: dict[str, Text] = Field(default_factory=dict)
+    units: dict[str, Annotated[Text, AfterValidator(spelled)]] = Field(default_factory=dict)
     # quantities that are the same in every row, such as `z: 120mm`
     values: dict[str, Text] = Field(default_factory=dict)
     # of nominal coordinates in the machine's, by axis, such as `x: 250mm`
@@ -118,11 +106,6 @@ class Mapping(Record):
     def trusted(self) -> bool:
         """Whether what looks like another unit or another frame is taken as it is."""
         return self.session.get("trust_units") is True
-
-    @field_validator("units")
-    @classmethod
-    def _units(cls, units: dict[str, str]) -> dict[str, str]:
-        return {name: spelled(unit) for name, unit in units.items()}
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

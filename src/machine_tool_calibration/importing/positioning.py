@@ -40,9 +40,7 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
         deviation = -deviation
     n = len(position)
     numbers: dict[str, Array] = {mapping.axis: position, f"dir_{mapping.axis}": np.where(up, 1.0, -1.0), "repeat": run}
-    for axis in "xyz":
-        numbers[f"g{axis}"] = np.full(n, float(axis == sense))
-    numbers["displacement"] = deviation
+    numbers |= {f"g{axis}": np.full(n, float(axis == sense)) for axis in "xyz"} | {"displacement": deviation}
     taken = ("position", "actual", "deviation", "run", "direction", "repeat", mapping.axis, f"dir_{mapping.axis}")
     numbers |= {role: values[row] for role, values in columns.others(taken).items()}
     return Rows(

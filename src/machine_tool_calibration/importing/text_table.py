@@ -197,11 +197,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
         raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
     cells, width = _split(source, numbered, form)
     places = [number for number, _ in numbered]
-    names = (
-        tuple(str(name) for name in cells[0, : width[0]])
-        if form.header
-        else tuple(str(j + 1) for j in range(width.max()))
-    )
+    names = tuple(map(str, cells[0, : width[0]] if form.header else range(1, width.max() + 1)))
     count = len(names)
     for row in range(begin, len(cells)):
         if width[row] < count or any(cells[row, count:]):
