@@ -14,7 +14,8 @@ import time
 import numpy as np
 from papers.study_probing import fit_first_case
 
-from machine_tool_calibration.methods.probing.map import monte_carlo, responses
+from machine_tool_calibration.methods.probing.features import monte_carlo
+from machine_tool_calibration.methods.probing.model import responses
 
 
 def main() -> None:

@@ -13,8 +13,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.probing.features import Features, features
-from machine_tool_calibration.methods.probing.map import common_motions, responses
-from machine_tool_calibration.methods.probing.model import ProbingModel
+from machine_tool_calibration.methods.probing.model import ProbingModel, common_motions, responses
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.model.rigid_body import map_field

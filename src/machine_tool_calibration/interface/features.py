@@ -14,8 +14,8 @@ import pandas as pd
 from machine_tool_calibration.arrays import COVERAGE
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.methods.probing.features import Features as Found
+from machine_tool_calibration.methods.probing.features import MonteCarlo
 from machine_tool_calibration.methods.probing.geometry import Circle, Element
-from machine_tool_calibration.methods.probing.map import MonteCarlo
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, ROUNDING, decimals, fixed, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable

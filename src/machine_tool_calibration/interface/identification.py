@@ -35,7 +35,7 @@ from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import compare_fits
-from machine_tool_calibration.methods.probing.map import Distribution, monte_carlo
+from machine_tool_calibration.methods.probing.features import Distribution, monte_carlo
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures

@@ -49,7 +49,7 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
 def error_map(fit: Fit) -> ErrorMap:
     """The machine's errors from one session's share in a fit."""
     spec = spec_of(fit.model.observations.session)
-    found: ErrorMap = load(spec.map or spec.model).error_map(fit.model, fit)
+    found: ErrorMap = load(spec.model).error_map(fit.model, fit)
     return found
 
 

@@ -25,11 +25,10 @@ class MethodSpec:
     """A measuring method: a method's folder says what differs from this."""
 
     description: ClassVar[type[Description]]  # record of what session.yaml says
-    model: ClassVar[str]  # module with `build(session, variant)`, which gives the model
+    # module with `build(session, variant)`, which gives the model, and `error_map(model, fit)`, the machine's errors
+    model: ClassVar[str]
     # names of the model's variants, the default first; for each when it is the right one
     models: ClassVar[Mapping[str, str]]
-    # module with `error_map(model, fit)`, which gives the machine's errors; that of the model if absent
-    map: ClassVar[str | None] = None
     any_axis: ClassVar[bool] = False  # whether some column of an axis's position is needed, of whichever axis
     # columns that observations.csv must have, where they do not depend on the description
     always: ClassVar[tuple[str, ...]] = ()

@@ -13,9 +13,9 @@ from scipy.optimize import least_squares
 from machine_tool_calibration.arrays import COVERAGE
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.fitted import fit_sessions
-from machine_tool_calibration.methods.probing.features import Features, features
+from machine_tool_calibration.methods.probing.features import Features, features, monte_carlo
 from machine_tool_calibration.methods.probing.geometry import Circle, Line, element, through
-from machine_tool_calibration.methods.probing.map import Responses, monte_carlo
+from machine_tool_calibration.methods.probing.model import Responses
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
 from machine_tool_calibration.session.session import Session

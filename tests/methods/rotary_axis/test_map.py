@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.rotary_axis.map import average_line, line_names
+from machine_tool_calibration.methods.rotary_axis.model import average_line, line_names
 from machine_tool_calibration.model.result import Result
 
 RADIUS = 0.5

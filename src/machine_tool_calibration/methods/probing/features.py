@@ -7,6 +7,11 @@ workpiece, which is the datum's and not the part's, is taken out by three condit
 one none across (the paper, Section 5.2: the first pin and the 11th); without such a frame the whole has no shift and no
 turn by least squares, as in `workpiece_form`. Where no length is known, the whole has its nominal size by least
 squares, too, and lengths are relative to it.
+
+Also by propagation of distributions (GUM Supplement 1, JCGM 101). The least-squares estimate is linear in its inputs:
+the touches, the measured lengths and what does not reproduce between runs. One factorisation gives what each quantity
+changes by per unit of each input; every draw then is a product with it. The normal equations are formed by centring
+each point's readings, apart from the solver's elimination, so that the draws also check the closed form.
 """
 
 from __future__ import annotations
@@ -14,14 +19,16 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import COVERAGE, Array, standard_draws
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
-from machine_tool_calibration.methods.probing.geometry import Circle, Element, Line, elements, through
-from machine_tool_calibration.methods.probing.map import common_motions, points_of_form, responses
-from machine_tool_calibration.methods.probing.model import ProbingModel
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.probing.geometry import Circle, Element, Line, elements, point_means, through
+from machine_tool_calibration.methods.probing.model import ProbingModel, common_motions, points_of_form, responses
 from machine_tool_calibration.model.fit import Fit
 
 # Sine of the angle up to which two walls are parallel.
@@ -219,3 +226,88 @@ def _frame(known: Mapping[str, Element], frame: tuple[str, str]) -> tuple[Array,
             raise CalibrationError(f"frame {','.join(frame)}: the two centres coincide and give no direction")
     rows = np.concatenate([first.rows[:2], across[None]])
     return rows, f"{first.name} has no error, {second.name} none in {words}"
+
+
+Distribution = Literal["normal", "rectangular", "triangular"]
+
+FEWEST_DRAWS = 100
+"""Of fewer draws the interval's ends are hardly more than the extremes."""
+
+# Draws that are made at once: their touches stay in a few megabytes.
+_DRAWS_AT_ONCE = 1000
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """What the draws say of some quantities."""
+
+    draws: int  # how many
+    distribution: Distribution  # of the touches' errors
+    uncertainty: Array  # (q,) standard uncertainty; NaN where a quantity is not determined
+    # (q,) lower end of the probabilistically symmetric interval of the coverage probability, from the estimate
+    low: Array
+    high: Array  # (q,) its upper end
+
+
+@single_blas()
+def monte_carlo(
+    fit: Fit, rows: Array, draws: int = 1000, distribution: Distribution = "normal", seed: int = 1
+) -> MonteCarlo:
+    """Propagate the distributions of the inputs to sums of the points' errors, (q, N) weights; NaN: not determined.
+
+    Inputs: every touch, with its declared uncertainty times the scatter of the readings where that contradicts it;
+    every measured length, normal; the functions of time of what does not reproduce, normal, of the published size.
+    Refused are too few draws and an unknown distribution (CalibrationError), and a fit of several sessions
+    (ModelError).
+    """
+    if draws < FEWEST_DRAWS:
+        raise CalibrationError(f"{draws} draws are too few for an interval; at least {FEWEST_DRAWS}")
+    if distribution not in get_args(Distribution):
+        raise CalibrationError(f"no distribution {distribution!r}; there are {', '.join(get_args(Distribution))}")
+    open_ = np.asarray(np.isnan(rows).any(axis=1))
+    of_touches, of_others = _gains(fit, np.where(open_[:, None], 0.0, rows))
+    rng = np.random.default_rng(seed)
+    found = np.empty((len(rows), draws))
+    for first in range(0, draws, _DRAWS_AT_ONCE):
+        count = min(_DRAWS_AT_ONCE, draws - first)
+        part = of_touches @ standard_draws(distribution, rng, (of_touches.shape[1], count))
+        found[:, first : first + count] = part + of_others @ rng.standard_normal((of_others.shape[1], count))
+    found[open_] = np.nan
+    low, high = np.quantile(found, [(1.0 - COVERAGE) / 2, (1.0 + COVERAGE) / 2], axis=1)
+    return MonteCarlo(draws, distribution, found.std(axis=1, ddof=1), low, high)
+
+
+def _gains(fit: Fit, rows: Array) -> tuple[Array, Array]:
+    """Change of each quantity per standard uncertainty of touches (q, n) and of the other, normal, inputs (q, k)."""
+    model = fit.model
+    assert isinstance(model, ProbingModel)
+    if len(fit.joint.assembly.models) > 1:
+        raise ModelError("draws are for one session; this fit is of several")
+    stated, problem = fit.joint.marginal, fit.joint.assembly.problem
+    point, n_points = model.touches.point, len(model.description.workpiece)
+    columns = fit.marginal_columns
+    m = len(fit.theta)
+    kept = np.r_[np.ones(m, dtype=bool), stated.ratios > 0]
+    columns = columns[kept]
+    sigma = model.sigma
+    weight = sigma**-2
+    mean, total = point_means(columns, point, weight, n_points)
+    centred = (columns - mean[point].T) / sigma
+    wide = ((0, 0), (0, len(columns) - m))
+    lengths = np.zeros((0, m)) if problem.priors is None else problem.priors.columns[:, fit.places]
+    known = np.zeros(0) if problem.priors is None else problem.priors.sigma
+    lengths = np.pad(lengths, wide) / known[:, None]
+    ratio = stated.ratios[stated.ratios > 0]
+    matrix = centred @ centred.T + lengths.T @ lengths
+    matrix[m:, m:] += np.diag(ratio**-2.0)
+    datum = np.pad(problem.constraints[:, fit.places], wide)
+    squares = np.sum((columns / sigma) ** 2, axis=1)
+    none = np.zeros(len(datum))
+    covariance = solve_normal(matrix, np.zeros(len(columns)), datum, none, squares).covariance
+    # The estimate of a point is the mean of its readings less what the shared unknowns do to it.
+    shared = (rows @ mean) @ covariance
+    own = rows[:, point] * weight / total[point]
+    touch = own - (shared @ centred) / sigma
+    drift = (touch @ columns[m:].T) * ratio
+    scatter = stated.scatter
+    return scatter * touch * sigma, np.concatenate([-shared @ lengths.T, scatter * drift], axis=1)

@@ -10,16 +10,19 @@ normal n at the nominal contact p of the turned workpiece (Eqs. (7) to (14)):
 G: error of the workpiece's surface along its normal; E_X, E_Y: position error of the linear axes, Eqs. (4)(5);
 EXC, EYC, ECC: displacement and turn of the table at this index. ECC as in Eq. (13) is positive counter-clockwise about
 +Z, whatever the sense in which C is commanded positive (clockwise in the paper, rotation_sign -1).
+
+A fit says of it the workpiece and its form, the linear axes on their grid, and C.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
 from machine_tool_calibration.methods.probing.datum import (
@@ -31,8 +34,16 @@ from machine_tool_calibration.methods.probing.datum import (
     known_weights,
     null_space,
 )
-from machine_tool_calibration.methods.probing.geometry import Touches, plane_tables, table_nodes, touches
-from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.methods.probing.geometry import (
+    Touches,
+    nominal_points,
+    plane_tables,
+    point_means,
+    table_lever,
+    table_nodes,
+    touches,
+)
+from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import (
     Constraint,
     MethodModel,
@@ -42,7 +53,8 @@ from machine_tool_calibration.model.model import (
     motion_value,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.model.result import ErrorMap, determined_values
+from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.checks.mistakes import UNITS, explanation, scaled
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.judgements import Judgement
@@ -128,14 +140,14 @@ def _build(session: Session) -> ProbingModel:
     nodes = {axis: extended for axis, (_, extended) in grids.items()}
     tables = plane_tables(description.machine.kinematics, nodes, position)
     terms = [table.term(observations) for table in tables]
-    terms += _axis_c(session, where, readings.setup)
+    terms += _axis_c_terms(session, where, readings.setup)
     bare = ProbingModel(
         observations, tuple(terms), (), (), (), "", where, tables, (grids["X"][0], grids["Y"][0]), False
     )
     return _with_datum(bare)
 
 
-def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
+def _axis_c_terms(session: Session, where: Touches, setup: IntArray) -> list[Term]:
     index = (setup == np.arange(len(session.setup_ids))[:, None]).astype(float)
     senses = {"EXC": where.normal[:, 0], "EYC": where.normal[:, 1], "ECC": where.lever}
     return [
@@ -200,3 +212,179 @@ def _words(put: Sequence[Place], measured: bool) -> str:
     relative = [] if measured else [say("datum.no_length")]
     form = say("datum.form" if measured else "datum.form_no_length")
     return together((together((place.words for place in put), ", "), *relative, form, say("datum.ecc")), "; ")
+
+
+# Share in the undetermined directions below which a point does not take part in them.
+_OPEN_SHARE = 1e-6
+
+
+@dataclass(frozen=True)
+class Combined:
+    """Sums over the points of the workpiece, each with weights of its own."""
+
+    value: Array  # (q,) NaN where the touches do not determine it
+    covariance: Array  # (q, q) of them all; NaN where the touches do not determine one
+
+
+@dataclass(frozen=True)
+class Responses:
+    """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open."""
+
+    value: Array  # (N,) error of each point, m
+    own: Array  # (N,) variance from the noise of its own touches, m^2
+    half: Array  # (N, K) half @ half.T is the covariance from the shared unknowns, m^2
+    loose: Array  # (N, k) change of the points with what is not determined
+    scale: Array  # (N,) size of that change if nothing of it cancelled
+    touched: BoolArray  # (N,) whether the point was touched
+
+    @property
+    def steady(self) -> BoolArray:
+        """(N,) whether the touches determine the point's error."""
+        return np.asarray(self.touched & ~_moves(self.loose, self.scale))
+
+    def combine(self, rows: Array) -> Combined:
+        """Sums of the points' errors with weights (q, N), zero of points not touched, from their joint covariance."""
+        half = rows @ self.half
+        covariance = (rows * self.own) @ rows.T + half @ half.T
+        value = rows @ self.value
+        open_ = _moves(rows @ self.loose, np.abs(rows) @ self.scale)
+        value[open_], covariance[open_], covariance[:, open_] = np.nan, np.nan, np.nan
+        return Combined(value, covariance)
+
+
+def _moves(loose: Array, scale: Array) -> BoolArray:
+    """Whether each row takes part in what is not determined."""
+    return np.asarray(np.linalg.norm(loose, axis=1) >= _OPEN_SHARE * np.where(scale > 0, scale, 1.0))
+
+
+def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
+    """Carry the fit over to the N points; (n,) which one each reading touched."""
+    stated = fit.joint.marginal
+    columns = fit.marginal_columns
+    mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
+    touched = total > 0
+    values, vectors = np.linalg.eigh(stated.scatter**2 * fit.marginal_covariance)
+    half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    free = np.zeros((len(columns), fit.undetermined.shape[1]))
+    free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
+    # What a point would do if the unknowns on which it depends changed one by one.
+    scale = np.abs(mean) @ np.abs(free).max(axis=1, initial=0.0)
+    own = stated.scatter**2 / np.where(touched, total, np.inf)
+    return Responses(stated.solution.local[fit.index][0], own, half, mean @ free, scale, touched)
+
+
+def workpiece_form(found: Responses, motion: Array) -> tuple[Array, Array]:
+    """(N,) errors without what motions (N, t) of the whole workpiece explain, and (N,) standard uncertainties, m.
+
+    By least squares, all points alike; NaN where the touches do not determine it.
+    """
+    used = points_of_form(found, motion)
+    basis = _orthonormal(motion[used])
+    half = found.half[used] - basis @ (basis.T @ found.half[used])
+    own = found.own[used]
+    taken = np.sum(basis**2, axis=1)
+    inner = basis.T @ (own[:, None] * basis)
+    variance = own * (1.0 - 2.0 * taken) + np.einsum("na,ab,nb->n", basis, inner, basis) + np.sum(half**2, axis=1)
+    value, uncertainty = np.full(len(used), np.nan), np.full(len(used), np.nan)
+    value[used] = found.value[used] - basis @ (basis.T @ found.value[used])
+    uncertainty[used] = np.sqrt(np.maximum(variance, 0.0))
+    return value, uncertainty
+
+
+def points_of_form(found: Responses, motion: Array) -> BoolArray:
+    """(N,) over which the motion (N, t) of the whole is taken out: all touched if it alone is open, else steady."""
+    used = found.touched
+    basis = _orthonormal(motion[used])
+    left = found.loose[used] - basis @ (basis.T @ found.loose[used])
+    return found.steady if np.any(_moves(left, found.scale[used])) else used
+
+
+def common_motions(description: Probing, length_known: bool) -> Array:
+    """(N, t) shift along x and y and turn of the workpiece, and its uniform growth where no length is known."""
+    position, normal = nominal_points(description)
+    growth = [] if length_known else [np.einsum("nd,nd->n", position, normal)]
+    return np.column_stack([normal, table_lever(position, normal), *growth])
+
+
+def _orthonormal(columns: Array) -> Array:
+    """(n, r) orthonormal basis of the columns (n, t)."""
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)]) if len(columns) else np.zeros((0, 0))
+
+
+# Change with an undetermined direction of unit length below which a value does not take part in it.
+_OPEN_CHANGE = 1e-6
+
+
+def error_map(model: ProbingModel, fit: Fit) -> ErrorMap:
+    """Collect the errors with their standard uncertainties; NaN where the touches do not determine them.
+
+    The content holds, in the order of the session's lists: `workpiece_error`, along the outward normal, in the
+    datum (position, direction and form); `workpiece_form`, the same without what a shift and turn of the whole
+    workpiece explain; `position_error` of the linear axes on `grid`, X slow and Y fast, (E_X, E_Y) of Eqs. (4)(5);
+    `EXC`, `EYC`, `ECC` at the indices `c`. Metres and radians.
+    """
+    workpiece, lost = _workpiece(model, fit)
+    places = np.array([(x, y, 0.0) for x in model.grid[0] for y in model.grid[1]])
+    error, covariance = _plane(model.tables, places, fit)
+    uncertainty = np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
+    setups = model.description.setups
+    content: dict[str, Any] = {
+        **workpiece,
+        "grid": places[:, :2],
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "setups": [setup.id for setup in setups],
+        "c": np.array([setup.c for setup in setups]),
+        **_axis_c(fit, [setup.id for setup in setups]),
+        "datum": model.datum,
+    }
+    return ErrorMap(content, places, in_space(error), in_space(uncertainty), in_space(covariance), lost)
+
+
+def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[NotDetermined, ...]]:
+    points = model.description.workpiece
+    found = responses(fit, model.touches.point, len(points))
+    # Errors in the datum: position, direction and form together.
+    error, u = np.where(found.steady, [found.value, np.sqrt(found.own + np.sum(found.half**2, axis=1))], np.nan)
+    form, form_u = workpiece_form(found, common_motions(model.description, model.length_known))
+    content = {
+        "workpiece_points": [point.id for point in points],
+        "workpiece_error": error,
+        "workpiece_error_u": u,
+        "workpiece_form": form,
+        "workpiece_form_u": form_u,
+    }
+    quarters = 2.0 / np.pi * np.diff([setup.c for setup in model.description.setups])
+    alike = np.allclose(quarters, np.round(quarters), atol=1e-3)
+    lost = []
+    for k in np.flatnonzero(~np.isfinite(error)):
+        why = say("undetermined.not_touched")
+        if found.touched[k]:
+            why = say(f"undetermined.touches{'_quarter_turns' if alike else ''}")
+        if np.isfinite(form[k]):
+            why = say("undetermined.only_form")
+        lost.append(NotDetermined(f"workpiece point {points[k].id}", why))
+    return content, tuple(lost)
+
+
+def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[Array, Array]:
+    """Position error (n, 2) of the linear axes at places (n, 3), and its covariance (n, 2, 2)."""
+    field = map_field(tables, places)[:, :, :2]
+    k, n, _ = field.shape
+    error, covariance = position_errors(field, fit.theta[:k], fit.covariance[:k, :k])
+    loose = np.linalg.norm(field.reshape(k, -1).T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _OPEN_CHANGE
+    error[loose] = np.nan
+    covariance[loose] = np.nan
+    covariance.transpose(0, 2, 1)[loose] = np.nan
+    return error, covariance
+
+
+def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
+    names = [parameter.name for parameter in fit.model.parameters]
+    (value, uncertainty), out = determined_values(fit), {}
+    for name in ("EXC", "EYC", "ECC"):
+        pick = [names.index(f"{name}({setup_id})") for setup_id in setup_ids]
+        out[name], out[f"{name}_u"] = value[pick], uncertainty[pick]
+    return out

@@ -51,7 +51,6 @@ class ProbingSpec(MethodSpec):
     always = ("time", "setup", "repeat", "point", "x", "y", "c", "displacement")
     remounted = ""
     model = "machine_tool_calibration.methods.probing.model"
-    map = "machine_tool_calibration.methods.probing.map"
     models: ClassVar = {
         "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
     }

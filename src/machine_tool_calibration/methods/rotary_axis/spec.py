@@ -33,7 +33,6 @@ class RotarySpec(MethodSpec):
 
     description = RotaryAxis
     model = "machine_tool_calibration.methods.rotary_axis.model"
-    map = "machine_tool_calibration.methods.rotary_axis.map"
     models: ClassVar = {"free": "the only one: six error motions at every angle, targets and stations unknown"}
     turns_one_axis = counts_from_run = True
     steps = "machine_tool_calibration.procedure.steps:rotary_steps"

@@ -42,6 +42,7 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
     step_diagonal_of,
 )
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.model import error_map as error_map
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
 from machine_tool_calibration.model.model import (
     Constraint,

@@ -47,7 +47,6 @@ class DiagonalSpec(MethodSpec):
     needed = 2
     remounted = "the mirror"
     model = "machine_tool_calibration.methods.step_diagonal.build"
-    map = "machine_tool_calibration.methods.step_diagonal.model"
     models: ClassVar = {
         "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
         "functions, of a size that the readings determine as far as they can",
