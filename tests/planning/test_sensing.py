@@ -8,15 +8,15 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.planning.options import further_options
-from machine_tool_calibration.planning.sensing import Assumed, sense
+from machine_tool_calibration.planning.sensing import SizedEffect, sense
 from machine_tool_calibration.session.session import Session
 
 Simulated = Callable[..., Session]
 EFFECTS = catalogue()
 
 
-def assumed(name: str, shape: tuple[float, ...] = (), **size: float) -> Assumed:
-    return Assumed(EFFECTS[name], shape, size)
+def assumed(name: str, shape: tuple[float, ...] = (), **size: float) -> SizedEffect:
+    return SizedEffect(EFFECTS[name], shape, size)
 
 
 def test_the_same_as_plain_algebra_on_the_whole_matrix(simulated: Simulated) -> None:

@@ -14,7 +14,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.planning.options import further_options
-from machine_tool_calibration.planning.sensing import Assumed, sense
+from machine_tool_calibration.planning.sensing import SizedEffect, sense
 from machine_tool_calibration.planning.what_to_measure import visibilities, what_to_measure
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -41,8 +41,8 @@ def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) 
 
 def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_own(days: list[Session]) -> None:
     effects = catalogue()
-    backlash = Assumed(effects["backlash_y"], (), {"b": 1e-6})
-    drift = Assumed(effects["station_drift"], (), {})
+    backlash = SizedEffect(effects["backlash_y"], (), {"b": 1e-6})
+    drift = SizedEffect(effects["station_drift"], (), {})
     alone = [sense(FitRequest((day,), model="rigid_body"), [backlash, drift]) for day in days]
     both = sense(FitRequest(days, labels=LABELS), [backlash, drift])
     size = {name: s.stop - s.start for name, s in both.place.items()}
@@ -55,7 +55,7 @@ def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_ow
 
 
 def test_an_effect_that_each_session_has_for_itself_is_planned_for_where_it_shows_best(days: list[Session]) -> None:
-    index = Assumed(catalogue()["refractive_index"], (), {})
+    index = SizedEffect(catalogue()["refractive_index"], (), {})
     now = sense(FitRequest(days, labels=LABELS), [index])
     assert len(now.information("refractive_index")) == 2, "one column a session, of one coefficient"
     scale = np.array([10.0, 100.0])

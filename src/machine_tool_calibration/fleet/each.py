@@ -54,11 +54,7 @@ class Done(Generic[Item, Found]):
 
 
 def each(
-    work: Callable[[Item], Found],
-    items: Sequence[Item],
-    *,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    work: Callable[[Item], Found], items: Sequence[Item], *, scheduler: str | None = None, workers: int | None = None
 ) -> Iterator[Done[Item, Found]]:
     """What came of the work for each item as soon as it is finished; one that fails is told as such, and ends nothing.
 
@@ -75,11 +71,7 @@ def each(
 
 
 def in_order(
-    work: Callable[[Item], Found],
-    items: Sequence[Item],
-    *,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    work: Callable[[Item], Found], items: Sequence[Item], *, scheduler: str | None = None, workers: int | None = None
 ) -> list[Found]:
     """What `each` gives of all items, in their order: for draws and benchmarks, where none may fail.
 

@@ -28,14 +28,7 @@ from machine_tool_calibration.methods.joint.model import CommonModels, common_mo
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
-from machine_tool_calibration.model.result import (
-    Estimate,
-    Identified,
-    Rejected,
-    Result,
-    correlated_with,
-    plain,
-)
+from machine_tool_calibration.model.result import Estimate, Identified, Rejected, Result, correlated_with, plain
 from machine_tool_calibration.session.session import Session
 
 

@@ -283,10 +283,7 @@ class Result(Identified):
             "rejected": [r.document() for r in self.rejected],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.fit.model.datum,
-            "suspicious": [
-                *suspicions([session]),
-                *(p.words for p in misplaced(session, self.error_map.content)),
-            ],
+            "suspicious": [*suspicions([session]), *(p.words for p in misplaced(session, self.error_map.content))],
             "provenance": self.provenance.document(),
             **self.fit_document(),
         }

@@ -67,10 +67,7 @@ class Detectable:
 
 
 def detectable(
-    joint: JointFit,
-    effects: Sequence[Effect],
-    *,
-    progress: Callable[[str, float], object] = lambda what, share: None,
+    joint: JointFit, effects: Sequence[Effect], *, progress: Callable[[str, float], object] = lambda what, share: None
 ) -> Detectable:
     """The smallest sizes of effects that would be found, if the readings of a fit scatter as declared.
 

@@ -115,7 +115,7 @@ _ABSORBED = 1e-4
 
 
 @dataclass(frozen=True)
-class Assumed:
+class SizedEffect:
     """An effect of a certain size."""
 
     effect: Effect  # the effect
@@ -189,9 +189,9 @@ def _inverse(inner: Array, squares: Array) -> Array:
 
 def sense(
     subject: Session | FitRequest,
-    effects: Sequence[Assumed],
+    effects: Sequence[SizedEffect],
     *,
-    present: Sequence[Assumed] = (),
+    present: Sequence[SizedEffect] = (),
     at: int = 0,
     first_row: int | None = None,
     turned: Mapping[str, float] | None = None,
@@ -210,9 +210,10 @@ def sense(
     for k, base in enumerate(built):
         observations = base.observations
         new = observations.readings.row >= (first_row if first_row is not None and k == at else np.inf)
-        given = [_term(a, observations, new, {}, n) for n, a in enumerate(present) if _acts(a, observations)]
+        acting = [(n, own) for n, own in enumerate(present) if own.effect.why_not(observations) is None]
+        given = [_term(own, observations, new, {}, n) for n, own in acting]
         for assumed in effects:
-            if not _acts(assumed, observations):
+            if assumed.effect.why_not(observations) is not None:
                 continue
             term = _term(assumed, observations, new, turned or {}, -1)
             if np.isfinite(term.columns).all():
@@ -232,17 +233,20 @@ def sense(
     return Sensed(inner, squares, place, {effect: np.array(list(own.values())) for effect, own in found.items()})
 
 
-def _acts(assumed: Assumed, observations: Observations) -> bool:
-    return assumed.effect.why_not(observations) is None
-
-
 def _term(
-    assumed: Assumed, observations: Observations, new: BoolArray, turned: Mapping[str, float], number: int
+    assumed: SizedEffect, observations: Observations, new: BoolArray, turned: Mapping[str, float], number: int
 ) -> Term:
-    """An effect's columns under names that no model has."""
-    term = effect_term(assumed.effect, observations, assumed.shape, mapped=False)
-    names = tuple(replace(p, name=f"planned {number} {p.name}") for p in term.parameters)
-    return Term("planned", names, _columns(assumed, observations, new, turned))
+    """An effect's columns under names that no model has, in new readings as a part sees them that is turned about Z."""
+    effect = assumed.effect
+    term = effect_term(effect, observations, assumed.shape, mapped=False)
+    names, columns = tuple(replace(p, name=f"planned {number} {p.name}") for p in term.parameters), term.columns
+    if effect.id in turned and new.any():
+        cos, sin = np.cos(turned[effect.id]), np.sin(turned[effect.id])
+        onto = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        direction, table = observations.direction @ onto, observations.table_direction @ onto
+        away = effect.columns(replace(observations, direction=direction, table_direction=table), assumed.shape)
+        columns = np.where(new, away, columns)
+    return Term("planned", names, columns)
 
 
 def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
@@ -259,28 +263,7 @@ def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
     return projected.gram[:-1, :-1], projected.squares[:-1]
 
 
-def _columns(assumed: Assumed, observations: Observations, new: BoolArray, turned: Mapping[str, float]) -> Array:
-    effect = assumed.effect
-    columns = effect.columns(observations, assumed.shape)
-    angle = turned.get(effect.id)
-    if angle is not None and new.any():
-        away = effect.columns(_turned(observations, angle), assumed.shape)
-        columns = np.where(new, away, columns)
-    return columns
-
-
-def _turned(observations: Observations, angle: float) -> Observations:
-    """The readings as a part sees them that is turned about Z."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    back = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return replace(
-        observations,
-        direction=observations.direction @ back.T,
-        table_direction=observations.table_direction @ back.T,
-    )
-
-
-def _signal(assumed: Assumed, observations: Observations) -> Array:
+def _signal(assumed: SizedEffect, observations: Observations) -> Array:
     names = [c.name for c in assumed.effect.coefficients_for(observations, assumed.shape)]
     known = assumed.size
     out = np.zeros(len(names))

@@ -22,7 +22,7 @@ from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.dominant import Dominant, limits_of
 from machine_tool_calibration.planning.options import Option, Proposal, further_options
-from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
+from machine_tool_calibration.planning.sensing import Sensed, SizedEffect, sense
 from machine_tool_calibration.words import together
 
 ALIKE = 0.9
@@ -78,17 +78,17 @@ def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     return sorted(groups, key=lambda group: group[0] not in accepted)
 
 
-def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
+def assumed_effects(diagnosis: Diagnosis) -> dict[str, SizedEffect]:
     """Every candidate with the coefficients that were found."""
-    out: dict[str, Assumed] = {}
+    out: dict[str, SizedEffect] = {}
     for found in diagnosis.search.findings:
         effect = found.candidate.effect
         assert effect is not None
-        out[found.name] = Assumed(effect, found.shape, {size.coefficient.name: size.value for size in found.sizes})
+        out[found.name] = SizedEffect(effect, found.shape, {size.coefficient.name: size.value for size in found.sizes})
     return out
 
 
-def present_effects(diagnosis: Diagnosis) -> list[Assumed]:
+def present_effects(diagnosis: Diagnosis) -> list[SizedEffect]:
     """Effects that were in the model from the start, as it holds them."""
     fit = diagnosis.fits[0].fits[0]
     known = catalogue(diagnosis.chosen.own)
@@ -101,7 +101,7 @@ def present_effects(diagnosis: Diagnosis) -> list[Assumed]:
         effect = known[term.name]
         shape = _shape(effect, values, names, fit.model.observations)
         if shape is not None:
-            out.append(Assumed(effect, shape, {}))
+            out.append(SizedEffect(effect, shape, {}))
     return out
 
 
@@ -125,7 +125,7 @@ _MOST_COEFFICIENTS = 3  # of an effect for which a measurement is proposed
 
 
 def visibilities(
-    diagnosis: Diagnosis, now: Sensed, seen: Sequence[tuple[Option, Sensed]], assumed: Mapping[str, Assumed]
+    diagnosis: Diagnosis, now: Sensed, seen: Sequence[tuple[Option, Sensed]], assumed: Mapping[str, SizedEffect]
 ) -> list[Visibility]:
     """For effects that hardly show or not at all: the measurement that shows the smallest size of them."""
     fit = diagnosis.fits[-1]

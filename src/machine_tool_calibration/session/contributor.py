@@ -18,15 +18,7 @@ from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.values import Finite, Instrument, Positive
 
 Enters = Literal[
-    "reading",
-    "along",
-    "across",
-    "angle",
-    "length",
-    "temperature",
-    "air_temperature",
-    "air_pressure",
-    "air_humidity",
+    "reading", "along", "across", "angle", "length", "temperature", "air_temperature", "air_pressure", "air_humidity"
 ]
 Varies = Literal["reading", "place", "angle", "run", "setup", "session", "never"]
 

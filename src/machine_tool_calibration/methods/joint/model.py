@@ -340,11 +340,7 @@ def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
 
 def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...]) -> list[MethodModel]:
     entries = tuple(
-        NotDetermined(
-            f"{effect.id}.{c.name}",
-            say("undetermined.held_at", value=f"{shape[k]:.3g} {c.unit}"),
-            effect.id,
-        )
+        NotDetermined(f"{effect.id}.{c.name}", say("undetermined.held_at", value=f"{shape[k]:.3g} {c.unit}"), effect.id)
         for k, c in enumerate(effect.shapes_for(models[0].observations))
         if not c.discrete
     )

@@ -44,14 +44,7 @@ from machine_tool_calibration.methods.probing.geometry import (
     touches,
 )
 from machine_tool_calibration.model.fit import Fit, fit_models
-from machine_tool_calibration.model.model import (
-    Constraint,
-    MethodModel,
-    NotDetermined,
-    Prior,
-    Term,
-    motion_value,
-)
+from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, Term, motion_value
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors

@@ -104,13 +104,7 @@ def on_a_line(points: Array) -> bool:
 
 
 def enough_stations(
-    session: Session,
-    setups: tuple[StationSetup, ...],
-    measured: BoolArray,
-    place: Place,
-    *,
-    needed: int,
-    method: str,
+    session: Session, setups: tuple[StationSetup, ...], measured: BoolArray, place: Place, *, needed: int, method: str
 ) -> None:
     """Refuse stations at one place, and fewer than the method (in words) needs that were read (SessionError)."""
     positions = np.array([setup.position for setup in setups])
