@@ -89,7 +89,7 @@ class HarmonicEffect(Effect):
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Sine and cosine coefficients of each order, m."""
-        highest = int(shape[0]) if shape else int(_HIGHEST_ORDERS[-1])
+        highest = int((shape or _HIGHEST_ORDERS[-1:])[0])
         return tuple(
             Coefficient(f"{kind}{k}", "m", -self.limit, self.limit, say(f"coefficient.waves_{part}", n=k))
             for k in range(2, highest + 1)

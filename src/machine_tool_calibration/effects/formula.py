@@ -26,6 +26,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pint
+from pint.errors import DefinitionSyntaxError, UndefinedUnitError
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
@@ -86,16 +87,9 @@ class Expression:
             return np.asarray(_evaluate(self.node, {n: np.asarray(values[n], float) for n in self.names}), dtype=float)
 
     def unit(self, units: Mapping[str, str]) -> Any:
-        """Unit of the value.
+        """Unit of the value by those of the names; None where it cannot be known, as one of them has none.
 
-        Args:
-            units: of the names; a name without a unit makes the answer unknown.
-
-        Returns:
-            The unit, or None if it cannot be known.
-
-        Raises:
-            ModelError: units do not go together: a sum of metres and seconds, an exponential of a length.
+        A ModelError if units do not go together: a sum of metres and seconds, an exponential of a length.
         """
         if not self.names <= set(units):
             return None
@@ -219,9 +213,7 @@ class FormulaEffect(Effect):
         self._expression = parse(definition.formula)
         self.id = definition.id
         self.title = definition.title or definition.id
-        self.formula = (
-            f"{'reading' if definition.enters == 'reading' else 'e_' + definition.enters} = {definition.formula}"
-        )
+        self.formula = f"{'' if definition.enters == 'reading' else 'e_'}{definition.enters} = {definition.formula}"
         self.source = definition.source
         self.kind = "reading" if definition.enters == "reading" else "position"
         self.coefficients = tuple(
@@ -248,14 +240,7 @@ class FormulaEffect(Effect):
                 if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit) or unit.count("(") != unit.count(")"):
                     raise ValueError
                 registry().Unit("dimensionless" if unit == "1" else unit)
-            except (
-                pint.errors.UndefinedUnitError,
-                pint.errors.DefinitionSyntaxError,
-                ValueError,
-                TypeError,
-                AssertionError,
-                TokenError,
-            ):
+            except (UndefinedUnitError, DefinitionSyntaxError, ValueError, TypeError, AssertionError, TokenError):
                 raise ModelError(f"{name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
         try:
             unit_of_value = self._expression.unit(units)
@@ -270,9 +255,8 @@ class FormulaEffect(Effect):
             for name, entry in getattr(self._definition, key).items():
                 if name in self._expression.names and "unit" not in entry.model_fields_set:
                     stated = ", ".join(f"{k}: {v}" for k, v in entry.model_dump(exclude_unset=True).items())
-                    return (
-                        f"; {name} states no unit and counts as a pure number: {key}: {{{name}: {{{stated}, unit: m}}}}"
-                    )
+                    said = f"{key}: {{{name}: {{{stated}, unit: m}}}}"
+                    return f"; {name} states no unit and counts as a pure number: {said}"
         if re.search(r"(?<!\w)\d", self._definition.formula):
             return "; a number in the formula has no unit, a constant may: constants: {k: {value: 0.01, unit: m}}"
         return ""
@@ -318,11 +302,8 @@ class FormulaEffect(Effect):
         values |= {name: c.value for name, c in self._definition.constants.items()}
         values |= {s.name: v for s, v in zip(self.shapes, shape, strict=True)}
         names = [c.name for c in self.coefficients]
-        out = [
-            np.broadcast_to(self._expression.evaluate(values | {m: float(m == name) for m in names}), n)
-            for name in names
-        ]
-        columns = np.array(out)
+        each = (self._expression.evaluate(values | {m: float(m == name) for m in names}) for name in names)
+        columns = np.array([np.broadcast_to(one, n) for one in each])
         if not np.isfinite(columns).all():
             raise ModelError(f"effect {self.id}: the formula has no finite value for some readings")
         if self._definition.enters == "reading":

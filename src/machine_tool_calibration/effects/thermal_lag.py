@@ -35,15 +35,9 @@ class ThermalLag(LateEffect, ThermalExpansion):
 
 
 def followed(time: Array, value: Array, lag: float) -> Array:
-    """What follows a quantity with a first-order lag, and begins as it.
+    """(n,) the solution of lag y' = value - y that begins as the value (n,).
 
-    Args:
-        time: (n,) s, in any order.
-        value: (n,) the quantity; it runs straight from one time to the next.
-        lag: time constant, s.
-
-    Returns:
-        (n,) the solution of lag y' = value - y.
+    That runs straight from one time (n,), s, to the next; the times are in any order.
     """
     moments, first, place = np.unique(time, return_index=True, return_inverse=True)
     given = value[first]

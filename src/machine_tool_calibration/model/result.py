@@ -246,14 +246,9 @@ class Result(Identified):
     def parameters(self) -> list[Estimate]:
         """The unknowns that the data determines, in the datum of the map."""
         fit, moved = self.fit, self.error_map.in_datum
-        uncertainty = np.sqrt(np.diag(fit.covariance))
-        found = zip(fit.model.parameters, fit.theta, uncertainty, fit.determined, strict=True)
-        out = []
-        for parameter, value, u, good in found:
-            if good:
-                value, u = moved.get(parameter.name, (value, u))
-                out.append(self.estimate(parameter, value, u))
-        return out
+        pairs = zip(fit.theta, np.sqrt(np.diag(fit.covariance)), strict=True)
+        found = zip(fit.model.parameters, pairs, fit.determined, strict=True)
+        return [self.estimate(p, *moved.get(p.name, pair)) for p, pair, good in found if good]
 
     @property
     def not_determined(self) -> list[NotDetermined]:
@@ -263,9 +258,8 @@ class Result(Identified):
         whole = _whole_terms(fit)
         out = list(fit.model.left_out) + list(self.error_map.not_determined)
         for k in np.flatnonzero(~fit.determined):
-            why = fit.model.why_not_determined(names[k]) or correlated_with(
-                fit.undetermined, names, int(k), fit.part.n_points > 0
-            )
+            own = fit.model.why_not_determined(names[k])
+            why = own or correlated_with(fit.undetermined, names, int(k), fit.part.n_points > 0)
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):
                 out.append(NotDetermined(name, why))

@@ -86,15 +86,13 @@ class MachineTable:
         return Term(self.name, self.parameters, self.weights(observations.position) * along)
 
 
-def axis_nodes(positions: Array) -> Array:
+def axis_nodes(positions: Array, most: int = _MOST_NODES) -> Array:
     """Nodes for a table from the positions at which the axis was read.
 
     The positions themselves (equal to the nanometre) if there are not too many; otherwise evenly spaced ones.
     """
     distinct = np.unique(np.round(positions, 9))
-    if len(distinct) <= _MOST_NODES:
-        return distinct
-    return np.linspace(distinct[0], distinct[-1], _MOST_NODES)
+    return distinct if len(distinct) <= most else np.linspace(distinct[0], distinct[-1], most)
 
 
 # Positions closer than this share of their range are one node.

@@ -40,6 +40,7 @@ DRIFT = 1e-9
 # A remedy leaves less than this of what the same measurement once more would leave.
 _WORTHWHILE = 0.9
 _MOST_REMEDIES = 3
+_TOLD = ("kind", "measure", "uncertainty", "seconds")  # of a remedy in a document
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,13 +73,8 @@ class Dominant:
             "assumed": {"angular": self.angular, "drift": self.drift},
             "uncertainty_again": self.again,
             "measure": [
-                {
-                    "kind": r.kind,
-                    "measure": r.measure,
-                    "uncertainty": r.uncertainty,
-                    "seconds": r.seconds,
-                    "besides": r.aside or None,
-                }
+                {key: getattr(r, key) for key in ("kind", "measure", "uncertainty", "seconds")}
+                | {"besides": r.aside or None}
                 for r in self.remedies
             ],
         }

@@ -125,16 +125,9 @@ def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) 
     first, last = _interval(begins[kind], weight.sum(axis=(0, 2)))
     of_case = p_steady + p.sum(axis=(1, 2))
     shift = float(of_case[[case.shift > 0 for case in cases]].sum())
-    found = Explanation(
-        jump=jump,
-        drift=drift,
-        shift=shift,
-        change=unit * change,
-        u=unit * float(np.sqrt((weight * (variance + (mean - change) ** 2)).sum())),
-        first=first,
-        last=last,
-        spread=unit * float(np.sqrt(of_case @ np.array([case.spread**2 for case in cases]))),
-    )
+    u_change = unit * float(np.sqrt((weight * (variance + (mean - change) ** 2)).sum()))
+    spread = unit * float(np.sqrt(of_case @ np.array([case.spread**2 for case in cases])))
+    found = Explanation(jump, drift, shift, unit * change, u_change, first, last, spread)
     used = list(dict.fromkeys(way[::-1].tolist()))
     if len(used) == 1:
         return found

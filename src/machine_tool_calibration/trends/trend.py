@@ -128,16 +128,6 @@ def _course(name: str, entries: Sequence[Entry], ways: Sequence[str], among: int
     value, u = np.array([size.value for _, _, size in rows]), np.array([size.u for _, _, size in rows])
     listed = list(dict.fromkeys(way for _, way, _ in rows))
     way = np.array([listed.index(own) for _, own, _ in rows])
-    told = len(rows) >= FEWEST and days[-1] > 0
-    return Course(
-        name=name,
-        unit=rows[0][2].unit,
-        dates=tuple(entry.date for entry, _, _ in rows),
-        days=days,
-        value=value,
-        u=u,
-        way=way,
-        ways=tuple(listed),
-        explanation=explain(days, value, u, way, among) if told else None,
-        limit=limit,
-    )
+    told = explain(days, value, u, way, among) if len(rows) >= FEWEST and days[-1] > 0 else None
+    dates = tuple(entry.date for entry, _, _ in rows)
+    return Course(name, rows[0][2].unit, dates, days, value, u, way, tuple(listed), told, limit)
