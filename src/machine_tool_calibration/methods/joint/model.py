@@ -26,12 +26,13 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
 from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
-from machine_tool_calibration.methods.step_diagonal.small_angles import coarse_nodes
+from machine_tool_calibration.methods.step_diagonal.small_angles import WAVES_NODES
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, assemble, weight_row
 from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
+    axis_nodes,
     distinct_nodes,
     linear_axis_errors,
     machine_terms,
@@ -142,7 +143,7 @@ def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
     if not hasattr(model, "tables"):
         return None
     axis = "XYZ".index(parse_motion(name).axis)
-    nodes = coarse_nodes(np.unique(np.round(model.observations.position[:, axis], 9)))
+    nodes = axis_nodes(model.observations.position[:, axis], WAVES_NODES)
     if len(nodes) < 2:
         return None
     own = model.observations.session.description.machine.kinematics

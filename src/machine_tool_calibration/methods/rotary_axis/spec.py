@@ -96,12 +96,7 @@ def _enough_angles(session: Session, description: RotaryAxis, measured: BoolArra
 
 
 def on_table(session: Session, readings: Readings) -> Array:
-    """(n, 3) nominal position of each reading's target in the machine frame, m.
-
-    Args:
-        session: gives the sense of rotation, the targets and the axis under test.
-        readings: give the target and the commanded angle.
-    """
+    """(n, 3) nominal position of each reading's target at its commanded angle in the machine frame, m."""
     description = session.description.as_a(RotaryAxis)
     column = rotary_column(description)
     target = places_among(readings.labels["target"], [entry.id for entry in description.targets])

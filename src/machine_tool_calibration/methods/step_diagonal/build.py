@@ -43,7 +43,7 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 )
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.model import error_map as error_map
-from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
+from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, WAVES_NODES
 from machine_tool_calibration.model.model import (
     Constraint,
     Kind,
@@ -54,7 +54,13 @@ from machine_tool_calibration.model.model import (
     motion_value,
 )
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
+from machine_tool_calibration.model.rigid_body import (
+    MachineTable,
+    axis_nodes,
+    linear_axis_errors,
+    map_field,
+    table_datum,
+)
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.words import say, together
 
@@ -283,7 +289,7 @@ def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
 
 
 def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
-    coarse = (replace(t, nodes=coarse_nodes(base.blocks["XYZ".index(t.name[2])])) for t in rotations)
+    coarse = (replace(t, nodes=axis_nodes(base.blocks["XYZ".index(t.name[2])], WAVES_NODES)) for t in rotations)
     told = [(table, term) for table in coarse if np.abs((term := table.term(base.observations)).columns).max() > 1e-9]
     left_out = base.left_out + tuple(NotDetermined(t.name, _ONLY_SIZE) for t in rotations)
     if not told:

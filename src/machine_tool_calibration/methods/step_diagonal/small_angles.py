@@ -56,7 +56,8 @@ NONE = 0.7
 # variance.
 _LONG = 1.2
 _SHAPES = (*((length, share) for length in (0.1, 0.2, 0.4) for share in (0.1, 0.5)), (_LONG, 1.0))
-_MOST_NODES = 13
+WAVES_NODES = 13
+"""As many nodes of a table as the waves of a smooth function need."""
 _SIZES_TRIED = 25
 # Sizes where an effect that may be missing is weighed against angular errors: coarser, as with all that does not
 # reproduce.
@@ -95,11 +96,6 @@ class SmallAngles:
     ) -> AngularPosterior:
         """The mean over all sizes and shapes; see `normal_posterior`."""
         return normal_posterior(self.nodes, matrix, right, constraints, values, squares)
-
-
-def coarse_nodes(blocks: Array) -> Array:
-    """Nodes for a smooth function over the block positions: the positions themselves, or as many as its waves need."""
-    return blocks if len(blocks) <= _MOST_NODES else np.linspace(blocks[0], blocks[-1], _MOST_NODES)
 
 
 def shape_covariance(nodes: Array, length: float, share: float, zero: int = 0) -> Array:
