@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.normal import LEAST_EIGENVALUE
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
 # Share of a condition along what is still open below which it fixes nothing of it.
@@ -73,11 +74,10 @@ def setup_columns(columns: Array, setup: IntArray, count: int) -> Array:
     return out.reshape(-1, n)
 
 
-def setup_datum(
-    kind: str, ids: tuple[str, ...], setup: IntArray, position: Array, direction: Array, reading: Array
-) -> SetupDatum:
+def setup_datum(kind: str, observed: Observations) -> SetupDatum:
     """Unknowns of the setups: none, an offset, or shift and turn about the middle of the setup's points."""
-    n = len(setup)
+    ids, setup, n = observed.session.setup_ids, observed.readings.setup, len(observed)
+    position, direction = observed.position, observed.direction
     if kind == "none":
         return SetupDatum(kind, np.zeros((0, n)), (), (), np.zeros(n), say("datum.absolute"))
     if kind == "offset":
@@ -90,22 +90,17 @@ def setup_datum(
     # A turn moves what is at an arm's length; points in a plane leave three of the six without effect.
     used = np.abs(columns).max(axis=1, initial=0.0) > 1e-9
     columns[np.abs(columns) < 1e-12] = 0.0
-    labels = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if good]
+    told = list(zip(_SHIFTS + _TURNS, used, strict=True))
     parameters = tuple(
         Parameter(f"{name}.{label}", "m" if label in _SHIFTS else "rad", kind=Kind.MOUNTING, owner=name)
         for name in ids
-        for label in labels
+        for label, good in told
+        if good
     )
-    idle = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if not good]
-    left = tuple(NotDetermined(label, say("undetermined.no_reading_of_setups")) for label in idle)
-    return SetupDatum(
-        kind,
-        columns[used],
-        parameters,
-        left,
-        _curvature(columns, setup, len(ids), arm, direction, reading),
-        say("datum.shift_and_turn"),
-    )
+    why = say("undetermined.no_reading_of_setups")
+    left = tuple(NotDetermined(label, why) for label, good in told if not good)
+    curvature = _curvature(columns, setup, len(ids), arm, direction, observed.readings.displacement)
+    return SetupDatum(kind, columns[used], parameters, left, curvature, say("datum.shift_and_turn"))
 
 
 def _curvature(columns: Array, setup: IntArray, count: int, arm: Array, direction: Array, reading: Array) -> Array:

@@ -136,9 +136,7 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     direction = direction / length[:, None]
     path = np.einsum("nj,nj->n", position, direction)
     observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)
-    setups = setup_datum(
-        description.datum, session.setup_ids, readings.setup, position, direction, readings.displacement
-    )
+    setups = setup_datum(description.datum, observations)
     asked = description.terms if terms is None else tuple(terms)
     tables = asked_tables(description.machine.kinematics, asked, position)
     kept, machine, left = _sensed_terms(observations, tables)
@@ -180,11 +178,10 @@ def _sensed_terms(
     for table in tables:
         term = table.term(observations)
         if np.abs(term.columns).max(initial=0.0) < 1e-9:
-            why = say("undetermined.does_not_move")
-            left.append(NotDetermined(table.name, why))
-            continue
-        kept.append(table)
-        terms.append(term)
+            left.append(NotDetermined(table.name, say("undetermined.does_not_move")))
+        else:
+            kept.append(table)
+            terms.append(term)
     return tuple(kept), tuple(terms), tuple(left)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import WAVES_NODES
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Prior, assemble, weight_row
+from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, assemble, weight_row
 from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
@@ -110,7 +110,7 @@ def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
 
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
     every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
-    names = list(dict.fromkeys([*(table.name for table in every), *_determined_together(models, chain)]))
+    names = dict.fromkeys([*(table.name for table in every), *_determined_together(models, chain)])
     random = {table.name for model in models for table in angles_of(model)}
     out = []
     for name in names:
@@ -158,10 +158,9 @@ def _union(nodes: Iterable[Array]) -> Array:
 
 def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodModel:
     """The model with the shared tables in place of its own; its other conditions said of the new unknowns."""
-    own = tables_of(model)
     if not hasattr(model, "tables"):
         return model
-    model = without_spread(model)
+    own, model = tables_of(model), without_spread(model)
     kept, terms = [], []
     # The lever arms of each session end at its own functional point.
     chain = model.observations.session.description.machine.kinematics
@@ -170,21 +169,17 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
         if np.abs(term.columns).max(initial=0.0) > _LEAST_SENSITIVITY:
             kept.append(table)
             terms.append(term)
-    translate = _translation(own, kept)
-    rest = model.terms[len(own) :]
-    changed: dict[str, object] = {
+    translate, there = _translation(own, kept), {table.name for table in kept}
+    constraints = (replace(c, weights=_translated(c.weights, translate)) for c in model.constraints)
+    priors = (replace(p, weights=_translated(p.weights, translate)) for p in model.priors)
+    changed: dict[str, Any] = {
         "tables": tuple(kept),
-        "terms": (*terms, *rest),
-        "constraints": tuple(
-            Constraint(weights, c.value) for c in model.constraints if (weights := _translated(c.weights, translate))
-        ),
-        "priors": tuple(
-            Prior(weights, p.value, p.sigma) for p in model.priors if (weights := _translated(p.weights, translate))
-        ),
+        "terms": (*terms, *model.terms[len(own) :]),
+        "constraints": tuple(c for c in constraints if c.weights),
+        "priors": tuple(p for p in priors if p.weights),
+        "left_out": tuple(entry for entry in model.left_out if entry.name not in there),
     }
-    left = {table.name for table in kept}
-    changed["left_out"] = tuple(entry for entry in model.left_out if entry.name not in left)
-    return replace(model, **changed)  # type: ignore[arg-type]
+    return replace(model, **changed)
 
 
 def _translation(own: Sequence[MachineTable], new: Sequence[MachineTable]) -> dict[str, dict[str, float]]:
@@ -257,8 +252,8 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     chosen, fixed = needed_rows(basis, rows)
     out = []
     for index, model in enumerate(bare):
-        mine = [candidates[k].constraint for k in chosen if candidates[k].session == index]
-        out.append(replace(model, constraints=model.constraints + tuple(mine)))
+        mine = tuple(candidates[k].constraint for k in chosen if candidates[k].session == index)
+        out.append(replace(model, constraints=model.constraints + mine))
     conditions = (_words(candidates[k].constraint, families) for k in chosen)
     words = told_together((say("datum.together"), *conditions), "; ")
     by_name = {p.name: row for p, row in zip(assembly.parameters, fixed * scale[:, None], strict=True) if p.shared}
@@ -274,12 +269,10 @@ def _words(constraint: Constraint, families: Mapping[str, str]) -> str:
 
 def _preference(constraint: Constraint, motions: Mapping[str, MachineTable]) -> int:
     """Straightness first, positioning last: a shift of everything is then held by the positioning errors."""
-    kinds = [motions.get(name) for name in constraint.weights]
-    if any(kind is None for kind in kinds):
+    kinds = [motions[name] for name in constraint.weights if name in motions]
+    if len(kinds) < len(constraint.weights):
         return 3
-    first = kinds[0]
-    assert first is not None
-    return 0 if first.is_straightness else 1 if first.is_rotation else 2
+    return 0 if kinds[0].is_straightness else 1 if kinds[0].is_rotation else 2
 
 
 def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[Effect]) -> CommonModels:

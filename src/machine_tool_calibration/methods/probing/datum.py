@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -168,17 +168,13 @@ class _Search:
         for _ in range(_SWEEPS):
             before = best
             for index in range(len(self.rows)):
-                for trial in self._moves(choice, index):
+                others = (k for k in range(len(self.rows[index])) if k != choice[index])
+                for trial in [[*choice[:index], k, *choice[index + 1 :]] for k in others]:
                     if (value := self.score(trial)) > best:
                         best, choice = value, trial
             if best == before:
                 break
         return choice
-
-    def _moves(self, choice: list[int], index: int) -> Iterator[list[int]]:
-        for k in range(len(self.rows[index])):
-            if k != choice[index]:
-                yield [*choice[:index], k, *choice[index + 1 :]]
 
     def steadier(self, choice: list[int]) -> list[int]:
         """Move directions and a length that was not measured off nodes that are hardly reached."""

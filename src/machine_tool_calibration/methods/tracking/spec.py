@@ -148,18 +148,13 @@ def _enough_targets(session: Session, dimension: int, measured: BoolArray, place
     count = len(np.unique(stations))
     unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
     # Rigid bodies have three or six error motions at every position of every axis, however many targets there are.
-    rigid = (dimension + 1) * count + _unknown_of_axes(points)
+    at_axes = sum(len(distinct_places(points[:, j : j + 1])[0]) for j in range(dimension))
+    rigid = (dimension + 1) * count + (3 if dimension == 2 else 6) * at_axes
     if redundant < unknown and len(pairs) < rigid:
         raise SessionError(
             f"{place.readings}: too few readings: {len(points)} targets and {count} stations leave {redundant} "
             f"conditions for the {unknown} unknowns of the stations; measure more targets from all stations"
         )
-
-
-def _unknown_of_axes(points: Array) -> int:
-    """Values of the linear axes' error motions at the positions of targets (n, d)."""
-    positions = sum(len(distinct_places(points[:, j : j + 1])[0]) for j in range(points.shape[1]))
-    return (3 if points.shape[1] == 2 else 6) * positions
 
 
 def _off_beam(session: Session) -> Array:
@@ -193,10 +188,9 @@ def _off_path(session: Session) -> Array:
 
 def _path_mistakes(session: Session, description: TrackingInterferometer) -> Iterator[Supposition]:
     yield from scaled(session, *UNITS, *SENSES)
-    setups = [
-        setup.model_copy(update={"position": tuple(1e-3 * v for v in setup.position)}) for setup in description.setups
-    ]
-    yield described(session, f"the stations' positions look {LENGTHS}", setups=tuple(setups))
+    places = ((setup, tuple(1e-3 * v for v in setup.position)) for setup in description.setups)
+    setups = tuple(setup.model_copy(update={"position": place}) for setup, place in places)
+    yield described(session, f"the stations' positions look {LENGTHS}", setups=setups)
     metres = dict(zip("xyz", 1e-3 * session.readings.position().T, strict=True))
     yield with_columns(session, f"x, y and z look {LENGTHS}", **metres)
     yield from exchanged_axes(session, description.dimension)
