@@ -291,6 +291,9 @@ def test_without_a_header(tmp_path: Path) -> None:
     form = {"header": False, "separator": "space"}
     imported = points(tmp_path, text, file=form, columns={"point": 1, "x": 2, "actual_x": "3"})
     assert imported.session.readings.labels["point"].tolist() == ["P1", "P2"]
+    columns = {"point": {"column": 1}, "x": {"column": 2, "unit": "mm"}, "actual_x": 3}
+    again = points(tmp_path, text, file=form, columns=columns)
+    np.testing.assert_array_equal(again.session.readings.displacement, imported.session.readings.displacement)
 
 
 def test_repeats_that_are_counted_from_one(tmp_path: Path) -> None:

@@ -50,10 +50,13 @@ ROLES: dict[str, dict[str, str]] = {
 """For each kind of table what a column can be, and its dimension."""
 
 
+Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
+
+
 class ColumnRule(Record):
     """Where a quantity stands."""
 
-    column: str  # the name in the header; its number where there is no header
+    column: Text  # the name in the header; its number where there is no header
     # of its numbers; absent, the unit in brackets at the end of the name, or that of the dimension counts
     unit: Annotated[str, AfterValidator(spelled)] | None = None
 
@@ -61,14 +64,13 @@ class ColumnRule(Record):
 class Run(Record):
     """One run of ISO 230-2 as a column."""
 
-    column: str  # its name
+    column: Text  # its name; its number where there is no header
     direction: Literal["up", "down"]  # of approach
 
 
 Column = Annotated[
     ColumnRule, BeforeValidator(lambda value: {"column": str(value)} if isinstance(value, str | int) else value)
 ]
-Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
 
 
 class Mapping(Record):

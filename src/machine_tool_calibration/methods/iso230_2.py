@@ -260,7 +260,9 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
         again[first] = True
     elif recorded is not None and np.isin(recorded[mine], (-1.0, 1.0)).all():
         return target, recorded[mine] * np.sign(line[leading]), deviation
-    # Not recorded: the sign of the move to the reading; the second reading at a turning point comes from beyond.
+    # Not recorded: the sign of the move to the reading; the second reading at a turning point comes from beyond, and
+    # whence the first of a run comes is not known: it was approached as the next one is.
+    again |= np.diff(readings.repeat[mine], prepend=-1) != 0
     move = np.where(again, 0.0, np.sign(np.diff(group, prepend=group[0] - 1)))
     for k in np.flatnonzero(move == 0):
         following = np.flatnonzero(np.diff(group[k:]) != 0)

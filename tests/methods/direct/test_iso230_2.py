@@ -75,6 +75,18 @@ def test_direction_of_approach_follows_from_the_order_where_it_is_not_recorded(d
     np.testing.assert_allclose(without["reversal"], with_column["reversal"], atol=1e-12)
 
 
+def test_runs_that_begin_anew_at_one_end_went_one_way(direct: SimpleNamespace) -> None:
+    """A turning table or an axis that goes back unread: nothing was approached from above."""
+    session = direct.measured("iso230_2", repeats=5).session
+    readings = session.readings
+    columns = {name: values for name, values in readings.columns.items() if name != "dir_x"}
+    bare = type(readings)(**{**readings.__dict__, "columns": columns})
+    up = bare.select(readings.columns["dir_x"] > 0)
+    (run,) = identify(session.with_readings(up)).error_map.content["iso230_2"]
+    assert run["count_up"].tolist() == [5] * len(run["position"]) and not run["count_down"].any()
+    assert run["E_up"] > 0.0 and np.isnan(run["B"])
+
+
 @pytest.mark.parametrize("kind", ["straightness", "grid_plate", "drilled_plate"])
 def test_other_measurements_are_no_such_run(direct: SimpleNamespace, kind: str) -> None:
     assert "iso230_2" not in identify(direct.measured(kind, repeats=2).session).error_map.content
