@@ -14,7 +14,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.planning.what_to_measure import Advice
-from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -118,6 +118,17 @@ def test_passes_that_differ_are_no_drift(plates: ModuleType, many: Any) -> None:
     some = many.part(0.5)
     every = [plates.axis(seed, between=5e-7, terms=("EXX",)) for seed in range(some.count)]
     assert sum(bool(diagnose(session).accepted) for session in every) <= some.at_most(0.05)
+
+
+def test_passes_of_an_axis_that_slips_are_what_is_said_first(plates: ModuleType) -> None:
+    session = plates.axis(5, between=2e-5, terms=("EXX",))
+    found = diagnose(session)
+    assert (found.verdict, found.accepted) == ("adequate", ())
+    told = " ".join(verdict_words(found, {}, Advice(), brief=True))
+    assert "passes over the axis differ among themselves by" in told
+    assert "More runs make the uncertainty smaller" in next_step(found, Advice())
+    still = diagnose(plates.axis(5, declared=5e-7, terms=("EXX",)))
+    assert next_step(still, Advice()).startswith("Next: nothing is needed")
 
 
 def test_play_of_the_other_sign_is_named_with_its_sign() -> None:

@@ -64,12 +64,9 @@ def verdict_words(
         yield say("diagnosis.refused", effect=_title(diagnosis, name), p=p, why=why)
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
-    if brief:
-        yield from _noise(diagnosis)
-        return
-    if diagnosis.gross_errors and diagnosis.verdict != "outliers":
+    if diagnosis.gross_errors and diagnosis.verdict != "outliers" and not brief:
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
-    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
+    yield from _differ(diagnosis)
     yield from _noise(diagnosis)
 
 
@@ -148,8 +145,13 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         return say("next.look")
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
-        return say("next.nothing")
+        return say("next.runs" if any(_differ(diagnosis)) else "next.nothing")
     return say("next.smaller", measure=best.measure)
+
+
+def _differ(diagnosis: Diagnosis) -> Iterator[str]:
+    """What does not reproduce beside the effects found, where that is sure."""
+    return reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:
