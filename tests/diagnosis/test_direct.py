@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.session.session import Session
@@ -152,6 +154,38 @@ def test_a_frame_may_warm_up_by_tenths_of_a_millimetre(plates: ModuleType) -> No
     found = diagnose(plates.session(columns, 5e-6, "offset", (), np.zeros(n, np.int64), "top"))
     assert (found.verdict, found.accepted) == ("missing_effect", ("warmup_z",))
     assert {"dead_path", "refractive_index"} <= set(found.excluded)
+
+
+def frame_that_warms(plates: ModuleType, time: Array, moved: Array, **temperatures: Array) -> Session:
+    """A frame read by a switch at one place."""
+    n, rng = len(time), np.random.default_rng(1)
+    columns = {"time": time, "z": np.zeros(n), "gx": np.zeros(n), "gy": np.zeros(n), "gz": np.ones(n), **temperatures}
+    columns["displacement"] = moved + 2e-6 * rng.normal(size=n)
+    return plates.session(columns, 2e-6, "offset", (), np.zeros(n, np.int64), "top")
+
+
+def test_effects_that_take_each_other_back_are_not_named(plates: ModuleType) -> None:
+    """Half a millimetre of warm-up that the cold end of the frame takes back but for some hundredths."""
+    time = 8.0 * np.arange(300)
+    chamber = 26.0 + 12.0 * (1.0 - np.exp(-time / 800.0))
+    moved = 5e-4 * (1.0 - np.exp(-time / 1000.0)) - 42e-6 * (followed(time, chamber, 100.0) - 26.0)
+    found = diagnose(frame_that_warms(plates, time, moved, temperature_z=chamber))
+    assert (found.verdict, found.accepted) == ("unexplained", ())
+    assert set(found.refused) == {"warmup_z", "thermal_lag_z"}
+    assert all("take back" in why for why in found.refused.values())
+
+
+def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named(plates: ModuleType) -> None:
+    """What the frame does follows bed and nozzle, the chamber's sensor some of it."""
+    time = 7.0 * np.arange(300)
+    bed = followed(time, np.interp(time, [0, 300, 480, 1500, 2000], [26.0, 26.0, 70.0, 70.0, 60.0]), 30.0)
+    nozzle = followed(time, np.interp(time, [0, 300, 420, 1500, 1900], [30.0, 30.0, 220.0, 220.0, 80.0]), 20.0)
+    chamber = 26.0 + 8.0 * (followed(time, bed, 900.0) - 26.0) / 44.0
+    moved = 1e-6 * (1.3 * chamber + 0.64 * followed(time, bed, 50.0) + 0.156 * followed(time, nozzle, 120.0))
+    found = diagnose(frame_that_warms(plates, time, moved, temperature_z=chamber, bed=bed, nozzle=nozzle))
+    assert (found.verdict, found.accepted) == ("unexplained", ())
+    assert "thermal_expansion_z, a special case of it, takes up more" in found.refused["thermal_lag_z"]
+    assert {one.covariate for one in found.search.structure} >= {"bed", "nozzle"}
 
 
 @pytest.mark.parametrize("what", ["places", "runs", "zone"])

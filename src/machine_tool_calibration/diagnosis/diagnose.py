@@ -28,14 +28,14 @@ from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, 
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.refits import changed, declared
-from machine_tool_calibration.model.result import ErrorMap, effect_estimates, map_change, map_rms
+from machine_tool_calibration.model.result import ErrorMap, effect_estimates, effect_signal, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say
+from machine_tool_calibration.words import say, together
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
@@ -302,7 +302,7 @@ def _added(
 ) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
     """The first model and one after every effect that can be added, and why the other probable ones cannot.
 
-    What has a time constant, and no size any more beside a further effect, was that one: it is in `unsized`.
+    What has a time constant, and no size of its own any more beside a further effect, was that one: it is in `unsized`.
     """
     fitted, accepted, refused = [first], list[str](), dict(unsized)
     for name in (name for name in search.accepted if name not in unsized):
@@ -317,13 +317,12 @@ def _added(
                 _settled(wider.joint)
                 _explains(fitted[-1].joint, wider.joint)
                 _hold(fitted[-1].error_map, wider.error_map)
-                late = [n for n in (*accepted, name) if search.of(n).candidate.decays and not _sized(wider.joint, n)]
+                late = _not_themselves(search, first.joint, (*accepted, name), fit_with)
             except ModelError as error:
                 refused[name] = str(error)
                 continue
             if late:
-                gone = {n: say("undetermined.no_size_beside") for n in late}
-                return _added(search, predicted, first, fit_with, {**unsized, **gone})
+                return _added(search, predicted, first, fit_with, {**unsized, **late})
             fitted.append(wider)
             accepted.append(name)
     return tuple(fitted), refused
@@ -384,6 +383,32 @@ def _explains(before: JointFit, after: JointFit) -> None:
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
     if gain < priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0):
         raise ModelError("the model explains the readings as well without it")
+
+
+def _not_themselves(
+    search: EffectSearch, before: JointFit, names: tuple[str, ...], fit_with: Callable[[tuple[str, ...]], FittedSessions]
+) -> dict[str, str]:
+    """Why some of the effects with a time constant are not what is missing, by name: without those that are.
+
+    Args:
+        search: what was found.
+        before: fit without any of the effects.
+        names: ids of effects that are all in the model.
+        fit_with: the fit with effects.
+    """
+    after, out, known = fit_with(names).joint, {}, {f.name for f in search.findings if f.rank}
+    for name in (name for name in names if search.of(name).candidate.decays):
+        # What it changes that the model does not take up, and the residual.
+        squares = np.diag(Pool(before).screen(effect_signal(after, name)[0][None]).gram)
+        special_cases = known.intersection(search.of(name).candidate.contains)
+        instead = [tuple(case if n == name else n for n in names) for case in special_cases]
+        if not _sized(after, name):
+            out[name] = say("undetermined.no_size_beside")
+        elif squares[0] > priors.TAKEN_BACK**2 * squares[-1]:
+            out[name] = say("undetermined.taken_back")
+        elif any(fit_with(ids).joint.solution.chi_square < after.solution.chi_square for ids in instead):
+            out[name] = say("undetermined.less_than_simpler", names=together(sorted(special_cases), say("text.and")))
+    return out
 
 
 def _sized(fit: JointFit, name: str) -> bool:
