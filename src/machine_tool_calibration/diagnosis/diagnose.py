@@ -386,7 +386,10 @@ def _explains(before: JointFit, after: JointFit) -> None:
 
 
 def _not_themselves(
-    search: EffectSearch, before: JointFit, names: tuple[str, ...], fit_with: Callable[[tuple[str, ...]], FittedSessions]
+    search: EffectSearch,
+    before: JointFit,
+    names: tuple[str, ...],
+    fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> dict[str, str]:
     """Why some of the effects with a time constant are not what is missing, by name: without those that are.
 
