@@ -188,6 +188,38 @@ def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named(plates
     assert {one.covariate for one in found.search.structure} >= {"bed", "nozzle"}
 
 
+def test_reversal_of_no_simple_form_is_said_place_by_place(plates: ModuleType) -> None:
+    """Backlash, and beside it a reversal that differs from each place to the next: no wave in the order."""
+    session = plates.axis(3, backlash=1e-5, declared=5e-7, terms=("EXX",), datum="offset")
+    readings = session.readings
+    place = np.round(readings.columns["x"] / 0.05).astype(int)
+    own = 1e-6 * np.array([2.0, -1.0, -3.0, 3.0, -4.0, 4.0, 0.0, -4.0, 2.0, 3.0, -2.0])
+    moved = readings.displacement - own[place] * readings.columns["dir_x"]
+    columns = {name: values for name, values in readings.columns.items() if name != "time"}
+    found = diagnose(session.with_readings(replace(readings, displacement=moved, columns=columns)))
+    assert found.verdict == "missing_effect" and set(found.accepted) <= {"backlash_x", "lost_motion_x"}
+    assert (found.search.left[0].covariate, found.search.left[0].share > 0.3) == ("dir_x and x", True)
+    assert "from place to place" in found.search.left[0].shape
+
+
+def test_meshes_that_differ_by_tilts_are_said_to(plates: ModuleType) -> None:
+    """A bed that was probed five times in some weeks: each time it lay otherwise."""
+    x, y = (part.reshape(-1) for part in np.meshgrid(np.linspace(0.0, 0.3, 6), np.linspace(0.0, 0.3, 6)))
+    rng, n, meshes = np.random.default_rng(5), len(x), 5
+    one, none = np.ones(n * meshes), np.zeros(n * meshes)
+    setup = np.repeat(np.arange(meshes), n)
+    columns = {"x": np.tile(x, meshes), "y": np.tile(y, meshes), "z": none, "gx": none, "gy": none, "gz": one}
+    tilt = 2e-4 * rng.normal(size=(2, meshes))[:, setup]
+    columns["displacement"] = tilt[0] * columns["x"] + tilt[1] * columns["y"] + 5e-6 * rng.normal(size=n * meshes)
+    bed = plates.session(columns, 5e-6, "offset", ("EZX", "EZY"), none.astype(np.int64), "0")
+    setups = tuple(bed.description.setups[0].model_copy(update={"id": f"{k}"}) for k in range(meshes))
+    description = bed.description.model_copy(update={"setups": setups})
+    found = diagnose(replace(bed, description=description, readings=replace(bed.readings, setup=setup)))
+    assert (found.verdict, found.accepted) == ("unexplained", ())
+    first = found.search.structure[0]
+    assert (first.covariate, first.share > 0.9) == ("setup", True)
+
+
 @pytest.mark.parametrize("what", ["places", "runs", "zone"])
 def test_scatter_of_places_is_said_where_their_repeats_agree_and_nothing_is_alike(what: str) -> None:
     session = simulate(SimulationSpec(plan=PRESETS["grid_plate"].model_copy(update={"repeats": 4}), seed=3)).session

@@ -12,8 +12,8 @@ from machine_tool_calibration.effects.families import ReversalEffect
 from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.words import say
 
-# As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2.
-_DEGREES = 7
+LOST_MOTION_DEGREES = 7
+"""As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2."""
 _POWERS = ("the_same", "power_1", "power_2", "power_3")
 
 
@@ -30,11 +30,11 @@ class LostMotion(ReversalEffect):
 
     id = "lost_motion_{axis}"
     title = say("effect.lost_motion")
-    formula = say("formula.lost_motion", axis="{axis}", n=_DEGREES)
+    formula = say("formula.lost_motion", axis="{axis}", n=LOST_MOTION_DEGREES)
     source = "ISO 230-2:2014, reversal error at each position"
     coefficients = tuple(
         Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, say("coefficient.half_width_of", shape=_shape(k)))
-        for k in range(_DEGREES + 1)
+        for k in range(LOST_MOTION_DEGREES + 1)
     )
     contains = (Backlash.id,)
     moves = "{AXIS}"
@@ -44,7 +44,7 @@ class LostMotion(ReversalEffect):
         place = np.round(observations.readings.column(self.axis) / SAME_POSITION)
         sign = np.sign(self.approach(observations))
         both = np.intersect1d(place[sign > 0], place[sign < 0])
-        return self.coefficients[: min(_DEGREES, max(len(both) - 1, 1), len(np.unique(place)) - 1) + 1]
+        return self.coefficients[: min(LOST_MOTION_DEGREES, max(len(both) - 1, 1), len(np.unique(place)) - 1) + 1]
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Legendre polynomials of the position, sensed along the axis, against the direction of approach."""

@@ -13,6 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import NUMBERS_AT_ONCE, gram_of
+from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 from machine_tool_calibration.model.imperfection import scaled_values
@@ -27,6 +28,10 @@ _ORDERS = (1, 2, 3, 4, 5)
 _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _AIR = "temperature_air"
 _ANGLES = ("c", "azimuth", "elevation", "normal")
+# Setups whose slopes are tried one by one.
+_MOST_SETUPS = 12
+# Places whose reversal is tried one by one: of more, neighbours have much in common.
+_MOST_PLACES = 25
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
 # Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and where it explains
@@ -110,7 +115,7 @@ class _Outside:
 
 
 def _functions(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
-    for functions in (_of_one, _products, _lost_motions):
+    for functions in (_of_one, _products, _lost_motions, _slopes_of_setups):
         yield from functions(observations)
 
 
@@ -167,6 +172,30 @@ def _lost_motions(observations: Observations) -> Iterator[tuple[str, Said, Array
             for other, scaled in _positions(observations).items():
                 both = say("shape.axes", one=named("column", f"dir_{axis}"), other=other)
                 yield both, say("shape.lost_motion", axis=axis.upper(), other=other), _smooth(scaled) * along
+                if other == axis and len(places := _from_place_to_place(scaled, sign)):
+                    yield both, say("shape.lost_motion_of_places", axis=axis.upper()), places * along
+
+
+def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, Array]]:
+    """Parts, meshes and mountings that differ by tilts, scales and squareness."""
+    setup = observations.readings.setup
+    own = setup == np.unique(setup)[:, None]
+    if not spec_of(observations.session).reads_machine or not 2 <= len(own) <= _MOST_SETUPS:
+        return
+    directions = [d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION]
+    slopes = [u * d for u in _positions(observations).values() for d in directions]
+    yield named("column", "setup"), say("shape.slopes"), np.concatenate([own * slope for slope in slopes])
+
+
+def _from_place_to_place(scaled: Array, sign: Array) -> Array:
+    """(k, n) what places, read repeatedly either way, differ by in no smooth form: none where they are few or many."""
+    at, place = np.unique(np.round(scaled, 6), return_inverse=True)
+    own = place.reshape(-1) == np.arange(len(at))[:, None]
+    both = np.minimum((own & (sign > 0)).sum(axis=1), (own & (sign < 0)).sum(axis=1)) >= 2
+    # What the effect takes up is no structure.
+    smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
+    free = np.linalg.svd(smooth)[0][:, smooth.shape[1] :]
+    return np.asarray(free.T @ own[both])[: both.sum() <= _MOST_PLACES and len(free)]
 
 
 _Explained = Callable[[Callable[[float], Array], Array], list[Array]]
