@@ -399,7 +399,7 @@ def _not_themselves(
         names: ids of effects that are all in the model.
         fit_with: the fit with effects.
     """
-    after, out, known = fit_with(names).joint, {}, {f.name for f in search.findings if f.rank}
+    after, out, known = fit_with(names).joint, dict[str, str](), {f.name for f in search.findings if f.rank}
     for name in (name for name in names if search.of(name).candidate.decays):
         # What it changes that the model does not take up, and the residual.
         squares = np.diag(Pool(before).screen(effect_signal(after, name)[0][None]).gram)

@@ -194,8 +194,8 @@ STANDS_OUT = 2.0
 what decays resembles much else."""
 
 TAKEN_BACK = 2.0
-"""What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others take
-back what it has too much, and neither has the size of its own."""
+"""What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others
+take back what it has too much, and none has its size by itself."""
 
 IN_A_ROW = 0.5
 """Share of a reading's own deviation that those next to it in its run have at least where they deviate alike."""
