@@ -36,6 +36,8 @@ from machine_tool_calibration.words import Said, say, together
 _APART = 6.0
 AS_GOOD = 0.1
 """Probability of another effect from which it is told beside those found."""
+# What does not reproduce over the residual, from which it is what limits.
+_LIMITS = 0.7
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 
@@ -66,7 +68,7 @@ def verdict_words(
         yield from _unexplained(diagnosis)
     if diagnosis.gross_errors and diagnosis.verdict != "outliers" and not brief:
         yield say("diagnosis.set_aside_before", n=len(diagnosis.gross_errors))
-    yield from _differ(diagnosis)
+    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
     yield from _noise(diagnosis)
 
 
@@ -145,13 +147,10 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         return say("next.look")
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
-        return say("next.runs" if any(_differ(diagnosis)) else "next.nothing")
+        left = rms(Pool(diagnosis.fits[-1]).residuals)
+        limits = any(one.size > _LIMITS * left for one in diagnosis.fits[-1].marginal.sizes)
+        return say("next.runs" if limits else "next.nothing")
     return say("next.smaller", measure=best.measure)
-
-
-def _differ(diagnosis: Diagnosis) -> Iterator[str]:
-    """What does not reproduce beside the effects found, where that is sure."""
-    return reproducibility_words([size.document() for size in diagnosis.fits[-1].marginal.sizes])
 
 
 def _likeliest(diagnosis: Diagnosis) -> Said:
