@@ -16,7 +16,7 @@ from machine_tool_calibration.estimation.marginal import Gram, LogEvidence, log_
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.model import Parameter, Term
+from machine_tool_calibration.model.model import Kind, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
@@ -31,13 +31,16 @@ PASSES, PLACES = 6, 8
 PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate", "straightness"]
 
 
-def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, Array, Array, Array]:
+def axis(
+    between: float, seed: int = 0, noise: float = 1.0, limit: float | None = None
+) -> tuple[JointFit, Array, Array, Array]:
     """A fit of an axis run up and down, and what it is made of, in units of the declared uncertainty.
 
     Args:
         between: slope of each pass of its own, in standard uncertainties.
         seed: of everything random.
         noise: over that declared.
+        limit: of the scale where that is an effect of plausible size.
 
     Returns:
         The fit, (n, 2) its model, (n, u) columns of what does not reproduce, and (n,) readings.
@@ -66,7 +69,10 @@ def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, A
     place = np.column_stack([x, np.zeros((n, 2))])
     along = np.tile([1.0, 0.0, 0.0], (n, 1))
     observations = Observations(Session(description, readings), readings, place, along, 0.0 * along, np.zeros(n), zero)
-    term = Term("scale", (Parameter("scale", "1", shared=True),), x[None])
+    scale = Parameter("scale", "1", shared=True)
+    if limit is not None:
+        scale = Parameter("scale.s", "1", -limit, limit, shared=True, kind=Kind.EFFECT, owner="scale")
+    term = Term("scale", (scale,), x[None])
     fit = fit_models([Line(observations, (term,), (), (), (), "none")])
     (family,) = reproducibility(observations)
     return fit, columns / SIGMA, family.columns().T, reading / SIGMA
@@ -154,6 +160,24 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
     # What was declared still says a little.
     assert 0.9 * factor < fit.marginal.scatter < factor
     assert fit.published.covariance == pytest.approx(fit.marginal.scatter**2 * expected.covariance)
+
+
+def test_an_effect_of_plausible_size_is_what_the_readings_say_and_one_beyond_it_is_drawn_to_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sizes_tried(monkeypatch, [0.5])
+    fit, model, spread, readings = axis(0.0, noise=3.0, limit=100.0 * SIGMA)
+    expected = generalised(model, spread, readings, 0.5)
+    known = fit.marginal.scatter**2 * expected.covariance
+    assert (np.abs(fit.published.theta[:2] - expected.theta) < 0.3 * np.sqrt(np.diag(known))).all()
+    assert fit.published.covariance == pytest.approx(known, rel=0.05)
+    # With a limit of a hundredth of what is read only the rare larger size is left: a hundred times the limit.
+    narrow = axis(0.0, noise=3.0, limit=0.2 * SIGMA)[0].published
+    own = np.sqrt(fit.published.covariance[1, 1])
+    assert 0.0 < expected.theta[1] - narrow.theta[1] < 6.0 * own
+    # The offset moves with it as the readings say that it must.
+    moved = narrow.theta[:2] - expected.theta
+    assert moved[0] / moved[1] == pytest.approx(expected.covariance[0, 1] / expected.covariance[1, 1], rel=1e-6)
 
 
 def test_each_family_has_a_size_in_metres() -> None:

@@ -66,3 +66,7 @@ def test_repeats_as_they_were_read_hold_what_runs_differ_by() -> None:
     noise = noise_of(fit_models([build_model(moved)[0]]).fits[0])
     assert noise.from_repeats == pytest.approx(noise.declared, rel=0.3)
     assert noise.as_read is not None and noise.as_read > 5.0 * noise.declared
+    # Pooled over the places, each run counted once: the standard deviations of the places by themselves.
+    place, values = build_model(moved)[0].observations.place, moved.readings.displacement
+    variances = [np.var(values[place == k], ddof=1) for k in range(place.max() + 1)]
+    assert noise.as_read == pytest.approx(np.sqrt(np.mean(variances)), rel=1e-9)
