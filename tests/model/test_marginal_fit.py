@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.estimation import variance_components
 from machine_tool_calibration.estimation.marginal import Gram, LogEvidence, log_noise
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.imperfection import imperfection
 from machine_tool_calibration.model.model import Kind, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.refits import declared
@@ -266,3 +267,25 @@ def test_what_a_model_lacks_is_no_spread_where_readings_were_repeated(plan: str)
     spread = Spread(slope=8.0 * session.sigma, bow=8.0 * session.sigma)
     found = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=5, spread=spread)).session)[0]])
     assert max(size.size for size in found.marginal.sizes) > 1.5 * session.sigma
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis"])
+def test_what_every_model_lacks_widens_the_map_by_as_much_as_it_moves_it(
+    plan: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Smooth functions of place, the same in every repeat, of three standard uncertainties together."""
+    session = simulate(SimulationSpec(plan=PRESETS[plan], seed=5)).session
+    shapes = imperfection(build_model(session)[0].observations)
+
+    def found(size: float) -> tuple[Array, Array]:
+        change = size * session.sigma * np.random.default_rng(2).normal(size=len(shapes)) @ shapes
+        readings = replace(session.readings, displacement=session.readings.displacement + change)
+        error_of = error_map(fit_models([build_model(session.with_readings(readings))[0]]).fits[0])
+        return error_of.error, error_of.uncertainty
+
+    (sound, _), (moved, uncertainty) = found(0.0), found(3.0)
+    ratio = (moved - sound)[uncertainty > 0] / uncertainty[uncertainty > 0]
+    assert 0.3 < np.sqrt(np.nanmean(ratio**2)) < 1.5
+    # Of more readings than this it is left out, and scatter alone says too little.
+    monkeypatch.setattr(marginal_fit, "_ENOUGH", len(session.readings) - 1)
+    assert rms(uncertainty) > 1.3 * rms(found(3.0)[1])

@@ -114,19 +114,23 @@ def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:
     assert Prediction("setups", (-2.0, -3.0), 10).gain == pytest.approx(-1.0)
 
 
-def test_parts_without_which_there_is_no_model_are_counted() -> None:
+def test_parts_without_which_there_is_no_model_are_counted_and_one_prediction_says_nothing() -> None:
     session = with_effect(None)
     fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
     look = replace(search_effects(fit, candidates, [], side_by_side=False), accepted=(EFFECT,))
 
-    def without_the_first_setup(left):
-        if 0 not in left[0].readings.setup:
-            raise ModelError("too little")
-        return fit_of(left)
+    def found(*needed: int) -> dict[str, Prediction]:
+        def fitted(left: Sequence[Session]) -> JointFit:
+            if not set(needed) <= set(left[0].readings.setup.tolist()):
+                raise ModelError("too little")
+            return fit_of(left)
 
-    found = {each.what: each for each in predictions([session], look, without_the_first_setup)[EFFECT]}
-    whole = {each.what: each for each in predicted(session)}
-    assert found["setups"].needed == 1 and whole["setups"].needed == 0
-    assert found["setups"].log_gains == whole["setups"].log_gains[1:]
-    assert found["cycles"] == whole["cycles"]
+        return {each.what: each for each in predictions([session], look, fitted)[EFFECT]}
+
+    whole, without = found(), found(0)
+    assert without["setups"].needed == 1 and whole["setups"].needed == 0
+    assert without["setups"].log_gains == whole["setups"].log_gains[1:]
+    assert without["cycles"] == whole["cycles"]
+    assert len(found(0, 1)["setups"].log_gains) == 2
+    assert set(found(0, 1, 2)) == set(found(0, 1, 2, 3)) == set(whole) - {"setups"}
