@@ -68,6 +68,12 @@ def test_the_periodogram_is_that_of_fits_of_every_wave_beside_the_means_of_runs(
     np.testing.assert_allclose(_periodogram(TIME, run, noise, frequency), power, rtol=1e-6, atol=1e-9)
 
 
+def test_a_wave_that_is_the_same_at_all_readings_takes_up_nothing() -> None:
+    """Its period is the interval between them: it is their mean."""
+    noise = np.random.default_rng(4).normal(size=50)
+    assert _periodogram(np.arange(50.0), np.zeros(50, np.int64), noise, np.array([1.0])) == [0.0]
+
+
 def test_peaks_may_be_at_the_ends() -> None:
     assert _peaks(np.array([5.0, 1.0, 2.0, 1.0, 3.0])).tolist() == [0, 4, 2]
     assert _peaks(np.zeros(4)).tolist() == []
