@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Budgets of which every number is known otherwise: in closed form, from the fit's covariance, by random draws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vector of all that is published: what is where in it, and that it is what the documents hold."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

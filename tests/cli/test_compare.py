@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal compare`: words, tables, JSON, pictures and the readings behind them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal diagnose` as it is called."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal effects`: the catalogue, one effect in full, and what its residuals look like."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

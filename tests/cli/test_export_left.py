@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `mtcal export` says of effects that are in the model: in the tables, or in the errors that are left."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal identify`: for people, for programs, and for what is wrong."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

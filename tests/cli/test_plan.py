@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal plan` and `mtcal workpiece`: what is promised is what a simulated measurement then gives."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every verb that takes several sessions of one machine: in text and as JSON, with effects."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict on simulated sessions: nothing missing, one effect, two, one that nobody knows, chips."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings that scatter far more than declared: what does not reproduce, a wrong declaration, or a wrong model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

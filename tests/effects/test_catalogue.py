@@ -4,8 +4,6 @@
 The sessions come from the simulator, which calculates readings from geometry and shares no formula with the effects.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Formulas of a user's own: parsed, checked, and worth as much as the built-in effects."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables for controllers: what stands in the files, and that a controller that follows them takes the errors away."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

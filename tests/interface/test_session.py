@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loading and simulating, effects of the user's own, what results look like, and what goes wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

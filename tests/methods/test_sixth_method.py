@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A measuring method that a package of its own adds, with one line that announces it: circles with a ball bar."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is published where the readings hardly tell an effect from the model's own unknowns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which unknowns of a model take up what one would add to it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is published of a fit: generalised least squares with what does not reproduce, averaged over its size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far two maps of errors are from each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The smallest sizes that would be found, from what a fit leaves of each effect's columns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

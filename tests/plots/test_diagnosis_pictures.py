@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a diagnosis and of the error falling: for every method, and with the numbers that they are of."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session goes into a bag and comes back, beside whatever else is in the bag."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

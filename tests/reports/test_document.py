@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The JSON document of a diagnosis: the contract's keys, honest numbers, and no cause where none is known."""
 
-from __future__ import annotations
-
 import json
 import math
 from functools import cache

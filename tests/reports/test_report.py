@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What people read of a diagnosis: the verdict first, and tables that hold what the words say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

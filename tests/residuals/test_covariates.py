@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What residuals are drawn against, and in which order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise from repeats: of readings that repeat each other, and of no others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

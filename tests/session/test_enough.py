@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fewer stations, targets or readings than a method needs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

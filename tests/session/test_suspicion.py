@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings that fit and mean nothing are said to be suspicious, in words and in JSON; sound ones are not."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the page Live makes of what is heard: no ROS, no browser."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import sys

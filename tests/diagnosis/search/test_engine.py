@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a whole diagnosis says of sessions whose truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

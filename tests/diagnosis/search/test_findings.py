@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sizes that occur: what is tried for is twice the limits of a coefficient."""
 
-from __future__ import annotations
-
 import pytest
 
 from machine_tool_calibration.diagnosis.search.findings import Size

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An effect on readings that were left out: a real one predicts them, one that bends around the readings does not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

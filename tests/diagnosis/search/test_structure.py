@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Waves at unequal times and steps: what they take up beside a model, against fits, and the peaks that are kept."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Machine errors of a session: which can be told, in which datum, and at which positions."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

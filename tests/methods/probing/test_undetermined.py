@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the touches do not determine is named and null, all the rest comes back; the null space by the whole system."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fewer and more stations and targets than the paper's, other axes, and places that are hardly known."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the readings do not determine is named, and everything else is given."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a fit of a rotary axis says, worked out again from the unknowns and their covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The start of the fit: readings of a perfect table leave nothing, wherever stations and targets really stand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stated uncertainties are those of the errors."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

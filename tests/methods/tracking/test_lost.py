@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was not read, or not well: named where it is not determined, and without harm to the rest."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
