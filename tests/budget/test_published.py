@@ -10,7 +10,15 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.complete import completed
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.propagate import propagate
-from machine_tool_calibration.budget.published import Numbers, everything, figure_of, iso_numbers, numbers, unit_of
+from machine_tool_calibration.budget.published import (
+    Numbers,
+    everything,
+    figure_of,
+    iso_numbers,
+    numbers,
+    of_document,
+    unit_of,
+)
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.identify import identify
@@ -111,3 +119,20 @@ def test_a_complete_result_has_uncertainties_and_covariances_that_belong_togethe
     assert more.min() > 0.0
     expanded = budget.expanded[budget.numbers.quantity("position_error").members].reshape(-1, 3)
     np.testing.assert_allclose(whole.uncertainty, np.maximum(expanded / 2.0, found.error_map.uncertainty), rtol=1e-6)
+
+
+@pytest.mark.parametrize("plan", ["iso230_2", "rotary"])
+def test_a_document_says_the_same_of_the_map_and_the_unknowns(plan: str) -> None:
+    own = fitted(plan)
+    published = numbers(own, own.joint)
+    told = of_document(identify(own.joint.assembly.models[0].observations.session).document())
+    assert {"iso230_2": {"position_error", "EXX"}, "rotary": {"ECC", "EXC", "A.x"}}[plan] <= {
+        q.name for q in told.quantities
+    }
+    for one in told.quantities:
+        same = published.quantity(one.name)
+        np.testing.assert_allclose(of(told, one.name), of(published, one.name), rtol=1e-12)
+        if one.name != "position_error":  # of which the document does not say where
+            assert [one.where(k) for k in range(one.count)] == [same.where(k) for k in range(one.count)]
+            assert (one.at is None) == (same.at is None)
+            np.testing.assert_allclose(one.at if one.at is not None else [], same.at if same.at is not None else [])
