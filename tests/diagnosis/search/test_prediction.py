@@ -62,9 +62,15 @@ def test_an_effect_of_one_setup_does_not_predict_the_others() -> None:
     assert setups.speaks_against
 
 
-def test_such_an_effect_is_refused_although_it_is_probable() -> None:
-    found = diagnose(with_effect(0))
-    assert EFFECT not in found.accepted
+def test_an_effect_that_its_predictions_speak_against_is_refused_although_it_is_probable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=(FlawSpec(id="backlash_x", size=2e-6),))
+    against = {"backlash_x": (Prediction("setups", (30.0, -4.0, -4.0, 1.0), 100),)}
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.predictions", lambda *_: against)
+    found = diagnose(simulate(spec).session)
+    assert found.search.accepted == ("backlash_x",)
+    assert found.accepted == () and set(found.refused) == {"backlash_x"}
 
 
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:

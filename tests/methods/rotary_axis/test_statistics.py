@@ -40,7 +40,6 @@ def test_normalised_errors_over_many_runs(rotary: SimpleNamespace, many: Any) ->
     [
         {"repeats": 3},
         {"both_ways": True, "sign": -1},
-        {"hidden": {"P": (1.0, 1.8)}},
         {"missing": 0.05},
     ],
 )
