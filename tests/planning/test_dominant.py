@@ -144,6 +144,7 @@ def test_sizes_that_are_not_assumed_are_taken_from_the_session(simulated: Simula
 
 def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) -> None:
     """A third of what a metre of steel grows, per hour; of a steadier room no less than of 1 K per hour."""
+    assert pytest.approx(11.5e-6 / 3.0, rel=0.1) == DRIFT * 3600.0
     session = simulated("rotary_axis")
     time = session.readings.columns["time"]
     for warming, expected in ((4.0, 4.0 * DRIFT), (0.2, DRIFT)):
