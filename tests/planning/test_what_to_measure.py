@@ -46,7 +46,7 @@ def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Sim
 
 def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None:
     flaw = FlawSpec(id="dead_path", amplitude=2e-6)
-    found, advice = look(simulated("step_diagonal", 5, flaw, plan={"blocks": 6}))
+    found, advice = look(simulated("step_diagonal", 5, flaw, plan={"blocks": 4}))
     groups = list(alias_groups_of(found))
     assert found.accepted == ("dead_path",)
     assert [s.effects for s in advice.separations] == groups
