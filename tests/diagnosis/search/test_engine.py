@@ -99,6 +99,15 @@ def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     assert set(found.search.sets[0][0]) == {"warmup_x", "backlash_x"}
 
 
+def test_a_strong_warm_up_has_a_time_constant_between_those_that_are_tried() -> None:
+    """At the nearest of these, a fifth off, what is left would look like a drift."""
+    session = simulated("iso230_2", 23, [FlawSpec(id="warmup_x", amplitude=6e-5, parameters={"tau": 160.0})])
+    found = diagnose(session)
+    assert found.accepted == ("warmup_x",)
+    (tau,) = found.search.of("warmup_x").shape
+    assert tau == pytest.approx(160.0, rel=0.05)
+
+
 def test_a_screw_that_grows_while_it_warms_up_is_named_without_a_thermometer() -> None:
     flaws = [FlawSpec(id="screw_growth_x", size=4e-5, parameters={"tau": 500.0}), FlawSpec(id="backlash_x", size=3e-6)]
     session = simulated("iso230_2", 23, flaws)
