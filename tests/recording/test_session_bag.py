@@ -275,12 +275,6 @@ def direct_session() -> Session:
     return Session(description, readings)
 
 
-def test_a_direct_session_with_names_of_points(tmp_path: Path) -> None:
-    session = direct_session()
-    session_to_bag(session, tmp_path / "bag")
-    assert_equal(session, session_from_bag(tmp_path / "bag", check=False))
-
-
 @pytest.mark.parametrize("name", [*NAMES, "direct"])
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_the_readings_as_a_table_are_complete(name: str, form: str, tmp_path: Path) -> None:

@@ -158,13 +158,6 @@ def test_parameters_and_map_change_are_those_of_an_identification() -> None:
     assert first["rms_before"] == pytest.approx(without.rms_residual, rel=1e-6)
 
 
-def test_candidates_that_were_not_added_in_full_have_no_map_change() -> None:
-    _, document = found("missing_effect")
-    changes = [c["map_change_rms"] for c in document["candidates"]]
-    assert all(change is not None for change in changes[:5])
-    assert all(change is None for change in changes[5:])
-
-
 def test_a_look_alike_of_the_effect_found_is_in_its_group_and_not_called_absorbed() -> None:
     _, document = found("look-alike")
     pair = {"pointer_radial_error", "retroreflector_form"}

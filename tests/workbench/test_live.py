@@ -77,12 +77,6 @@ def test_a_replay_that_begins_anew_is_seen_to_grow_again(session: Session) -> No
     assert (run, len(rows), heard.count) == (2, 2, (2, 2))
 
 
-def test_readings_that_were_missed_are_counted(session: Session) -> None:
-    heard = Heard()
-    tell(heard, session, slice(4, 10))
-    assert heard.missing == 4
-
-
 def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(session: Session) -> None:
     heard = Heard()
     tell(heard, session, slice(0, 3))
