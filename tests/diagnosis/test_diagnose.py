@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _explains, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError
@@ -129,3 +129,13 @@ def test_rounding_is_no_structure() -> None:
     assert found.verdict == "adequate"
     assert found.accepted == ()
     assert not found.search.structure
+
+
+def test_an_effect_must_lower_the_sum_of_squares() -> None:
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=8, effects=(FlawSpec(id="backlash_x", amplitude=1.5e-6),))
+    session = simulate(spec).session
+    without, with_it = (identify(session, effects=effects).joint for effects in ([], ["backlash_x"]))
+    _explains(without, with_it)
+    for before, after in ((without, without), (with_it, without)):
+        with pytest.raises(ModelError, match="explains the readings as well without it"):
+            _explains(before, after)

@@ -12,6 +12,8 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.result import map_change, map_rms
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import RANDOM
@@ -168,6 +170,18 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     waves = [s for s in found.search.structure if s.covariate == "time" and "period" in s.shape]
     assert float(waves[0].shape.split()[-2]) == pytest.approx(173.0, rel=0.01)
     assert waves[0].share == max(s.share for s in found.search.structure)
+
+
+def test_a_wave_smaller_than_the_noise_that_hardly_moves_the_map_is_good_enough() -> None:
+    """Of 0.9 standard uncertainties: sure to be there, and it moves no point by a third of its U."""
+    session = simulated("tracking_2d", 25)
+    time = session.readings.columns["time"]
+    wave = 0.9 * np.sqrt(2.0) * session.sigma * np.sin(2.0 * np.pi * time / 173.0)
+    found = diagnose(with_columns(session, wave))
+    assert found.search.unknown > 0.99 and found.search.nothing < 0.01
+    assert found.verdict == "adequate"
+    still, moved = (identify(one).error_map for one in (session, with_columns(session, wave)))
+    assert map_change(still, moved) < 2.0 * map_rms(moved.uncertainty) / 3.0
 
 
 @pytest.mark.parametrize(("plan", "size"), [("tracking_2d", 1e-4), ("rotary_axis", 2e-5), ("iso230_2", 2e-5)])
