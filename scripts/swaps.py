@@ -37,7 +37,9 @@ ROOMS = (
 )
 # What takes long to import and is none of ours: loaded once, before the first child.
 HEAVY = ("hypothesis", "matplotlib.pyplot", "mcap", "numpy", "pandas", "pydantic", "pyarrow", "rich", "scipy.optimize")
-SECONDS = 150  # of the processor for one run of tests; a swap may make a loop endless
+SECONDS = (
+    150  # of the processor for one run of tests, and of time for one test: a swap may make a loop or a wait endless
+)
 
 SWAPPED: dict[type, tuple[str, str]] = {
     **{ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.FloorDiv: ("//", "*")},
@@ -172,7 +174,7 @@ def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
         sys.path.insert(0, str(tree))
         os.environ["PYTHONPATH"] = str(tree)
         always = ["-q", "-n", "0", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml"), f"--rootdir={ROOT}"]
-        code = pytest.main([*always, *options, *tests], [_FirstFailure(writing, tests)])
+        code = pytest.main([*always, f"--timeout={SECONDS}", *options, *tests], [_FirstFailure(writing, tests)])
         os._exit(code)
     os.close(writing)
     with os.fdopen(reading) as lines:
