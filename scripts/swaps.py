@@ -137,6 +137,8 @@ def stages(path: Path) -> Iterator[list[Path]]:
     folder = [file for file in within if (tests / path.parent) in file.parents and file not in near]
     yield near + folder
     yield [file for file in within if file not in near and file not in folder]
+    if path.name == "spec.py":  # what a method asks of its sessions is tested with the sessions
+        yield sorted((tests / "session").glob("test_*.py"))
 
 
 class _FirstFailure:
