@@ -21,7 +21,7 @@ from machine_tool_calibration.planning.design import Candidates, map_errors
 from machine_tool_calibration.planning.dominant import expected_model
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
-from machine_tool_calibration.planning.optimise import bound, search
+from machine_tool_calibration.planning.optimise import _Relaxed, bound, search
 from machine_tool_calibration.procedure import parse_procedure, plan
 from machine_tool_calibration.procedure.description import expanded
 
@@ -134,6 +134,26 @@ def test_the_bound_holds_for_every_plan_of_a_small_offer() -> None:
     )
     assert 0.3 * exact < lowest <= exact * (1 + 1e-9)
     assert best.largest == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["plane", "rotary_axis_one_way"])
+def test_every_plan_that_is_allowed_keeps_the_rules_of_the_bound_and_one_with_too_many_setups_does_not(
+    name: str,
+) -> None:
+    """A setup is there as soon as one of its targets is measured, and is mounted then."""
+    offered = offer(PLANE if name == "plane" else procedure_file(name).read_text(), name)
+    rules, targets = _Relaxed(offered, 1), len(offered.targets)
+
+    def kept(setups: list[int], there: list[int]) -> bool:
+        measured = np.isin(np.arange(len(offered.setups)), setups).repeat(targets)
+        mounted = np.isin(np.arange(len(offered.setups)), there)
+        told = rules.rows @ np.concatenate([measured, mounted, [0.0]])
+        return bool(((rules.left - 1e-9 <= told) & (told <= rules.right + 1e-9)).all())
+
+    assert kept(list(range(2)), list(range(2)))
+    assert not kept(list(range(2)), [0])
+    every = list(range(len(offered.setups)))
+    assert not kept(every, every)
 
 
 def test_a_plan_has_readings_that_check_each_other() -> None:
