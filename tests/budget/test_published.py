@@ -119,6 +119,13 @@ def test_a_complete_result_has_uncertainties_and_covariances_that_belong_togethe
     assert more.min() > 0.0
     expanded = budget.expanded[budget.numbers.quantity("position_error").members].reshape(-1, 3)
     np.testing.assert_allclose(whole.uncertainty, np.maximum(expanded / 2.0, found.error_map.uncertainty), rtol=1e-6)
+    # And of the error motion values: half of each U is the budget's, where that is the larger.
+    before, after = (one.content["iso230_7"] for one in (found.error_map, whole))
+    assert len(before) == len(after) >= 4
+    for own, one in zip(before, after, strict=True):
+        (wide,) = budget.expanded[budget.numbers.quantity(f"{own['motion']}_range").members]
+        assert one["U"] == pytest.approx(max(wide, own["U"]), rel=1e-6)
+    assert any(one["U"] > 1.01 * own["U"] for own, one in zip(before, after, strict=True))
 
 
 @pytest.mark.parametrize("plan", ["iso230_2", "rotary"])
