@@ -68,3 +68,14 @@ def test_repeats_as_they_were_read_hold_what_runs_differ_by() -> None:
     place, values = build_model(moved)[0].observations.place, moved.readings.displacement
     variances = [np.var(values[place == k], ddof=1) for k in range(place.max() + 1)]
     assert noise.as_read == pytest.approx(np.sqrt(np.mean(variances)), rel=1e-9)
+
+
+def test_what_is_read_along_another_direction_is_no_neighbour() -> None:
+    """A hole off by as much along x as along y, and each by itself: no zone is."""
+    session = simulate(SimulationSpec(plan=PRESETS["grid_plate"], seed=3)).session
+    readings = session.readings
+    hole = np.unique(readings.position(), axis=0, return_inverse=True)[1].reshape(-1)
+    change = 6.0 * session.sigma * np.random.default_rng(3).normal(size=hole.max() + 1)[hole]
+    moved = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    p = alike_beside_p(fit_models([build_model(moved)[0]]).fits[0])
+    assert p is not None and p > 1e-3
