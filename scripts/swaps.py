@@ -37,7 +37,9 @@ ROOMS = (
 )
 # What takes long to import and is none of ours: loaded once, before the first child.
 HEAVY = ("hypothesis", "matplotlib.pyplot", "mcap", "numpy", "pandas", "pydantic", "pyarrow", "rich", "scipy.optimize")
-SECONDS = 150  # of the processor for one run of tests; a swap may make a loop endless
+SECONDS = (
+    150  # of the processor for one run of tests, and of time for one test: a swap may make a loop or a wait endless
+)
 
 SWAPPED: dict[type, tuple[str, str]] = {
     **{ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.FloorDiv: ("//", "*")},
@@ -135,6 +137,8 @@ def stages(path: Path) -> Iterator[list[Path]]:
     folder = [file for file in within if (tests / path.parent) in file.parents and file not in near]
     yield near + folder
     yield [file for file in within if file not in near and file not in folder]
+    if path.name == "spec.py":  # what a method asks of its sessions is tested with the sessions
+        yield sorted((tests / "session").glob("test_*.py"))
 
 
 class _FirstFailure:
@@ -172,7 +176,7 @@ def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
         sys.path.insert(0, str(tree))
         os.environ["PYTHONPATH"] = str(tree)
         always = ["-q", "-n", "0", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml"), f"--rootdir={ROOT}"]
-        code = pytest.main([*always, *options, *tests], [_FirstFailure(writing, tests)])
+        code = pytest.main([*always, f"--timeout={SECONDS}", *options, *tests], [_FirstFailure(writing, tests)])
         os._exit(code)
     os.close(writing)
     with os.fdopen(reading) as lines:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same measurement as if it had been made once more."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

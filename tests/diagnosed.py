@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnoses of simulated sessions that several tests read: each is made once in a process."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose

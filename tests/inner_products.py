@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Columns and readings at random, their inner products, and what is known of these by explicit covariance matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.estimation import priors

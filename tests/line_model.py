@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The smallest model there is: an offset of all readings, beside terms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

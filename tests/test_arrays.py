@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Groups of equal entries, and the root mean square."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import group_ranges, groups, rms

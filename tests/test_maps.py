@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The error map as a function, from messages of any library."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a verb of `mtcal` says: its exit status, what it prints, its document."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from typing import Any

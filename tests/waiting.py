@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long processes wait for a processor, for tests of what must happen in time on a machine that others use too."""
 
-from __future__ import annotations
-
 import threading
 import time
 from pathlib import Path
@@ -27,7 +25,7 @@ class Waiting:
         self._over = threading.Event()
         self._watch = threading.Thread(target=self._poll)
 
-    def __enter__(self) -> Waiting:
+    def __enter__(self) -> "Waiting":
         self._look()
         self._first = dict(self._last)
         self._watch.start()

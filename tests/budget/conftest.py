@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs along X of which every published number is known in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conformity against probabilities worked out by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

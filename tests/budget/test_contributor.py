@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contributors, and files of them: every mistake is one line that says what and where."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a contributor does to each reading, against geometry, and which readings share its value."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

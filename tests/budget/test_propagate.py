@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Budgets of which every number is known otherwise: in closed form, from the fit's covariance, by random draws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -120,9 +118,12 @@ def test_every_number_has_degrees_of_freedom_of_its_own(
 
 
 def test_rms_over_a_quantity(fitted: FittedSessions, contributor: Callable[..., Contributor]) -> None:
-    found = propagate(fitted, [contributor("length", "never")]).rms("EXX")
+    budget = propagate(fitted, [contributor("length", "never")])
+    found = budget.rms("EXX")
     assert found is not None
     assert found.u == pytest.approx(2e-6 * np.sqrt(np.mean(X**2)))
+    stated = budget.numbers.u[budget.numbers.quantity("EXX").members]
+    assert found.stated == pytest.approx(np.sqrt(np.mean(stated**2)))
 
 
 def test_monte_carlo_agrees(fitted: FittedSessions, contributor: Callable[..., Contributor]) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vector of all that is published: what is where in it, and that it is what the documents hold."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -12,7 +10,15 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.complete import completed
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.propagate import propagate
-from machine_tool_calibration.budget.published import Numbers, everything, figure_of, iso_numbers, numbers, unit_of
+from machine_tool_calibration.budget.published import (
+    Numbers,
+    everything,
+    figure_of,
+    iso_numbers,
+    numbers,
+    of_document,
+    unit_of,
+)
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.methods.identify import identify
@@ -113,3 +119,27 @@ def test_a_complete_result_has_uncertainties_and_covariances_that_belong_togethe
     assert more.min() > 0.0
     expanded = budget.expanded[budget.numbers.quantity("position_error").members].reshape(-1, 3)
     np.testing.assert_allclose(whole.uncertainty, np.maximum(expanded / 2.0, found.error_map.uncertainty), rtol=1e-6)
+    # And of the error motion values: half of each U is the budget's, where that is the larger.
+    before, after = (one.content["iso230_7"] for one in (found.error_map, whole))
+    assert len(before) == len(after) >= 4
+    for own, one in zip(before, after, strict=True):
+        (wide,) = budget.expanded[budget.numbers.quantity(f"{own['motion']}_range").members]
+        assert one["U"] == pytest.approx(max(wide, own["U"]), rel=1e-6)
+    assert any(one["U"] > 1.01 * own["U"] for own, one in zip(before, after, strict=True))
+
+
+@pytest.mark.parametrize("plan", ["iso230_2", "rotary"])
+def test_a_document_says_the_same_of_the_map_and_the_unknowns(plan: str) -> None:
+    own = fitted(plan)
+    published = numbers(own, own.joint)
+    told = of_document(identify(own.joint.assembly.models[0].observations.session).document())
+    assert {"iso230_2": {"position_error", "EXX"}, "rotary": {"ECC", "EXC", "A.x"}}[plan] <= {
+        q.name for q in told.quantities
+    }
+    for one in told.quantities:
+        same = published.quantity(one.name)
+        np.testing.assert_allclose(of(told, one.name), of(published, one.name), rtol=1e-12)
+        if one.name != "position_error":  # of which the document does not say where
+            assert [one.where(k) for k in range(one.count)] == [same.where(k) for k in range(one.count)]
+            assert (one.at is None) == (same.at is None)
+            np.testing.assert_allclose(one.at if one.at is not None else [], same.at if same.at is not None else [])

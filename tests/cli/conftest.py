@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session that several commands improve."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

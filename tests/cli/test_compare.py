@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal compare`: words, tables, JSON, pictures and the readings behind them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -17,13 +15,6 @@ from ..told import Verb
 DATA = Path(__file__).parents[1] / "data"
 SESSION = str(DATA / "tracking_2d")
 PICTURES = ("measured_predicted.png", "residuals.png", "residual_map.png", "setups.png")
-OWN = """
-effects:
-  - id: creep
-    enters: reading
-    formula: b * time
-    coefficients: {b: {unit: m/s, low: -1.0e-8, high: 1.0e-8}}
-"""
 
 
 @pytest.mark.parametrize("method", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
@@ -49,9 +40,3 @@ def test_pictures_and_readings_are_written(method: str, tmp_path: Path, verb: Ve
 def test_residuals_are_drawn_against_the_columns_asked_for(tmp_path: Path) -> None:
     assert run(["compare", SESSION, "--against", "path", "--against", "temperature_x", "-o", str(tmp_path)]) == 0
     assert (tmp_path / "residuals.png").is_file()
-
-
-def test_an_effect_of_the_users_own_is_in_the_model(tmp_path: Path, verb: Verb) -> None:
-    file = tmp_path / "own.yaml"
-    file.write_text(OWN)
-    assert "In the model: creep." in verb("compare", SESSION, "--effects-file", file, "--effect", "creep").out

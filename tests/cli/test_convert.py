@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal convert` of tables that other programs wrote, as it is called."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal convert`: what it wrote comes back in, also through a spreadsheet; several tables; what it refuses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

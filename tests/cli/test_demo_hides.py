@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the demonstration of each method hides is found by its own measurement."""
 
-from __future__ import annotations
-
 import pytest
 
 from machine_tool_calibration.cli.demo import _HIDDEN, _hidden

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a demonstration says of its map and the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

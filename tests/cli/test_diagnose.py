@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal diagnose` as it is called."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -40,19 +38,3 @@ def test_pictures_and_numbers_on_request(original: Path, tmp_path: Path, verb: V
     lines = [line for line in lines if not line.startswith("#")]
     assert lines[0].startswith("effect,probability,p_value,delta_bic")
     assert lines[1].startswith("backlash_y,")
-
-
-def test_an_effect_that_is_in_the_model(original: Path, verb: Verb) -> None:
-    document = verb("diagnose", original, "--effect", "backlash_y", "--json").document
-    assert document["verdict"] == "adequate"
-    assert document["fit"]["before"]["effects"] == ["backlash_y"]
-
-
-def test_an_effect_of_ones_own_is_looked_for(original: Path, tmp_path: Path, verb: Verb) -> None:
-    own = tmp_path / "own.yaml"
-    own.write_text(
-        "effects:\n- id: my_lag\n  enters: reading\n  formula: b * dir_y * sin(azimuth)\n"
-        "  coefficients: {b: {unit: m, low: 0, high: 5.0e-5}}\n"
-    )
-    document = verb("diagnose", original, "--effects-file", own, "--json").document
-    assert "my_lag" in {c["effect"] for c in document["candidates"]}

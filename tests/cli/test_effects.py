@@ -1,16 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal effects`: the catalogue, one effect in full, and what its residuals look like."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
-import numpy as np
-import pytest
-
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.formula import formula_effect
-from machine_tool_calibration.planning.injected import inject, where_it_shows
 from machine_tool_calibration.reports.effect_page import effects_table
 
 from ..told import Verb
@@ -79,31 +72,6 @@ def test_effects_of_the_users_own_are_listed_and_drawn(tmp_path: Path, verb: Ver
     assert [entry["id"] for entry in document["effects"]] == ["sag"]
     assert (tmp_path / "g" / "sag.png").read_bytes().startswith(b"\x89PNG")
     assert "![residuals of sag](sag.png)" in (tmp_path / "g" / "README.md").read_text()
-
-
-def test_an_effect_that_shows_and_one_that_the_model_takes_up() -> None:
-    shows = inject(catalogue()["backlash_y"], ["tracking_2d"])
-    assert shows is not None and shows.from_geometry
-    assert 0.5 < shows.left <= 1.0 and not shows.taken_up
-    # Perfect data: without the effect nothing would be left at all.
-    assert float(np.abs(shows.comparison.fit.residuals).max()) > 1e-6
-    hidden = inject(catalogue()["mirror_misalignment"], ["step_diagonal"])
-    assert hidden is not None and hidden.taken_up
-    assert float(np.abs(hidden.change).max()) > 1e-6
-
-
-def test_an_effect_on_which_no_reading_depends_is_not_shown() -> None:
-    assert inject(catalogue()["EZX"], ["tracking_2d", "probing_cross"]) is None
-    fates = {shown.plan: shown for shown in where_it_shows(catalogue()["backlash_c"], ["tracking_2d", "rotary_axis"])}
-    assert fates["tracking_2d"].left is None and fates["tracking_2d"].why_not
-
-
-def test_a_formula_shows_as_the_built_in_effect_that_it_spells_out() -> None:
-    b = {"unit": "m", "low": 0, "high": 1e-4}
-    spelled = formula_effect({"id": "m", "enters": "y", "formula": "-b * dir_y", "coefficients": {"b": b}})
-    mine, built_in = inject(spelled, ["tracking_2d"]), inject(catalogue()["backlash_y"], ["tracking_2d"])
-    assert mine is not None and built_in is not None and not mine.from_geometry
-    assert mine.left == pytest.approx(built_in.left, rel=1e-3)
 
 
 def test_the_gallery_of_the_documentation_is_whole_and_small() -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal export` warns of a model that does not fit, and of a better one that it did not use."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal features`: table, document, picture, list of points, and what is wrong in one line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal fleet` and `mtcal identify --each`: each session below a folder, the broken one in a line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

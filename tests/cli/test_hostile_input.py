@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files and streams that nobody means to give: one line, in bounded time, nothing on standard output."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

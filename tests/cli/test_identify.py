@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal identify`: for people, for programs, and for what is wrong."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -27,19 +24,6 @@ def test_for_people(verb):
     assert "position error 5.10 µm RMS, 10.84 µm at most" in text
     assert "its uncertainty U (k = 2) 0.48" in text
     assert "datum: no shift and no turn of all targets" in text
-
-
-@pytest.mark.parametrize("name", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
-def test_for_programs(name, verb):
-    told = verb("identify", DATA / name, "--json")
-    assert told.err == ""
-    document = told.document
-    assert document["format"] == "mtcal-result/1"
-    assert document["observations"] == document["used"] > 100
-    assert all(set(entry) >= {"name", "value", "standard_uncertainty", "unit"} for entry in document["parameters"])
-    for key, value in document["error_map"].items():
-        if key.endswith("_u"):
-            assert np.shape(value) == np.shape(document["error_map"][key[:-2]])
 
 
 def test_a_setup_of_any_name(verb, tmp_path):
@@ -99,17 +83,6 @@ def test_the_csv_holds_what_the_standards_ask_for(verb, tmp_path):
     decimals = rows[["value", "U"]].map(lambda text: len(text.partition(".")[2]))
     assert (decimals["value"] == decimals["U"]).all(), "trailing zeros are figures, too"
     assert rows["value"].str.endswith("0").any()
-
-
-def test_an_effect_makes_the_model_fit(verb, backlash):
-    assert "something is missing in it" in verb("identify", backlash).text
-    document = verb("identify", backlash, "--effect", "backlash_y", "--json").document
-    assert document["effects"] == ["backlash_y"]
-    (estimate,) = [e for e in document["parameters"] if e["name"].startswith("backlash_y")]
-    assert abs(estimate["value"] - 2e-6) < 4 * estimate["standard_uncertainty"]
-    assert document["p_value"] > 1e-3
-    text = verb("identify", backlash, "--effect", "backlash_y").out
-    assert text.index("\nbacklash_y.b") < text.index("\nA.x")
 
 
 def test_error_motions_are_tables_over_their_axes(verb):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal improve` keeps what it found whatever happens to its output, and says of its files what is true."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal plan` and `mtcal workpiece`: what is promised is what a simulated measurement then gives."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,11 +8,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.forecast import forecast, planned_session
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
 
 from ..told import Verb
 
@@ -44,25 +40,6 @@ def test_a_run_of_one_axis_promises_that_axis_alone(verb: Verb) -> None:
     typical = 2e6 * np.sqrt(np.mean([row[0] ** 2 for row in rows]))
     assert line.split()[2] == f"{typical:.2g}"
     assert line.rstrip().endswith(f"{2 * len(rows)} of {3 * len(rows)}")
-
-
-def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer() -> None:
-    found = forecast(read_procedure(ROOT / "config" / "procedures" / "tracking_2d.yaml"))
-    promised = {entry.effect: entry for entry in found.visible}["backlash_y"]
-    assert promised.size is not None
-    u = np.sqrt(np.mean(np.square(found.result.error_map.uncertainty[:, :2])))
-    errors, sizes = [], []
-    for seed in range(8):
-        plan_ = TrackingPlan(dimension=2, repeats=2)
-        spec = SimulationSpec(plan=plan_, seed=seed, effects=(FlawSpec(id="backlash_y", size=promised.size),))
-        result = identify(simulate(spec).session, effects=["backlash_y"])
-        entry = next(p for p in result.parameters if p.name == "backlash_y.b")
-        sizes.append(entry.value / entry.standard_uncertainty)
-        errors.append(np.sqrt(np.mean(np.square(result.error_map.uncertainty[:, :2]))))
-    # The arrangement is much the same, not the very same.
-    assert np.mean(errors) == pytest.approx(u, rel=0.25)
-    # Found with a power of 80 % at this threshold: about four standard uncertainties.
-    assert 3.0 < np.mean(sizes) < 5.5
 
 
 def test_a_plan_in_words_and_as_json(verb: Verb) -> None:

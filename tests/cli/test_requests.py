@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a verb cannot do is said in one line, the same for all of them: input with status 1, a command line with 2."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

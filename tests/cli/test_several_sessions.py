@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every verb that takes several sessions of one machine: in text and as JSON, with effects."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,7 +8,6 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
-from machine_tool_calibration.methods.fitted import joint_models
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
@@ -121,24 +118,6 @@ def several_methods(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         spec = SimulationSpec.model_validate({"seed": seed, "plan": plan, "machine": machine})
         write_session(simulate(spec).session, folder / name)
     return [str(folder / name) for name in plans]
-
-
-def test_every_session_keeps_the_variant_of_the_history(several_methods: list[str]) -> None:
-    """One that was asked for, where a session's method has it; otherwise what it shares."""
-    paths = [Path(name) for name in several_methods]
-    opened = [open_measurement(path) for path in paths]
-    prints = [fingerprint(session) for session in opened]
-    for variant in ("free", "rigid_body"):
-        names = (variant, "rigid_body")
-        parts = [Part(label=p.name, model=m, data=d) for p, m, d in zip(paths, names, prints, strict=True)]
-        entry = Entry(
-            number=1, made="2026-01-01T00:00:00+00:00", by="improve", model="joint", sessions=tuple(parts), effects=(),
-            data=fingerprint(*opened), used=286, rms_residual=1e-6, degrees_of_freedom=200,
-        )  # fmt: skip
-        for step in (1, -1):
-            sessions = tuple(opened[::step])
-            _, models = joint_models(entry.request(sessions, [path.name for path in paths][::step], prints[::step]))
-            assert models[::step] == names
 
 
 def test_history_of_several_sessions(sessions: list[str], verb: Verb) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The comparison of a model with its readings: figures against hand counts, statistics, and known faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

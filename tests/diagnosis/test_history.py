@@ -2,8 +2,10 @@
 import pytest
 from pydantic import ValidationError
 
-from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.diagnosis.history import Entry, History, Part
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.fitted import joint_models
+from machine_tool_calibration.simulation import SimulationSpec, simulate
 
 
 def entry(*effects: str, rms: float = 1e-6, data: str = "sha256-1", **changes: object) -> Entry:
@@ -52,3 +54,24 @@ def test_a_history_that_contradicts_itself_is_refused() -> None:
     for models, current in (([entry(), entry()], 1), ([entry()], 3), ([entry(parent=9)], 1), ([entry(parent=1)], 1)):
         with pytest.raises(ValidationError):
             History(models=tuple(models), current=current)
+
+
+@pytest.mark.parametrize("variant", ["free", "rigid_body"])
+@pytest.mark.parametrize("step", [1, -1])
+def test_every_session_keeps_the_variant_that_it_was_fitted_with(variant: str, step: int) -> None:
+    """One that was asked for, where a session's method has it; otherwise what it shares. A further session has any."""
+    machine = {"seed": 5, "chain": "w-X-Y-b-Z-t", "travel": {axis: (0.0, 0.4) for axis in "XYZ"}}
+    plans = (
+        {"method": "tracking_interferometer", "dimension": 2, "chain": "w-X-Y-b-Z-t"},
+        {"method": "direct", "kind": "iso230_2", "axis": "x", "repeats": 3, "count": 6, "chain": "w-X-Y-b-Z-t"},
+    )
+    run_of = [{"seed": 1, "plan": plan, "machine": machine} for plan in plans]
+    sessions = [simulate(SimulationSpec.model_validate(spec)).session for spec in run_of][::step]
+    names, labels = (variant, "rigid_body")[::step], ["tracker", "run"][::step]
+    parts = [Part(label=label, model=name, data=label) for label, name in zip(labels, names, strict=True)]
+    request = entry(model="joint", sessions=tuple(parts)).request(sessions, labels, labels)
+    assert request.model == (None if variant == "rigid_body" else "free")
+    assert joint_models(request)[1] == names
+    # A session that the model does not know asks for nothing.
+    alone = entry(model="joint", sessions=(parts[0],)).request(sessions, labels, labels)
+    assert alone.model == (names[0] if names[0] == "free" else None)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop on simulated machines: the hidden effect is added, the error falls, the map comes nearer to the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/adding_an_effect.md, executed from top to bottom."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -4,8 +4,6 @@
 The sessions come from the simulator, which calculates readings from geometry and shares no formula with the effects.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -188,11 +186,13 @@ def sound(plan: str) -> tuple[Session, Result]:
     return session, identify(session)
 
 
+# Of effects that differ by their axis alone one; the columns of every one are held against exact geometry.
+EACH = [name for name in SHOWN if name[-2:] not in ("_y", "_z") or f"{name[:-1]}x" not in SHOWN]
 # Of the others each coefficient by itself says little.
 SINGLE = [name for name in SHOWN if len(catalogue()[name].coefficients) == 1 and not catalogue()[name].shapes]
 
 
-@pytest.mark.parametrize("name", [name for name in SHOWN if name not in SINGLE])
+@pytest.mark.parametrize("name", [name for name in EACH if name not in SINGLE])
 def test_a_hidden_effect_explains_what_it_did(name: str) -> None:
     plan, cosine = SHOWN[name]
     without, found = fit_models([build_model(injected(name, plan))[0]]).solution, recovered(name).fit.solution
@@ -221,7 +221,7 @@ def _coefficient_of(wanted: np.ndarray, fit: Fit, columns: np.ndarray) -> float:
     return float(projected[0, 1] / projected[0, 0])
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", EACH)
 def test_nothing_is_found_where_nothing_is(name: str) -> None:
     plan, _ = SHOWN[name]
     effect = catalogue()[name]

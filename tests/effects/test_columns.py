@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every effect's columns, in every method where it can act, against readings from exact geometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Formulas of a user's own: parsed, checked, and worth as much as the built-in effects."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -10,13 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import formula_effect, parse, read_effects
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 SETTLING = {
@@ -168,22 +163,6 @@ def test_a_formula_equals_the_built_in_effect_that_it_spells_out() -> None:
     )
     expected = catalogue()["backlash_y"].columns(observations)
     np.testing.assert_allclose(spelled.columns(observations), expected, rtol=1e-12, atol=1e-15)
-
-
-def test_an_own_effect_is_found_and_added_like_any_other() -> None:
-    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=11)).session
-    mine = formula_effect(SETTLING)
-    model = build_model(session)[0]
-    hidden = 3e-6 * mine.columns(model.observations, (1500.0,))[0]
-    disturbed = session.with_readings(_moved(session.readings, hidden))
-    found = diagnose(FitRequest((disturbed,), own=(mine,)))
-    assert found.verdict == "missing_effect"
-    assert "settling_y" in found.accepted
-    result = identify(disturbed, effects=["settling_y"], own=[mine])
-    sizes = {e.name: e for e in result.parameters if e.name.startswith("settling_y")}
-    b, tau = sizes["settling_y.b"], sizes["settling_y.tau"]
-    assert abs(b.value - 3e-6) < 4 * b.standard_uncertainty
-    assert abs(tau.value - 1500.0) < 4 * tau.standard_uncertainty
 
 
 def _moved(readings, change):  # type: ignore[no-untyped-def]

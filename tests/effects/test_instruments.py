@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which instruments can have an effect: no beam, no dead path."""
 
-from __future__ import annotations
-
 from typing import Any, get_args
 
 import pytest

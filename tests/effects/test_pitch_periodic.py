@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leads that a search looks at: as the positions resolve them, without a gap, and the usual ones of long axes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

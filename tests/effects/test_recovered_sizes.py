@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects with several coefficients: each comes out as it was put in, within its uncertainty."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

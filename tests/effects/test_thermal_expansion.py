@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thermal expansion away from a fixed point, and what a session does not tell of that point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

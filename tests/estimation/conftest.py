@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A small network of points and stations, and the textbook solution of it: one dense system."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -35,7 +33,7 @@ class Network:
     def size(self) -> int:
         return self.n_blocks * len(self.columns) + len(self.dense)
 
-    def select(self, keep: np.ndarray) -> Network:
+    def select(self, keep: np.ndarray) -> "Network":
         """With some of the readings only."""
         return replace(
             self, point=self.point[keep], block=self.block[keep], reading=self.reading[keep], sigma=self.sigma[keep],

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Eliminating the points gives what one dense system gives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every reading has one place, whatever was read of the points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

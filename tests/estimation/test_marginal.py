@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The likelihood with what does not reproduce folded in: against explicit covariance matrices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The points' covariances in their own datum equal those of one dense system with that datum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

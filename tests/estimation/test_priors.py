@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is believed before any reading are probabilities and sizes, in an order that makes sense."""
 
-from __future__ import annotations
-
 import pytest
 
 from machine_tool_calibration.estimation import priors

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A start that gross errors do not reach: straight lines with a tenth of wild readings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the solver says of rank, of priors, of functions, and when it gives up."""
 
-from __future__ import annotations
-
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A part with random functions in its blocks: the same inner products as dense columns of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

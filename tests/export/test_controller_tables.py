@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables for controllers: what stands in the files, and that a controller that follows them takes the errors away."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace
@@ -15,6 +13,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export import FORMATS, linuxcnc, read_tables, write_tables
 from machine_tool_calibration.export.compensation import Exported
+from machine_tool_calibration.export.head import head
 from machine_tool_calibration.export.preview import ResidualErrors, residual_errors, summary
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables, axis_tables
 from machine_tool_calibration.methods.identify import identify
@@ -256,3 +255,16 @@ def test_an_axis_that_gets_worse_is_named() -> None:
         f"the largest error grows: Z ({largest_now} µm → {largest_left} µm)"
     )
     assert "do not load" in harm_words(exported(2.0 * BEFORE))
+
+
+def test_the_head_states_the_largest_uncertainty_of_what_the_file_holds(tables: AxisTables) -> None:
+    nodes, u = np.array([0.0, 0.4]), np.array([1e-6, 5e-7])
+    made = tuple(
+        AxisTable(name, nodes, nodes, factor * u) for name, factor in (("EXX", 1.0), ("EYX", 4.0), ("ECX", 9.0))
+    )
+    said = {
+        absent: "\n".join(head(replace(tables, tables=made), "here", "", "", absent)) for absent in ((), ("EYX", "ECX"))
+    }
+    assert "U (k = 2) of an entry: 8.00 um, 18.00 urad" in said[()] and "not in this format" not in said[()]
+    assert "U (k = 2) of an entry: 2.00 um\n" in said["EYX", "ECX"]
+    assert "not in this format: EYX, ECX" in said["EYX", "ECX"]

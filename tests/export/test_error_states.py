@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map's errors with those of effects: what the effects' formulas give at the readings that were there."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

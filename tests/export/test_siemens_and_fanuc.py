@@ -4,8 +4,6 @@
 The controllers here follow the manuals and share nothing with the readers in the package.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Callable, Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What fails is told and ends nothing; with Dask and without it is the same, also where processes die."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

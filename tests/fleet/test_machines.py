@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A machine needs attention for what is wrong with it, and quiet ones do not."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page names machines, effects and problems in its language; the tables hold the numbers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

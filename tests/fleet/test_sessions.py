@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions are found below a folder, and each is worked out as if it were the only one."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

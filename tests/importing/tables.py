@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of other programs that the tests of this folder read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables and mappings that cannot be read: one line says what is wrong, and where."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of other programs become sessions, and the machine that measured them is found again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

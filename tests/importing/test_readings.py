@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of any method from a table with names and units of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

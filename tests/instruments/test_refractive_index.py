@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The refractive index of air, against the other usual equation and a figure from tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arguments that cannot be are refused in one line, whichever function they are given to."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

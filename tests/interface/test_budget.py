@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Budget and conformity of a fit as tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Importing the package costs nothing, and a type checker sees what is there all the same."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

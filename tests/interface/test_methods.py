@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole loop for every method; tables, documents and texts are those of the command line."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from html import unescape

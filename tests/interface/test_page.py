@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages of the documentation, executed from top to bottom; what they say is printed is printed."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loading and simulating, effects of the user's own, what results look like, and what goes wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -91,17 +89,6 @@ def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal
     assert added.effects == ("backlash_x", "bend")
     assert fit.add(bend).parameters.loc["bend.q", "determined"]
     np.testing.assert_allclose(fit.add(bend).result.fit.residuals, known.add("bend").result.fit.residuals)
-
-
-def test_readings_that_do_not_belong_are_out_of_the_last_fits() -> None:
-    session = mtcal.simulate("iso230_2", effects={"backlash_x": 1.5e-6}, chips=0.04, seed=8)
-    improvement = mtcal.improve(session)
-    aside = improvement.diagnosis.outliers
-    assert len(aside) == len(improvement.steps[-1].set_aside[0]) > 0
-    assert [len(fit.measurement.readings) for fit in improvement.fits][-1] == len(session.readings) - len(aside)
-    assert improvement.history["readings"].iloc[-1] == len(session.readings) - len(aside)
-    left = improvement.residuals.set_index("row")["residual_after"]
-    assert left[aside["row"]].isna().all()
 
 
 def test_bad_input_is_one_line(session: mtcal.Measurement, fit: mtcal.Fit, tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chains as ISO 10791 and the papers write them."""
 
-from __future__ import annotations
-
 import pytest
 
 from machine_tool_calibration.machine.chain import Chain

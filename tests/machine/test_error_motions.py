@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lever arms and displacements against the papers' equations, written out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

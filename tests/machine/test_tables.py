@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables: straight lines between nodes, their names, and which there are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

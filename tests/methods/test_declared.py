@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is published hardly depends on the declared uncertainty where the readings contradict it, in every method."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two maps in a common datum, and their differences over the expanded uncertainty of these."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Putting models together: what is shared, what is named, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

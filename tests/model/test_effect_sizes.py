@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is published where the readings hardly tell an effect from the model's own unknowns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.effect_sizes import effect_sizes, smallest_signal, with_sizes
 from machine_tool_calibration.model.model import Kind, Parameter
 
@@ -48,6 +47,22 @@ def test_what_they_hardly_tell_is_no_larger_than_plausible_and_its_uncertainty_i
     assert np.mean(np.square(error)) < 0.3 * np.mean(np.square(flat))
     # Four standard deviations of a mean of so many squares.
     assert np.mean(np.square(error) / known) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 400))
+
+
+@pytest.mark.parametrize("value", [0.5, 3.0, 12.0, 60.0])
+def test_the_mean_is_that_over_all_plausible_sizes_by_integration(value: float) -> None:
+    """Normal about zero, half the limit wide or less by steps, each as probable; seldom as much larger."""
+    unit, u = LIMIT / 2.0, LIMIT / 2.0 / 20.0
+    scales = unit * np.array([1.0, 1 / priors.SCALE_STEP, priors.RARE_SIZE])
+    assert 20.0 / priors.SCALE_STEP > priors.SMALLEST_SIGNAL > 20.0 / priors.SCALE_STEP**2
+    shares = np.array([0.5 - priors.RARE / 2, 0.5 - priors.RARE / 2, priors.RARE])
+    size = np.linspace(value * unit - 9.0 * u, value * unit + 9.0 * u, 4001)
+    density = norm.pdf(size, value * unit, u) * (shares @ norm.pdf(size, scale=scales[:, None]))
+    expected = density @ size / density.sum()
+    spread = density @ (size - expected) ** 2 / density.sum()
+    mean, after = with_sizes(np.array([value * unit]), np.array([[u**2]]), effect_sizes([GROWTH], np.array([True])))
+    assert mean[0] == pytest.approx(expected, rel=1e-9)
+    assert after[0, 0] == pytest.approx(spread, rel=1e-6)
 
 
 def test_a_nonlinear_coefficient_is_no_further_from_its_best_value_than_that_is_large() -> None:

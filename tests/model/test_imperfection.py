@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every model lacks a little: smooth functions of place whose sum has the size of its coefficients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

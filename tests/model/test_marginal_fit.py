@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is published of a fit: generalised least squares with what does not reproduce, averaged over its size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,13 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.estimation import variance_components
 from machine_tool_calibration.estimation.marginal import Gram, LogEvidence, log_noise
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.model import Parameter, Term
+from machine_tool_calibration.model.imperfection import imperfection
+from machine_tool_calibration.model.model import Kind, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
@@ -31,13 +30,16 @@ PASSES, PLACES = 6, 8
 PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate", "straightness"]
 
 
-def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, Array, Array, Array]:
+def axis(
+    between: float, seed: int = 0, noise: float = 1.0, limit: float | None = None
+) -> tuple[JointFit, Array, Array, Array]:
     """A fit of an axis run up and down, and what it is made of, in units of the declared uncertainty.
 
     Args:
         between: slope of each pass of its own, in standard uncertainties.
         seed: of everything random.
         noise: over that declared.
+        limit: of the scale where that is an effect of plausible size.
 
     Returns:
         The fit, (n, 2) its model, (n, u) columns of what does not reproduce, and (n,) readings.
@@ -66,7 +68,10 @@ def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, A
     place = np.column_stack([x, np.zeros((n, 2))])
     along = np.tile([1.0, 0.0, 0.0], (n, 1))
     observations = Observations(Session(description, readings), readings, place, along, 0.0 * along, np.zeros(n), zero)
-    term = Term("scale", (Parameter("scale", "1", shared=True),), x[None])
+    scale = Parameter("scale", "1", shared=True)
+    if limit is not None:
+        scale = Parameter("scale.s", "1", -limit, limit, shared=True, kind=Kind.EFFECT, owner="scale")
+    term = Term("scale", (scale,), x[None])
     fit = fit_models([Line(observations, (term,), (), (), (), "none")])
     (family,) = reproducibility(observations)
     return fit, columns / SIGMA, family.columns().T, reading / SIGMA
@@ -156,6 +161,24 @@ def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkey
     assert fit.published.covariance == pytest.approx(fit.marginal.scatter**2 * expected.covariance)
 
 
+def test_an_effect_of_plausible_size_is_what_the_readings_say_and_one_beyond_it_is_drawn_to_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sizes_tried(monkeypatch, [0.5])
+    fit, model, spread, readings = axis(0.0, noise=3.0, limit=100.0 * SIGMA)
+    expected = generalised(model, spread, readings, 0.5)
+    known = fit.marginal.scatter**2 * expected.covariance
+    assert (np.abs(fit.published.theta[:2] - expected.theta) < 0.3 * np.sqrt(np.diag(known))).all()
+    assert fit.published.covariance == pytest.approx(known, rel=0.05)
+    # With a limit of a hundredth of what is read only the rare larger size is left: a hundred times the limit.
+    narrow = axis(0.0, noise=3.0, limit=0.2 * SIGMA)[0].published
+    own = np.sqrt(fit.published.covariance[1, 1])
+    assert 0.0 < expected.theta[1] - narrow.theta[1] < 6.0 * own
+    # The offset moves with it as the readings say that it must.
+    moved = narrow.theta[:2] - expected.theta
+    assert moved[0] / moved[1] == pytest.approx(expected.covariance[0, 1] / expected.covariance[1, 1], rel=1e-6)
+
+
 def test_each_family_has_a_size_in_metres() -> None:
     """The root mean square of what was put in: of the passes of an axis, and of mountings beside runs."""
     (passes,) = axis(6.0, seed=1)[0].marginal.sizes
@@ -242,3 +265,25 @@ def test_what_a_model_lacks_is_no_spread_where_readings_were_repeated(plan: str)
     spread = Spread(slope=8.0 * session.sigma, bow=8.0 * session.sigma)
     found = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=5, spread=spread)).session)[0]])
     assert max(size.size for size in found.marginal.sizes) > 1.5 * session.sigma
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis"])
+def test_what_every_model_lacks_widens_the_map_by_as_much_as_it_moves_it(
+    plan: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Smooth functions of place, the same in every repeat, of three standard uncertainties together."""
+    session = simulate(SimulationSpec(plan=PRESETS[plan], seed=5)).session
+    shapes = imperfection(build_model(session)[0].observations)
+
+    def found(size: float) -> tuple[Array, Array]:
+        change = size * session.sigma * np.random.default_rng(2).normal(size=len(shapes)) @ shapes
+        readings = replace(session.readings, displacement=session.readings.displacement + change)
+        error_of = error_map(fit_models([build_model(session.with_readings(readings))[0]]).fits[0])
+        return error_of.error, error_of.uncertainty
+
+    (sound, _), (moved, uncertainty) = found(0.0), found(3.0)
+    seen = uncertainty > 0
+    assert 0.3 < rms((moved - sound)[seen] / uncertainty[seen]) < 1.5
+    # Of more readings than this it is left out, and scatter alone says too little.
+    monkeypatch.setattr(marginal_fit, "_ENOUGH", len(session.readings) - 1)
+    assert rms(uncertainty[seen]) > 1.3 * rms(found(3.0)[1][seen])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits restated: from other readings, and drawn from what is published."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What belongs together of what does not reproduce."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import pytest
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.reproducibility import DRIFT, offsets_apart, reproducibility, with_drift
+from machine_tool_calibration.model.reproducibility import DRIFT, PureError, offsets_apart, reproducibility, with_drift
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -88,3 +86,21 @@ def test_what_many_runs_share_is_a_drift_and_no_spread_of_theirs() -> None:
     (runs,) = fit_models([build_model(session.with_readings(readings))[0]]).marginal.sizes
     assert runs.name == "run"
     assert runs.size < 0.3 * session.sigma
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_pure_error_beside_what_the_model_has_is_that_of_least_squares(size: float) -> None:
+    """Of three functions that the model has two are alike: they take up two degrees of freedom."""
+    rng = np.random.default_rng(3)
+    functions = rng.normal(size=(5, 40))
+    functions[2] = 2.0 * functions[0]
+    own, residual = np.array([True, False, True, True, False]), rng.normal(size=40)
+    columns = size * np.vstack([functions, residual])
+    found = PureError(columns @ columns.T, 40).outside(own, np.array([0, 1, 0, 0, 1]))
+    basis = functions[own].T
+    left = columns[[1, 4, 5]] - (basis @ np.linalg.lstsq(basis, columns[[1, 4, 5]].T, rcond=None)[0]).T
+    expected = left @ left.T
+    np.testing.assert_allclose(found.inner[np.ix_(~own, ~own)], expected[:2, :2], rtol=1e-9)
+    np.testing.assert_allclose(found.data[~own], expected[:2, 2], rtol=1e-9)
+    assert found.squares == pytest.approx(expected[2, 2], rel=1e-9)
+    assert found.dof == 38 and not found.inner[own].any() and not found.data[own].any()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error motions as tables: against a machine of rigid bodies with real rotations, and their datum."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

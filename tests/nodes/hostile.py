@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages as no node of ours sends them: each value of the pages' examples replaced by one that is wrong or absurd."""
 
-from __future__ import annotations
-
 import copy
 from array import array
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What msg_docs says of the topics, and messages made from its examples."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from importlib import import_module

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The example that corrects commanded positions, as its own process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

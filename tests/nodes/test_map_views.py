@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The error map as arrows and as tables of each axis; the files that show them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replays: what a live graph hears of a bag, when, and that it identifies the same from it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Papers' figures beside ours: the record, the table, the page."""
 
-from __future__ import annotations
-
 from papers.page import study_page, study_table, verdict_of
 from papers.record import Printed, Study
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The papers' figures that come out the same, and those that cannot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from papers import study_probing, study_step_diagonal, study_tracking

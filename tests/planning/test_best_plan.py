@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The best plan: judged as a fit judges it, never worse than what is there, and never below its bound."""
 
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from machine_tool_calibration.planning.design import Candidates, map_errors
 from machine_tool_calibration.planning.dominant import expected_model
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
-from machine_tool_calibration.planning.optimise import bound, search
+from machine_tool_calibration.planning.optimise import _Relaxed, bound, quickest, search
 from machine_tool_calibration.procedure import parse_procedure, plan
 from machine_tool_calibration.procedure.description import expanded
 
@@ -136,8 +138,54 @@ def test_the_bound_holds_for_every_plan_of_a_small_offer() -> None:
     assert best.largest == pytest.approx(exact, rel=1e-9)
 
 
+@pytest.mark.parametrize("name", ["plane", "rotary_axis_one_way"])
+def test_every_plan_that_is_allowed_keeps_the_rules_of_the_bound_and_one_with_too_many_setups_does_not(
+    name: str,
+) -> None:
+    """A setup is there as soon as one of its targets is measured, and is mounted then."""
+    offered = offer(PLANE if name == "plane" else procedure_file(name).read_text(), name)
+    rules, targets = _Relaxed(offered, 1), len(offered.targets)
+
+    def kept(setups: list[int], there: list[int]) -> bool:
+        measured = np.isin(np.arange(len(offered.setups)), setups).repeat(targets)
+        mounted = np.isin(np.arange(len(offered.setups)), there)
+        told = rules.rows @ np.concatenate([measured, mounted, [0.0]])
+        return bool(((rules.left - 1e-9 <= told) & (told <= rules.right + 1e-9)).all())
+
+    assert kept(list(range(2)), list(range(2)))
+    assert not kept(list(range(2)), [0])
+    every = list(range(len(offered.setups)))
+    assert not kept(every, every)
+
+
+@pytest.mark.parametrize(("seconds", "goal"), [(700.0, 1.2e-6), (400.0, 2.5e-6)])
+def test_the_quickest_plan_comes_to_what_is_wanted_as_soon_as_any(seconds: float, goal: float) -> None:
+    """By trying all; what follows it is allowed as well."""
+    offered = offer(_changed(seconds=seconds), "plane")
+    candidates = _candidates(offered)
+
+    def largest(choice: Choice) -> float:
+        return float(np.sqrt(candidates.variances(offered.weights(choice)).max()))
+
+    found = quickest(offered, candidates, goal)
+    assert offered.rough_duration(found) <= 1.001 * seconds
+    begun = (replace(found, setups=tuple(sorted(found.setups[: n + 1]))) for n in range(len(found.setups)))
+    enough = next(choice for choice in begun if largest(choice) <= goal)
+    every = (
+        Choice(setups, (0,), repeats)
+        for repeats in (1, 2)
+        for count in range(1, 5)
+        for setups in combinations(range(len(offered.setups)), count)
+    )
+    soonest = min(offered.rough_duration(choice) for choice in every if largest(choice) <= goal)
+    assert offered.rough_duration(enough) == pytest.approx(soonest, rel=0.01)  # it sets out from a few starts
+
+
 def test_a_plan_has_readings_that_check_each_other() -> None:
-    offered = offer(procedure_file("tracking_3d").read_text(), "tracking_3d")
+    content = yaml.safe_load(procedure_file("tracking_3d").read_text())
+    for axis in "xyz":
+        content["path"]["grid"][axis]["count"] = 4
+    offered = offer(yaml.safe_dump(content), "tracking_3d")
     candidates = _candidates(offered)
     three, four = (candidates.judged(offered.weights(Choice(tuple(range(n)), (0,), 3)))[1] for n in (3, 4))
     assert three < 0.1 < four

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The smallest sizes that would be found, from what a fit leaves of each effect's columns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import fit_models, screen
@@ -60,3 +59,16 @@ def test_so_much_noise_hides_all_that_is_plausible(simulated: Callable[..., Sess
     joint = fit_models([build_model(simulated("tracking_2d", noise=3e-4))[0]])
     (one,) = detectable(joint, [catalogue()["backlash_x"]]).visible
     assert one.size is not None and one.size > 5e-5
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [1, 2, 0], [2, 0, 1]])
+def test_of_several_coefficients_the_one_that_shows_with_the_smallest_change_is_told(order: list[int]) -> None:
+    """All as well determined; a metre of the second changes no reading by more than half of that. One is not seen."""
+    named = [Coefficient(name, "m", 0.0, 1e-4) for name in "abc"]
+    inner, seen, largest = np.full(3, 1e14), np.array([True, True, False]), np.array([1.0, 0.5, 0.1])
+    best = module._Screened("e", 1, (([named[k] for k in order], inner[order], seen[order], largest[order]),)).smallest(
+        np.log(20.0)
+    )
+    assert best is not None and best.coefficient == "b"
+    size = smallest_signal(np.full(2, 1e14 * 5e-5**2), 1e14 * 5e-5**2, np.log(20.0), 0.8) / 1e7
+    assert (best.size, best.reading) == pytest.approx((size, size / 2.0))

@@ -2,6 +2,7 @@
 """What dominates the uncertainty of a map, and remedies that keep their word in the simulator."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.dominant import Dominant, dominant, limits_of
+from machine_tool_calibration.planning.dominant import DRIFT, Dominant, dominant, limits_of
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.procedure import read_procedure
@@ -139,6 +140,17 @@ def test_sizes_that_are_not_assumed_are_taken_from_the_session(simulated: Simula
     assert found is not None
     assert 5e-6 < found.angular < 2e-5
     assert found.cause == "angular errors"
+
+
+def test_a_drift_is_taken_to_be_as_fast_as_the_air_warmed(simulated: Simulated) -> None:
+    """A third of what a metre of steel grows, per hour; of a steadier room no less than of 1 K per hour."""
+    assert pytest.approx(11.5e-6 / 3.0, rel=0.1) == DRIFT * 3600.0
+    session = simulated("rotary_axis")
+    time = session.readings.columns["time"]
+    for warming, expected in ((4.0, 4.0 * DRIFT), (0.2, DRIFT)):
+        columns = {**session.readings.columns, "temperature_air": 20.0 + warming * time / 3600.0}
+        found = limits_of(session.with_readings(replace(session.readings, columns=columns)))
+        assert found is not None and found.drift == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_plan_says_it_before_anything_is_measured() -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects in perfect data: in which plan one shows, and what takes it up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

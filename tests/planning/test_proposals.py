@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which of several further measurements is proposed, from effects whose products are given by hand."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

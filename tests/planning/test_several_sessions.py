@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What to measure next where several sessions of one machine were diagnosed together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

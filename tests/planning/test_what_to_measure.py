@@ -46,7 +46,7 @@ def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Sim
 
 def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None:
     flaw = FlawSpec(id="dead_path", amplitude=2e-6)
-    found, advice = look(simulated("step_diagonal", 5, flaw, plan={"blocks": 6}))
+    found, advice = look(simulated("step_diagonal", 5, flaw, plan={"blocks": 4}))
     groups = list(alias_groups_of(found))
     assert found.accepted == ("dead_path",)
     assert [s.effects for s in advice.separations] == groups
@@ -54,12 +54,6 @@ def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None
         assert s.measure
         assert 0.0 <= s.cosine_after <= 1.0
         assert (s.kind is None) == (not s.separates) or s.cosine_after < s.cosine_before
-
-
-def test_a_group_of_the_effect_found_begins_with_it(simulated: Simulated) -> None:
-    found = diagnose(simulated("tracking_2d", 5, FlawSpec(id="backlash_y", amplitude=1.5e-6)))
-    groups = [group for group in alias_groups_of(found) if "backlash_y" in group]
-    assert all(group[0] == "backlash_y" for group in groups)
 
 
 def test_backlash_that_one_direction_hides_shows_when_turning_back() -> None:
@@ -85,13 +79,6 @@ def test_a_promised_size_is_what_the_longer_measurement_detects(simulated: Simul
     assert way.kind in ("swing", "warmer")
     assert way.before is not None
     assert way.after < 0.5 * way.before
-
-
-def test_advice_does_not_depend_on_the_readings_noise() -> None:
-    _, one = one_way(5)
-    _, other = one_way(6)
-    kinds = [{v.effect: v.kind for v in advice.visibilities}.get("backlash_c") for advice in (one, other)]
-    assert kinds == ["both_ways", "both_ways"]
 
 
 def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) -> None:

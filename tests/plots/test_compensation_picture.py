@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The picture of what tables leave of the errors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.export.preview import ResidualErrors

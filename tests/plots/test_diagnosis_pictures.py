@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a diagnosis and of the error falling: for every method, and with the numbers that they are of."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path
@@ -22,7 +20,6 @@ from ..diagnosed import diagnosed
 FLAWS = {
     "tracking_2d": FlawSpec(id="backlash_y", size=1.5e-6),
     "rotary_axis": FlawSpec(id="backlash_c", size=1.3e-5),
-    "step_diagonal_three_orders": FlawSpec(id="dead_path", size=3.0),
     "probing_cross": FlawSpec(id="probe_pretravel", amplitude=4e-6),
     "iso230_2": FlawSpec(id="backlash_x", size=2e-6),
 }
@@ -39,7 +36,6 @@ def improved(plan: str) -> Improvement:
     [
         ("tracking_2d", "direction of approach of y"),
         ("rotary_axis", "direction of approach of c"),
-        ("step_diagonal_three_orders", "air|humidity"),
         ("probing_cross", "direction of the surface's normal"),
         ("iso230_2", "direction of approach of x"),
     ],

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pictures of a map: what is drawn, where, and in which units."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection

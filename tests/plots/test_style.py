@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all pictures share."""
 
-from __future__ import annotations
-
 from io import BytesIO
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """mtcal info, recover and convert, as people and programs meet them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -4,8 +4,6 @@
 They run where node and the packages are found: in build/mcap_readers, or where MTCAL_NODE_MODULES says.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

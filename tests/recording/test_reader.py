@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of others, and bags that are damaged, unfinished or hostile."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 from collections.abc import Callable

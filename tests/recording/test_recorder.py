@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder's process: nothing lost, stopped cleanly, killed without harm."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was whole is saved, wherever the file was cut or damaged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session goes into a bag and comes back, beside whatever else is in the bag."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -275,12 +273,6 @@ def direct_session() -> Session:
         row=np.arange(n),
     )
     return Session(description, readings)
-
-
-def test_a_direct_session_with_names_of_points(tmp_path: Path) -> None:
-    session = direct_session()
-    session_to_bag(session, tmp_path / "bag")
-    assert_equal(session, session_from_bag(tmp_path / "bag", check=False))
 
 
 @pytest.mark.parametrize("name", [*NAMES, "direct"])

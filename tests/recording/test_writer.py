@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags are what rosbag2 writes: other readers agree on every message and on all that describes it."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Callable

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of a comparison: figures that can be read, no columns or lines that say nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The JSON document of a diagnosis: the contract's keys, honest numbers, and no cause where none is known."""
 
-from __future__ import annotations
-
 import json
 import math
 from functools import cache
@@ -11,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.planning.what_to_measure import Advice, conclude
+from machine_tool_calibration.planning.what_to_measure import conclude
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
@@ -161,13 +158,6 @@ def test_parameters_and_map_change_are_those_of_an_identification() -> None:
     assert first["rms_before"] == pytest.approx(without.rms_residual, rel=1e-6)
 
 
-def test_candidates_that_were_not_added_in_full_have_no_map_change() -> None:
-    _, document = found("missing_effect")
-    changes = [c["map_change_rms"] for c in document["candidates"]]
-    assert all(change is not None for change in changes[:5])
-    assert all(change is None for change in changes[5:])
-
-
 def test_a_look_alike_of_the_effect_found_is_in_its_group_and_not_called_absorbed() -> None:
     _, document = found("look-alike")
     pair = {"pointer_radial_error", "retroreflector_form"}
@@ -192,15 +182,6 @@ def test_unexplained_names_no_cause() -> None:
     assert diagnosis.verdict == "unexplained"
 
 
-def test_outliers_are_named_by_row() -> None:
-    _, document = found("outliers")
-    truth = simulate(VERDICTS["outliers"]).truth
-    rows = [entry["row"] for entry in document["outliers"]]
-    assert rows == sorted(rows)
-    assert set(rows) == set(truth.outliers)
-    assert all(abs(entry["studentized"]) > 4 for entry in document["outliers"])
-
-
 def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
     diagnosis, document = found("adequate")
     entries = {entry["effect"]: entry["smallest"] for entry in document["detectable"]}
@@ -209,11 +190,3 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
         for size in sizes:
             assert size["value"] is None or size["value"] > 0
     assert set(entries) == {f.name for f in diagnosis.search.findings if f.rank}
-
-
-def test_what_is_in_the_model_already_is_no_candidate() -> None:
-    session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(FitRequest((session,), effects=("backlash_y",))), Advice(), {})
-    assert document["fit"]["before"]["effects"] == ["backlash_y"]
-    assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
-    assert document["fit"]["before"]["rms_residual"] < 4e-7

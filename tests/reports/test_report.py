@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What people read of a diagnosis: the verdict first, and tables that hold what the words say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -209,8 +207,9 @@ def test_a_coefficient_that_is_negative_and_should_not_be_is_said_to_be() -> Non
     found, _ = report("missing_effect")
     positive = identify(found.chosen.sessions[0], effects=("backlash_y",))
     assert not list(negative_words(positive.joint, positive.effects))
-    turned = diagnose(session)
-    assert turned.accepted == ("backlash_y",) and list(verdict_words(turned, {}, Advice())).count(negative) == 1
+    turned = diagnose(exchanged("iso230_2", "x"))
+    negative = say("fit.negative_backlash", name="backlash_x")
+    assert turned.accepted == ("backlash_x",) and list(verdict_words(turned, {}, Advice())).count(negative) == 1
 
 
 @pytest.mark.parametrize("verdict", ["adequate", "outliers"])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of text on a terminal: narrow or wide, no text is cut."""
 
-from __future__ import annotations
-
 from io import StringIO
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of unknowns in words."""
 
-from __future__ import annotations
-
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several wrong readings of one point: told where the others agree, doubtful where nothing tells."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What many readings in a row share is no gross error; what stands out of it is one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What residuals are drawn against, and in which order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -53,13 +51,17 @@ def test_what_there_is_to_draw_against() -> None:
     np.testing.assert_allclose(found["path"], tracking.path)
     np.testing.assert_allclose(found["azimuth"], azimuth)
     np.testing.assert_allclose(found["dir_x along x"], tracking.readings.columns["dir_x"] * np.cos(azimuth), atol=1e-9)
+    for name in ("time", "x", "dir_y", "temperature_air"):
+        np.testing.assert_array_equal(found[name], tracking.readings.columns[name])
     # Constant ones tell nothing.
     assert not {"elevation", "z", "normal", "dir_z along z"} & set(found)
     bare = replace(tracking, readings=replace(tracking.readings, columns={"x": tracking.readings.columns["x"]}))
     level = np.arctan2(tracking.direction[:, 1], tracking.direction[:, 0])
     np.testing.assert_allclose(covariates(bare)["azimuth"], level)
     line = simulate(SimulationSpec(plan=DirectPlan(repeats=2), seed=2)).session
-    assert not {"gx", "azimuth", "normal", "dir_y along y"} & set(covariates(build_model(line)[0].observations))
+    assert not {"azimuth", "normal", "dir_y along y"} & set(covariates(build_model(line)[0].observations))
+    # Along which direction was read is no cause.
+    assert not {"gx", "gy"} & set(covariates(observed("grid_plate")))
 
 
 def test_a_turn_of_the_table_moves_what_is_on_it() -> None:

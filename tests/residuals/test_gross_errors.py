@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gross errors of any size in every method: found, named, not used; sound readings are kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several gross errors among readings that hang together: sound ones are not taken for them, nor do they hide."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

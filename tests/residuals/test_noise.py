@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise from repeats: of readings that repeat each other, and of no others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -66,3 +64,18 @@ def test_repeats_as_they_were_read_hold_what_runs_differ_by() -> None:
     noise = noise_of(fit_models([build_model(moved)[0]]).fits[0])
     assert noise.from_repeats == pytest.approx(noise.declared, rel=0.3)
     assert noise.as_read is not None and noise.as_read > 5.0 * noise.declared
+    # Pooled over the places, each run counted once: the standard deviations of the places by themselves.
+    place, values = build_model(moved)[0].observations.place, moved.readings.displacement
+    variances = [np.var(values[place == k], ddof=1) for k in range(place.max() + 1)]
+    assert noise.as_read == pytest.approx(np.sqrt(np.mean(variances)), rel=1e-9)
+
+
+def test_what_is_read_along_another_direction_is_no_neighbour() -> None:
+    """A hole off by as much along x as along y, and each by itself: no zone is."""
+    session = simulate(SimulationSpec(plan=PRESETS["grid_plate"], seed=3)).session
+    readings = session.readings
+    hole = np.unique(readings.position(), axis=0, return_inverse=True)[1].reshape(-1)
+    change = 6.0 * session.sigma * np.random.default_rng(3).normal(size=hole.max() + 1)[hole]
+    moved = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    p = alike_beside_p(fit_models([build_model(moved)[0]]).fits[0])
+    assert p is not None and p > 1e-3

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chips beside sound readings: who is blamed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

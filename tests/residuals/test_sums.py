@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of residuals: their uncertainty by repeated measurements, and what the model takes up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings that come one by one."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables as CSV text hold the fields that pandas writes, and numbers come back to the last bit."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every defect gives one line that names the file and the row, line or key."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

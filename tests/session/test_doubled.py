@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A line that stands there twice is no repeat."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fewer stations, targets or readings than a method needs."""
 
-from __future__ import annotations
-
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -159,29 +156,6 @@ def test_positions_in_millimetres_without_a_travel(session_folder) -> None:
     for axis in "xyz":
         scale(folder, axis, 1e3)
     assert "look like millimetres" in folder.refusal()
-
-
-def test_small_beam_angles_in_degrees(session_folder) -> None:
-    folder = session_folder("tracking_2d")
-    # within 6 degrees of zero no magnitude shows it
-    folder.edit_rows(
-        lambda fields, _: fields if fields["setup"] != "A" or abs(float(fields["azimuth"])) < 0.09 else None
-    )
-    folder.edit_rows(
-        lambda fields, _: (
-            {**fields, "azimuth": repr(math.degrees(float(fields["azimuth"])))} if fields["setup"] == "A" else fields
-        )
-    )
-    folder.edit_rows(lambda fields, _: fields if fields["setup"] == "A" else {**fields, "azimuth": fields["azimuth"]})
-    # only one station: no single mistake explains all
-    assert "the beam (azimuth) of setup 'A' is 2.97 rad off the direction" in folder.refusal()
-
-
-def test_rotary_angles_in_degrees(session_folder) -> None:
-    folder = session_folder("rotary_axis")
-    folder.edit_rows(lambda fields, _: fields if float(fields["c"]) < 2.0 else None)
-    scale(folder, "c", 180 / math.pi)
-    assert "look like degrees" in folder.refusal()
 
 
 def test_exchanged_index_angles(session_folder) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers that nothing measured has are refused in one line, where they stand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files from strangers: bounded time and memory, and nothing but a SessionError."""
 
-from __future__ import annotations
-
 import time
 import tracemalloc
 from pathlib import Path

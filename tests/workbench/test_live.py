@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the page Live makes of what is heard: no ROS, no browser."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import sys
@@ -77,12 +75,6 @@ def test_a_replay_that_begins_anew_is_seen_to_grow_again(session: Session) -> No
     tell(heard, session, slice(0, 2))
     run, _, rows = heard.rows(-1, 0)
     assert (run, len(rows), heard.count) == (2, 2, (2, 2))
-
-
-def test_readings_that_were_missed_are_counted(session: Session) -> None:
-    heard = Heard()
-    tell(heard, session, slice(4, 10))
-    assert heard.missing == 4
 
 
 def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(session: Session) -> None:

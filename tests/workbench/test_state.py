@@ -2,7 +2,6 @@
 """One window's work: models that are added, taken away and undone, and kept with the session."""
 
 import pickle
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.formula import formula_effect
-from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
+from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
@@ -194,12 +193,6 @@ def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: P
         (end_on,) = {"xy", "xz", "yz"} - {view for view in readings.planes if axis in view}
         for end, name in zip("uv", end_on, strict=True):
             np.testing.assert_array_equal(data[f"{end_on}:{end}"][mine], data[name][mine])
-
-
-def test_the_same_readings_are_not_fitted_twice(hidden: Path) -> None:
-    shutil.copytree(hidden, hidden.with_name("again"))
-    with pytest.raises(SessionError, match="cube and again are the same readings"):
-        opened(hidden, hidden.with_name("again"))
 
 
 def test_measurements_are_found_in_a_folder(hidden: Path) -> None:

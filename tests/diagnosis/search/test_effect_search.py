@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One look at what a model leaves: structures beside effects, and probabilities that belong together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a whole diagnosis says of sessions whose truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,6 +12,8 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.result import map_change, map_rms
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import RANDOM
@@ -53,9 +53,10 @@ def test_setups_that_do_not_reproduce_are_no_effect(plan: str) -> None:
 
 def test_slopes_and_bows_of_four_mountings_are_seldom_the_drift_of_a_station() -> None:
     """Few setups, of which a drift of its own for each explains as much: several of these had been taken for one."""
-    sizes = np.random.default_rng(7).uniform(0.3, 2.0, 12)
-    found = [diagnose(simulated("tracking_2d", 7000 + k, spread=size)) for k, size in enumerate(sizes)]
-    assert sum(each.verdict != "adequate" for each in found) <= 2
+    found = [
+        diagnose(simulated("tracking_2d", 7000 + k, spread=size)) for k, size in enumerate((0.3, 0.7, 1.1, 1.5, 2))
+    ]
+    assert sum(each.verdict != "adequate" for each in found) <= 1
 
 
 @pytest.mark.parametrize(
@@ -100,6 +101,15 @@ def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
     assert set(found.search.sets[0][0]) == {"warmup_x", "backlash_x"}
 
 
+def test_a_strong_warm_up_has_a_time_constant_between_those_that_are_tried() -> None:
+    """At the nearest of these, a fifth off, what is left would look like a drift."""
+    session = simulated("iso230_2", 23, [FlawSpec(id="warmup_x", amplitude=6e-5, parameters={"tau": 160.0})])
+    found = diagnose(session)
+    assert found.accepted == ("warmup_x",)
+    (tau,) = found.search.of("warmup_x").shape
+    assert tau == pytest.approx(160.0, rel=0.05)
+
+
 def test_a_screw_that_grows_while_it_warms_up_is_named_without_a_thermometer() -> None:
     flaws = [FlawSpec(id="screw_growth_x", size=4e-5, parameters={"tau": 500.0}), FlawSpec(id="backlash_x", size=3e-6)]
     session = simulated("iso230_2", 23, flaws)
@@ -123,24 +133,13 @@ def test_the_slow_part_of_a_warm_up_is_no_drift_beside_it_unless_it_is_the_large
     assert set(found.accepted) == accepted
 
 
-@pytest.mark.parametrize("plan", ["iso230_2", "tracking_2d"])
-def test_a_reversal_of_the_other_sign_is_the_same_effect(plan: str) -> None:
+def test_a_reversal_of_the_other_sign_is_the_same_effect() -> None:
     """An axis whose control compensates more than there is: a sign is expected, and no wall."""
-    axis = "x" if plan == "iso230_2" else "y"
-    found = diagnose(simulated(plan, 24, [FlawSpec(id=f"backlash_{axis}", size=-3e-6)]))
+    found = diagnose(simulated("iso230_2", 24, [FlawSpec(id="backlash_x", size=-3e-6)]))
     assert found.verdict == "missing_effect"
-    assert found.accepted == (f"backlash_{axis}",)
-    (size,) = found.search.of(f"backlash_{axis}").sizes
+    assert found.accepted == ("backlash_x",)
+    (size,) = found.search.of("backlash_x").sizes
     assert size.value == pytest.approx(-3e-6, abs=4.0 * size.standard_uncertainty)
-
-
-def test_a_sign_that_is_expected_counts() -> None:
-    """Of effects as large, one of the expected sign is the more probable."""
-    there, back = (
-        diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=size)])).search.of("backlash_y")
-        for size in (4e-7, -4e-7)
-    )
-    assert there.probability > back.probability
 
 
 def test_a_reversal_that_no_machine_has_is_not_accepted() -> None:
@@ -173,8 +172,19 @@ def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     assert waves[0].share == max(s.share for s in found.search.structure)
 
 
-@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "iso230_2"])
-@pytest.mark.parametrize("size", [2e-5, 1e-4])
+def test_a_wave_smaller_than_the_noise_that_hardly_moves_the_map_is_good_enough() -> None:
+    """Of 0.9 standard uncertainties: sure to be there, and it moves no point by a third of its U."""
+    session = simulated("tracking_2d", 25)
+    time = session.readings.columns["time"]
+    wave = 0.9 * np.sqrt(2.0) * session.sigma * np.sin(2.0 * np.pi * time / 173.0)
+    found = diagnose(with_columns(session, wave))
+    assert found.search.unknown > 0.99 and found.search.nothing < 0.01
+    assert found.verdict == "adequate"
+    still, moved = (identify(one).error_map for one in (session, with_columns(session, wave)))
+    assert map_change(still, moved) < 2.0 * map_rms(moved.uncertainty) / 3.0
+
+
+@pytest.mark.parametrize(("plan", "size"), [("tracking_2d", 1e-4), ("rotary_axis", 2e-5), ("iso230_2", 2e-5)])
 def test_a_count_that_is_lost_towards_the_end_of_a_setup_is_a_step(plan: str, size: float) -> None:
     """All its readings are off from then on: no warm-up, drift or lost motion, of which each describes some of it."""
     session = simulated(plan, 12)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evidence of an effect: against a direct integration over its coefficients, the noise and the sizes of spread."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sizes that occur: what is tried for is twice the limits of a coefficient."""
 
-from __future__ import annotations
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.search.findings import Size
+from machine_tool_calibration.diagnosis.search.candidates import Shaped
+from machine_tool_calibration.diagnosis.search.findings import Size, _detectable
 from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.model.effect_sizes import smallest_signal
 
 WAVE = Coefficient("s", "m", -5e-5, 5e-5)
 
@@ -28,3 +32,16 @@ WAVE = Coefficient("s", "m", -5e-5, 5e-5)
 )
 def test_a_wide_interval_makes_no_size_plausible(value: float, uncertainty: float, plausible: bool) -> None:
     assert Size(WAVE, value, uncertainty).plausible is plausible
+
+
+def test_of_more_shapes_a_larger_size_is_needed_and_of_the_more_probable_a_smaller_one() -> None:
+    """Even odds after the readings; before them it has its own, shared among its shapes."""
+    inner, shaped = np.array([[4e12]]), Shaped((), np.zeros((1, 3)), (WAVE,))
+    told = {}
+    for count, log_odds in ((1, -3.0), (12, -3.0), (12, -1.0)):
+        candidate: Any = SimpleNamespace(count=count)
+        told[count, log_odds] = _detectable(candidate, shaped, inner, 2.25, log_odds)["s"]
+        strength = 4e12 * 2.5e-5**2
+        signal = smallest_signal(np.array([strength]), strength, np.log(count) - log_odds)
+        assert told[count, log_odds] == pytest.approx(signal * 1.5 / 2e6)
+    assert told[1, -3.0] < told[12, -1.0] < told[12, -3.0]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The posterior over sets of effects, on columns made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

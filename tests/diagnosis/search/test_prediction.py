@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An effect on readings that were left out: a real one predicts them, one that bends around the readings does not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -64,9 +62,15 @@ def test_an_effect_of_one_setup_does_not_predict_the_others() -> None:
     assert setups.speaks_against
 
 
-def test_such_an_effect_is_refused_although_it_is_probable() -> None:
-    found = diagnose(with_effect(0))
-    assert EFFECT not in found.accepted
+def test_an_effect_that_its_predictions_speak_against_is_refused_although_it_is_probable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=(FlawSpec(id="backlash_x", size=2e-6),))
+    against = {"backlash_x": (Prediction("setups", (30.0, -4.0, -4.0, 1.0), 100),)}
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.predictions", lambda *_: against)
+    found = diagnose(simulate(spec).session)
+    assert found.search.accepted == ("backlash_x",)
+    assert found.accepted == () and set(found.refused) == {"backlash_x"}
 
 
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
@@ -114,19 +118,23 @@ def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:
     assert Prediction("setups", (-2.0, -3.0), 10).gain == pytest.approx(-1.0)
 
 
-def test_parts_without_which_there_is_no_model_are_counted() -> None:
+def test_parts_without_which_there_is_no_model_are_counted_and_one_prediction_says_nothing() -> None:
     session = with_effect(None)
     fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
     look = replace(search_effects(fit, candidates, [], side_by_side=False), accepted=(EFFECT,))
 
-    def without_the_first_setup(left):
-        if 0 not in left[0].readings.setup:
-            raise ModelError("too little")
-        return fit_of(left)
+    def found(*needed: int) -> dict[str, Prediction]:
+        def fitted(left: Sequence[Session]) -> JointFit:
+            if not set(needed) <= set(left[0].readings.setup.tolist()):
+                raise ModelError("too little")
+            return fit_of(left)
 
-    found = {each.what: each for each in predictions([session], look, without_the_first_setup)[EFFECT]}
-    whole = {each.what: each for each in predicted(session)}
-    assert found["setups"].needed == 1 and whole["setups"].needed == 0
-    assert found["setups"].log_gains == whole["setups"].log_gains[1:]
-    assert found["cycles"] == whole["cycles"]
+        return {each.what: each for each in predictions([session], look, fitted)[EFFECT]}
+
+    whole, without = found(), found(0)
+    assert without["setups"].needed == 1 and whole["setups"].needed == 0
+    assert without["setups"].log_gains == whole["setups"].log_gains[1:]
+    assert without["cycles"] == whole["cycles"]
+    assert len(found(0, 1)["setups"].log_gains) == 2
+    assert set(found(0, 1, 2)) == set(found(0, 1, 2, 3)) == set(whole) - {"setups"}

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Waves at unequal times and steps: what they take up beside a model, against fits, and the peaks that are kept."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,6 +16,7 @@ from machine_tool_calibration.diagnosis.search.structure import (
     _Outside,
     _peaks,
     _periodogram,
+    _products,
     _step,
     _wave,
     structure_candidates,
@@ -68,6 +67,12 @@ def test_the_periodogram_is_that_of_fits_of_every_wave_beside_the_means_of_runs(
     np.testing.assert_allclose(_periodogram(TIME, run, noise, frequency), power, rtol=1e-6, atol=1e-9)
 
 
+def test_a_wave_that_is_the_same_at_all_readings_takes_up_nothing() -> None:
+    """Its period is the interval between them: it is their mean."""
+    noise = np.random.default_rng(4).normal(size=50)
+    assert _periodogram(np.arange(50.0), np.zeros(50, np.int64), noise, np.array([1.0])) == [0.0]
+
+
 def test_peaks_may_be_at_the_ends() -> None:
     assert _peaks(np.array([5.0, 1.0, 2.0, 1.0, 3.0])).tolist() == [0, 4, 2]
     assert _peaks(np.zeros(4)).tolist() == []
@@ -93,6 +98,18 @@ def test_what_steps_and_waves_take_up_is_what_adding_them_to_the_model_gains(nam
             gain = fit.solution.chi_square - wider.solution.chi_square
             # As much as a ten-thousandth of a column is left to rounding.
             assert found[k] == pytest.approx(gain, rel=0.01, abs=0.01)
+
+
+def test_products_of_coordinates_are_those_of_any_two_axes_along_every_direction() -> None:
+    """Of the third degree at most: an error along x that bends with y, say."""
+    observations = build_model(plan("tracking_3d"))[0].observations
+    u, v, w = (2.0 * p / np.ptp(p) - 1.0 for p in observations.position.T)
+    found = [columns for _, _, columns in _products(observations)]
+    assert [len(columns) for columns in found] == [9, 9, 9]
+    for columns, (a, b) in zip(found, ((u, v), (u, w), (v, w)), strict=True):
+        for error in (a * b, a**2 * b, a * b**2):
+            for along in observations.direction.T:
+                assert np.abs(columns - error * along).max(axis=1).min() < 1e-9
 
 
 def test_a_slow_wave_of_which_the_model_takes_up_most_is_found() -> None:

@@ -276,3 +276,22 @@ def test_a_fast_stream_arrives_whole_and_in_order(streaming: Streaming) -> None:
     sender.join(LONG)
     assert [s.displacement for s in samples] == [pytest.approx((i + 0.5) * 1e-3) for i in range(number)]
     assert not driver.health().rejected
+
+
+def test_no_wait_goes_beyond_the_time_that_is_left(server: socket.socket) -> None:
+    """By a clock of its own, which stands long after zero: a slice of 0.1 s at first, and then what is left."""
+    now, waits = [1e6], []
+
+    class Link:
+        def read(self, timeout: float) -> bytes:
+            waits.append(timeout)
+            now[0] += timeout
+            return b""
+
+        def close(self) -> None: ...
+
+    driver = AsciiLineDriver(settings(server), clock=lambda: now[0], connect=lambda *_: Link())
+    driver.open()
+    assert driver.read(0.13) == []
+    assert waits == pytest.approx([0.1, 0.03], abs=1e-6)
+    driver.close()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plates and axes as workshops measure them: places computed point by point, with none of the estimator's columns."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures of ISO 230-2:2014 and ISO 230-6:2002, against numbers worked out by hand."""
 
-from __future__ import annotations
-
 from types import ModuleType, SimpleNamespace
 
 import numpy as np

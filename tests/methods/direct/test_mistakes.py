@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places and deviations that do not belong together: the mistake is named, and nothing else is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import ModuleType
 

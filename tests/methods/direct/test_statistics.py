@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Position errors against the truth: their size is as stated."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

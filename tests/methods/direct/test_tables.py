@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Machine errors of a session: which can be told, in which datum, and at which positions."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -105,6 +103,11 @@ def test_nodes_are_the_positions_or_some_of_them() -> None:
     nodes = nodes_from(many)
     assert len(nodes) <= 21
     assert np.isin(np.round(nodes, 9), np.round(many, 9)).all()
+    # As many as there are readings to fill: each position twice for each table that the axis has.
+    sixty = np.linspace(0.0, 0.6, 60)
+    assert [len(nodes_from(np.repeat(sixty, n), unknowns)) for n, unknowns in ((1, 1), (2, 1), (2, 2), (4, 2))] == [
+        21, 60, 21, 60
+    ]  # fmt: skip
     # readings a hair apart are one position
     assert len(nodes_from(np.concatenate([few, few + 1e-5]))) == 9
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A direction that no reading senses has no error and no uncertainty, whatever the model moves there."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which session contradicts the others, and in which error motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables between their nodes: how much straight lines miss."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

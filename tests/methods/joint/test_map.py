@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One map from several sessions: better than each alone, and with the right uncertainty."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Methods in pairs on the machine of the probing self-calibration: one map, the right uncertainty, contradictions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

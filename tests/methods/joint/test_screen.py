@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a fit of several sessions leaves of further columns, against dense least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The readings of one session, divided among several: the machine's unknowns mean the same in each."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

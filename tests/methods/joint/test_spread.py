@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small angular errors in fits of several sessions: the machine's, in all sessions and in the map."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

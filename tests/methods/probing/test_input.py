@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is wrong with a probing session is said in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,14 @@ def test_too_few_touches(make):
     few = session.readings.select((np.arange(len(session.readings)) % 92 < 4) & (session.readings.setup < 2))
     with pytest.raises(CalibrationError, match="too few readings"):
         identify(session.with_readings(few))
+
+
+def test_x_and_y_exchanged(make):
+    session = make().session
+    x, y = (session.readings.columns[axis] for axis in "xy")
+    readings = replace(session.readings, columns={**session.readings.columns, "x": y, "y": x})
+    with pytest.raises(CalibrationError, match="the columns x and y look exchanged"):
+        check_session(session.with_readings(readings))
 
 
 def test_normal_that_is_no_unit_vector(make):

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the touches do not determine is named and null, all the rest comes back; the null space by the whole system."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.probing.datum import null_space
+from machine_tool_calibration.methods.probing.datum import _from_outside, null_space
 from machine_tool_calibration.simulation.probing_run import cam, cross, pins
 
 PICO = 1e-12
@@ -250,3 +248,11 @@ def test_null_space_and_uncertainties_are_those_of_the_dense_system() -> None:
     )
     assert found.fixes(rows, found.weights({"b": 1.0})) and not found.fixes(rows[:1], found.weights({"b": 1.0}))
     assert not found.determined(rows[1:])[3:].any() and found.determined(rows[1:])[2]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "order"), [([0.02, 0.05, 0.1], [2, 1, 0]), ([-0.1, -0.05, 0.0, 0.05, 0.1], [4, 3, 0, 1])]
+)
+def test_a_length_is_held_at_the_outermost_node_that_was_touched(nodes, order):
+    """On the positive side first; the axis's zero says nothing of its length."""
+    assert _from_outside(np.array(nodes)) == order

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated rotary axes, and the comparison that the open datum allows."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Datum of a rotary axis on tables that are small enough to work out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

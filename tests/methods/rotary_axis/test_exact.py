@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Without noise the six error motions come back from exact geometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

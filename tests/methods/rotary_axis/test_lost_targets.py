@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the readings do not determine is named, and everything else is given."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 
 
@@ -84,3 +83,12 @@ def test_a_target_that_one_station_never_sees(rotary: SimpleNamespace) -> None:
     truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
     assert np.abs(rotary.without_datum(value, angles) - truth)[:3].max() < 5e-9
     assert len([p for p in result.parameters if p.name.endswith("dead_path")]) == 2 * 11
+
+
+def test_two_targets_from_three_stations_are_not_enough(rotary: SimpleNamespace) -> None:
+    """However many angles: the places of the stations stay open."""
+    session = _without(rotary.measured(5).session, target="K")
+    check_session(session)
+    three = session.with_readings(session.readings.select(session.readings.setup != 1))
+    with pytest.raises(SessionError, match="two targets from 3 stations leave the places of the stations open"):
+        check_session(three)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a fit of a rotary axis says, worked out again from the unknowns and their covariance."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -122,3 +121,16 @@ def test_places_of_targets_and_stations_are_those_of_the_fit(rotary: SimpleNames
             expected = [value[f"{id_}.{axis}"] for axis in "xyz"]
             np.testing.assert_allclose(place, [v for v, _ in expected], atol=1e-12)
             np.testing.assert_allclose(u, [s for _, s in expected], rtol=1e-9)
+
+
+def test_a_station_that_read_nothing_does_not_place_the_line(rotary: SimpleNamespace) -> None:
+    """However well its place is stated: the line is that of the three others."""
+    session = rotary.measured(3).session
+    left = session.with_readings(session.readings.select(session.readings.setup != 1))
+    setups = list(session.description.setups)
+    assert setups[1].position_uncertainty is not None
+    setups[1] = setups[1].model_copy(update={"position_uncertainty": None})
+    unstated = replace(left, description=session.description.model_copy(update={"setups": tuple(setups)}))
+    line, expected = (identify(one).error_map.content["axis_average_line"] for one in (left, unstated))
+    assert line["X0C"] is not None and line == pytest.approx(expected, rel=1e-9)
+    assert line["X0C_u"] > identify(session).error_map.content["axis_average_line"]["X0C_u"]

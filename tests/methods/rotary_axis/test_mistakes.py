@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common mistakes are named in one line; a bad fit alone is no mistake."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The start of the fit: readings of a perfect table leave nothing, wherever stations and targets really stand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
+from machine_tool_calibration.methods.rotary_axis.start import Start, _turned, find_start
 from machine_tool_calibration.simulation import RotaryPlan, SimulationSpec, simulate
 
 RNG = np.random.default_rng(6)
@@ -96,3 +94,11 @@ def test_a_tilted_axis_and_places_decimetres_away_are_tried_when_asked() -> None
     # Up to a turn about the axis itself and a shift along it.
     height = found.stations[:, 2] - found.targets[0, 2]
     np.testing.assert_allclose(height, tilted[:, 2] - targets[0, 2], atol=2e-3)
+
+
+@pytest.mark.parametrize(("axis", "across"), [("A", "YZ"), ("B", "ZX"), ("C", "XY")])
+def test_a_tilt_is_undone_about_the_two_directions_across_the_axis(axis: str, across: str) -> None:
+    stations, _ = nominal(axis)
+    first, second = (np.eye(3)["XYZ".index(letter)] for letter in across)
+    tilted = Rotation.from_rotvec(0.4 * first - 0.9 * second).apply(stations)
+    np.testing.assert_allclose(_turned(tilted, axis, (0.4, -0.9)), stations, atol=1e-12)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stated uncertainties are those of the errors."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -42,7 +40,6 @@ def test_normalised_errors_over_many_runs(rotary: SimpleNamespace, many: Any) ->
     [
         {"repeats": 3},
         {"both_ways": True, "sign": -1},
-        {"hidden": {"P": (1.0, 1.8)}},
         {"missing": 0.05},
     ],
 )

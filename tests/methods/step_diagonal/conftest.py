@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Step diagonals from exact geometry, and small sessions written down reading by reading."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Without noise the map is the machine's, to the nanometre and better, whatever was declared of the stations."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

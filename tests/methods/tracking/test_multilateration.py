@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracking interferometer: exact geometry back to the micrometre's millionth, and the counts of the paper."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

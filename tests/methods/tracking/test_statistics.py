@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many simulated measurements: the stated uncertainties are right, and they are the bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
