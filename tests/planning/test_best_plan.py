@@ -167,7 +167,7 @@ def test_the_quickest_plan_comes_to_what_is_wanted_as_soon_as_any(seconds: float
     def largest(choice: Choice) -> float:
         return float(np.sqrt(candidates.variances(offered.weights(choice)).max()))
 
-    found = quickest(offered, candidates, goal)
+    found = quickest(offered, candidates, goal, lambda what, share: None)
     assert offered.rough_duration(found) <= 1.001 * seconds
     begun = (replace(found, setups=tuple(sorted(found.setups[: n + 1]))) for n in range(len(found.setups)))
     enough = next(choice for choice in begun if largest(choice) <= goal)
