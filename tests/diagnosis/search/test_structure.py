@@ -12,6 +12,7 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.structure import (
     _around,
     _frequencies,
+    _from_place_to_place,
     _moments,
     _Outside,
     _peaks,
@@ -145,3 +146,12 @@ def test_of_many_readings_the_moment_of_a_step_is_found_by_looking_closer() -> N
         return [(tried @ step) ** 2 / np.sum(tried**2, axis=1)]
 
     assert time[1234] in _moments(time, explained)
+
+
+@pytest.mark.parametrize(("places", "forms"), [(25, 25 - 8), (26, 0), (8, 0), (0, 0)])
+def test_places_differ_from_each_other_where_they_are_neither_few_nor_many(places: int, forms: int) -> None:
+    scaled = np.repeat(np.linspace(-1.0, 1.0, places), 4)
+    found = _from_place_to_place(scaled, np.tile([1.0, 1.0, -1.0, -1.0], places))
+    assert found.shape == (forms, 4 * places)
+    # Nothing of a smooth lost motion is in it.
+    np.testing.assert_allclose(found @ np.polynomial.legendre.legvander(scaled, 7), 0.0, atol=1e-9)

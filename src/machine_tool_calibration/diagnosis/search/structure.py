@@ -190,12 +190,15 @@ def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, A
 def _from_place_to_place(scaled: Array, sign: Array) -> Array:
     """(k, n) what places, read repeatedly either way, differ by in no smooth form: none where they are few or many."""
     at, place = np.unique(np.round(scaled, 6), return_inverse=True)
-    own = place.reshape(-1) == np.arange(len(at))[:, None]
-    both = np.minimum((own & (sign > 0)).sum(axis=1), (own & (sign < 0)).sum(axis=1)) >= 2
+    count = [np.bincount(place.reshape(-1)[sign * way > 0], minlength=len(at)) for way in (1, -1)]
+    both = np.flatnonzero(np.minimum(*count) >= 2)
+    if len(both) > _MOST_PLACES:
+        return np.zeros((0, len(scaled)))
+    own = place.reshape(-1) == both[:, None]
     # What the effect takes up is no structure.
     smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
     free = np.linalg.svd(smooth)[0][:, smooth.shape[1] :]
-    return np.asarray(free.T @ own[both])[: both.sum() <= _MOST_PLACES and len(free)]
+    return np.asarray(free.T @ own)
 
 
 _Explained = Callable[[Callable[[float], Array], Array], list[Array]]
