@@ -12,7 +12,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.model.model import Constraint, Kind, Parameter, Term
+from machine_tool_calibration.model.model import Constraint, Kind, Parameter
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.session import distinct_places
@@ -44,10 +44,6 @@ class PointErrors(MachineTable):
         """(k, n) 1 where a position is the place."""
         _, place = distinct_places(np.concatenate([self.nodes, position]))
         return np.equal.outer(place[: len(self.nodes)], place[len(self.nodes) :]).astype(np.float64)
-
-    def term(self, observations: Observations) -> Term:
-        """The errors as a term."""
-        return Term(self.name, self.parameters, self.columns(observations.position, observations.direction))
 
 
 def point_errors(chain: Chain, position: Array, sensed: BoolArray) -> tuple[PointErrors, ...]:

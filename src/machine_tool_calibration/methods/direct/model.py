@@ -281,7 +281,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error": error,
         "position_error_u": uncertainty,
         "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
-        **({} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}),
+        **(
+            {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
+        ),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
         "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,
     }
