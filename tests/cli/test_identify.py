@@ -22,7 +22,7 @@ def test_for_people(verb):
     assert "tracking interferometer in 2 dimensions, pointed open loop: 288 readings in 4 setups (A, B, C, D)" in text
     assert "The model fits the readings within their declared uncertainty (p = 0.57)." in text
     assert "position error 5.10 µm RMS, 10.84 µm at most" in text
-    assert "its uncertainty U (k = 2) 0.48" in text
+    assert "its uncertainty U (95 %) 0.48" in text
     assert "datum: no shift and no turn of all targets" in text
 
 
@@ -88,7 +88,7 @@ def test_the_csv_holds_what_the_standards_ask_for(verb, tmp_path):
 def test_error_motions_are_tables_over_their_axes(verb):
     told = verb("identify", DATA / "tracking_2d", "--model", "rigid_body")
     assert "EXX(0.08)" not in told.out
-    _, after = told.out.split("Error motions of X ± U (k = 2)\n")
+    _, after = told.out.split("Error motions of X ± U (95 %)\n")
     head, *rows = after.splitlines()[:7]
     assert " ".join(head.split()).startswith("X / mm EXX / µm EYX / µm")
     assert [row.split()[0] for row in rows] == ["0", "80", "160", "240", "320", "400"]

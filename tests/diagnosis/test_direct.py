@@ -240,3 +240,25 @@ def test_scatter_of_places_is_said_where_their_repeats_agree_and_nothing_is_alik
 def told_of(session: Session) -> str:
     found = diagnose(session)
     return " ".join(verdict_words(found, {}, Advice()))
+
+
+def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time(plates: ModuleType) -> None:
+    """Each row of a raster takes its time: a zone is a step in time as well, and the second run repeats it."""
+    rng, side = np.random.default_rng(11), np.linspace(0.0, 0.4, 9)
+    way = [(x, y, s) for k, y in enumerate(side) for s in (1 - 2 * (k % 2),) for x in side[::s]]
+    x, y, sense = (np.tile(np.repeat(one, 2), 2) for one in np.array(way).T)
+    g = np.tile([0, 1], 162)
+    error = np.where(g == 0, 4e-6 * ((x > 0.21) & (y > 0.21)) + 2e-6 * np.sin(x / 0.06), 3e-6 * (y > 0.31))
+    bump = 3e-6 * np.exp(-((x - 0.1) ** 2 + (y - 0.1) ** 2) / 0.003) * (g == 1)
+    columns = {
+        "x": x, "y": y, "gx": 1.0 - g, "gy": 1.0 * g, "gz": 0.0 * g, "dir_x": sense, "dir_y": np.ones(324),
+        "time": np.repeat(np.arange(162) * 8.0, 2) + 120.0 * np.repeat([0, 1], 162),
+        "displacement": error + bump + 0.25e-6 * rng.normal(size=324),
+    }  # fmt: skip
+    terms = ("EXX", "EYX", "EXY", "EYY", "ECX", "ECY", "C0Y")
+    found = diagnose(plates.session(columns, 2.5e-7, "rigid", terms, np.repeat([0, 1], 162), "stage"))
+    assert found.left and found.left[0].covariate == "place"
+    assert found.left[0].share > max(one.share for one in found.search.left)
+    text = " ".join(verdict_words(found, {}, Advice()))
+    assert "the model free (--model) gives every place" in text
+    assert "depend on time" not in text

@@ -63,7 +63,7 @@ def test_ellipses_are_twice_the_uncertainty_to_the_stated_scale(plane):
     panel = figure.axes[0]
     (ellipses,) = [c for c in panel.collections if isinstance(c, EllipseCollection)]
     magnification = float(figure.get_suptitle().split("magnified ")[1].split(" times")[0].replace(" ", ""))
-    (label,) = [t for t in panel.get_legend_handles_labels()[1] if t.startswith("U (k = 2)")]
+    (label,) = [t for t in panel.get_legend_handles_labels()[1] if t.startswith("U (95 %)")]
     larger = float(label.split(",")[1].split()[0]) if "larger" in label else 1.0
     widths = ellipses.get_widths()
     assert np.allclose(widths, 4e3 * magnification * larger * content["position_error_u"][:, 0])

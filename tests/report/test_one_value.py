@@ -25,6 +25,7 @@ from machine_tool_calibration.reports.identification import Measured, summary_ro
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.reports.values import standard_rows
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -134,7 +135,11 @@ def test_a_result_is_the_same_wherever_it_is_told(kind: str, verb: Verb, tmp_pat
     assert kind not in WITH_BUDGET or "without instrument and temperature" not in of_terminal
     assert all(f"{name} {value}" in lines for name, value in summary_rows({**of_report, "not_determined": []}))
     summary = next(block for block in room.sections(found, words("en"))[0].blocks if isinstance(block, TextTable))
-    assert summary.rows == tuple(summary_rows({**of_report, "not_determined": []}))
+    figures = tuple(standard_rows(of_report["error_map"]))
+    assert summary.rows == (*summary_rows({**of_report, "not_determined": []}), *figures)
+    for _, told_in_short in figures:  # each figure as the terminal has it in its table
+        for name, size in re.findall(r"([AERB]) ([\d.]+ ± [\d.]+)", told_in_short):
+            assert any(re.search(rf"\b{name} .*{re.escape(size)}$", line) for line in lines), name
     listed = pd.read_csv(table, comment="#")
     whole = [one for title, one in told.items() if title.startswith("Error motions of ")]
     assert whole or not listed["error"].str.fullmatch("E[XYZABC]{2}").any()
@@ -207,7 +212,7 @@ def test_with_a_budget_the_whole_report_states_its_uncertainty() -> None:
     assert run_["A_U"] == pytest.approx(2 * accuracy.u) == pytest.approx(found.budget.largest("A_X").expanded)  # type: ignore[union-attr]
     assert "note" not in run_  # that the instrument's comes on top
     told = tables(found)
-    shown = max(row[1].split(" ± ")[1] for row in told["Error motions of X ± U (k = 2)"].rows)
+    shown = max(row[1].split(" ± ")[1] for row in told["Error motions of X ± U (95 %)"].rows)
     assert float(shown) == pytest.approx(1e6 * expanded, abs=0.06)
     # Each step has the budget of its own model; that of the first is the result's.
     first = found.improvement.steps[0]

@@ -35,7 +35,7 @@ def table(found: Comparison, title: str) -> TextTable:
         (1e-12, 0.1e-6, "0.00 ± 0.20"),
         (-1e-12, 0.1e-6, "0.00 ± 0.20"),
         (7.4e-6, 62e-6, "+10 ± 120"),
-        (1.2e-6, 0.0, "+1.200 ± 0.000"),
+        (1.2e-6, 0.0, "+1.20 ± 0"),
         (None, None, NOT_DETERMINED),
     ],
 )

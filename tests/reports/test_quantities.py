@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
+import math
+
 import pytest
 
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.reports.quantities import (
     declared_words,
     duration,
+    in_digits_of,
     micrometres,
     millimetres,
     of_map,
@@ -55,7 +58,7 @@ def test_numbers_in_tables() -> None:
 
 def test_a_map_has_as_many_digits_as_its_uncertainty_allows() -> None:
     assert of_map(3.317e-6, 0.729e-6) == ("3.3", "1.5") and of_map(3.317e-6, None) == ("3.32", "–")
-    assert plus_minus(-4.3e-7, 0.0, 1e6) == "-0.430 ± 0.000" and plus_minus(7.31e-5, 1.21e-4, 1e6) == "+70 ± 240"
+    assert plus_minus(-4.3e-7, 0.0, 1e6) == "-0.430 ± 0" and plus_minus(7.31e-5, 1.21e-4, 1e6) == "+70 ± 240"
 
 
 def test_long_distances_are_grouped() -> None:
@@ -75,15 +78,15 @@ def test_of_many_coefficients_the_most_significant_is_shown() -> None:
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        ((1.23456e-6, 3.4e-8, "m"), ("1.235", "0.034", "0.068", "µm")),
-        ((-0.3500141, 1.7e-6, "m"), ("-350.0141", "0.0017", "0.0034", "mm")),
-        ((-3.278e-5, 4.1e-7, "rad"), ("-32.78", "0.41", "0.82", "µrad")),
-        ((0.25, 0.01, "1"), ("0.250", "0.010", "0.020", "")),
-        ((12.3456e-6, 5e-7, "1/K"), ("12.3", "0.5", "1.0", "µm/(m K)")),
+        ((1.23456e-6, 3.4e-8, "m"), ("1.235", "0.0340", "0.068", "µm")),
+        ((-0.3500141, 1.7e-6, "m"), ("-350.0141", "0.00170", "0.0034", "mm")),
+        ((-3.278e-5, 4.1e-7, "rad"), ("-32.78", "0.410", "0.82", "µrad")),
+        ((0.25, 0.01, "1"), ("0.250", "0.0100", "0.020", "")),
+        ((12.3456e-6, 5e-7, "1/K"), ("12.3", "0.50", "1.0", "µm/(m K)")),
         ((0.0, 0.0, "m"), ("0", "0", "0", "µm")),
-        ((-4e-9, 1.2e-6, "m"), ("0.0", "1.2", "2.4", "µm")),
-        ((1e-9, 5e-10, "m/s"), ("3.6", "1.8", "3.6", "µm/h")),
-        ((4e-6, 6.4e-7, "m", True), ("0.0040", "0.0006", "0.0013", "mm")),
+        ((-4e-9, 1.2e-6, "m"), ("0.0", "1.20", "2.4", "µm")),
+        ((1e-9, 5e-10, "m/s"), ("3.6", "1.80", "3.6", "µm/h")),
+        ((4e-6, 6.4e-7, "m", True), ("0.0040", "0.00064", "0.0013", "mm")),
     ],
 )
 def test_digits_that_the_uncertainty_bears(value, expected):
@@ -111,3 +114,10 @@ def test_a_declared_uncertainty_is_said_in_full() -> None:
         {"displacement": 3e-7, "per_length": 1e-6, "setups": {"B": {"displacement": 1e-6}}}
     )
     assert declared_words(said) == "0.300 µm + 1.00 µm/m of the path; B: 1.00 µm"
+
+
+def test_u_has_a_figure_more_than_the_expanded_one_so_that_both_fit() -> None:
+    assert value_and_uncertainties(20.4e-6, 0.53e-6, "rad") == ("20.4", "0.53", "1.1", "µrad")
+    assert value_and_uncertainties(0.31e-6, 0.064e-6, "m") == ("0.31", "0.064", "0.13", "µm")
+    told = in_digits_of(2.66, 2.66), in_digits_of(2.66, 1.33, 1), in_digits_of(math.nan, 1.0)
+    assert told == ("2.7", "1.33", "1.00")

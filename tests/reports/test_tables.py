@@ -53,3 +53,14 @@ def test_a_narrow_screen_shows_the_columns_below_each_other() -> None:
     assert sum("→ 2" in line for line in lines) > 1
     for value in ("small_angles", "thermal_expansion_x", "0.089", "0.745"):
         assert any(value in line.split() for line in lines)
+
+
+@pytest.mark.parametrize(("count", "columns", "abreast"), [(15, 3, 1), (30, 3, 3), (50, 5, 2), (300, 4, 2), (40, 7, 1)])
+def test_a_long_and_narrow_table_is_folded_and_each_row_is_there_once(count: int, columns: int, abreast: int) -> None:
+    rows = tuple(tuple(f"{k}.{j}" for j in range(columns)) for k in range(count))
+    folded = TextTable("Errors", tuple("abcdefg"[:columns]), rows, "").folded()
+    assert len(folded.columns) == abreast * columns and all(len(row) == abreast * columns for row in folded.rows)
+    every = [row[k : k + columns] for row in folded.rows for k in range(0, len(row), columns) if row[k]]
+    assert sorted(every) == sorted(rows)
+    assert [row[:columns] for row in folded.rows][:8] == list(rows[:8])
+    assert all(any(row) for row in folded.rows) and len(folded.rows) == -(-count // abreast)

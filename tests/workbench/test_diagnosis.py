@@ -61,12 +61,3 @@ def test_a_map_is_drawn_with_its_expanded_uncertainty(state: State) -> None:
     np.testing.assert_allclose(drawn["x1"] - drawn["x"], 1e3 * 1000.0 * found.error[:, 0])
     np.testing.assert_allclose(drawn["wy"], 1e3 * 1000.0 * 2 * 2 * found.uncertainty[:, 1])
     assert np.isnan(drawn["ez"]).all() and (drawn["wz"] == 0.0).all(), "not determined: said so, and not drawn"
-
-
-def test_the_view_of_space_is_a_parallel_projection() -> None:
-    from machine_tool_calibration.workbench.measurement import seen_from
-
-    axes = np.eye(3)
-    np.testing.assert_allclose(seen_from(axes, 0.0, 90.0), [[1, 0], [0, 1], [0, 0]], atol=1e-12)
-    np.testing.assert_allclose(seen_from(axes, 0.0, 0.0), [[1, 0], [0, 0], [0, 1]], atol=1e-12)
-    np.testing.assert_allclose(seen_from(axes, 90.0, 0.0), [[0, 0], [1, 0], [0, 1]], atol=1e-12)

@@ -25,6 +25,7 @@ from machine_tool_calibration.workbench.look import in_order
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.page import _Window
 from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.result import ResultPage
 from machine_tool_calibration.workbench.server import quieten
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -53,6 +54,39 @@ def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, docu
     assert numbers == [1, 2, 3, 4]
     assert list(page._before.options) == ["1: first model", "4: + dead_path"] == page._fall.x_range.factors
     assert "model 1" in page._table.object and "model 4" in page._table.object
+
+
+def test_what_was_found_is_a_page_of_numbers_with_their_uncertainty(state: State, document: Document) -> None:
+    page = shown(ResultPage, state)
+    fit = state.model.fit
+    row = fit.error_map.iloc[3]
+    assert f"{1e6 * row['ex']:+.1f} ± {2e6 * row['ux']:.1f}" in page._values.object
+    assert page._values.object.count("<tr>") > len(fit.error_map)
+    assert fit.report().split("its uncertainty U (95 %)")[1].split(" µm RMS")[0].strip() in page._values.object
+    assert "mtcal" not in page._words.object and "--csv" not in page._values.object
+    assert page._map.plot.visible
+
+
+def test_another_variant_of_the_model_is_chosen_where_the_result_is_shown(
+    state: State, hidden: Path, document: Document
+) -> None:
+    page = shown(ResultPage, state)
+    assert (page._variant.options, page._variant.value) == (["free", "rigid_body"], "free")
+    state.changed(variant="rigid_body")()
+    page.refresh()
+    assert page._variant.value == "rigid_body" == state.model.fit.result.model_name
+    assert "Error motions of X" in page._values.object
+    assert read_history(history_path(hidden)).models[-1].change == "model rigid_body"
+
+
+def test_a_model_keeps_its_residual_volumetric_error_when_another_is_undone(state: State, document: Document) -> None:
+    page = shown(ImprovePage, state)
+    state.changed(add=["backlash_y"])()
+    page.refresh()
+    (first, _) = page._steps.data["tool"]
+    state.undo()
+    page.refresh()
+    assert page._steps.data["tool"] == [first]
 
 
 def test_an_export_says_of_which_model_it_is(state: State, document: Document) -> None:
@@ -101,8 +135,8 @@ def test_the_tables_of_a_measurement_are_tables(state: State, document: Document
     page = shown(MeasurementPage, state)
     assert "<pre" not in page._setups.object + page._more.object, "no lines that break in the middle"
     assert "<td" in page._setups.object and "(-350.0, 50.0, 0.0) mm" in page._setups.object
-    assert "Models" in page._more.object
-    assert "The readings scatter" in page._words.object, "the fit is told before the recording is called sound"
+    assert "Columns" in page._more.object and "--model" not in page._more.object
+    assert "how the model fits, Result says" in page._words.object
 
 
 def test_a_page_is_put_in_its_place_at_once(hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch) -> None:

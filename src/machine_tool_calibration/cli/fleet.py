@@ -20,7 +20,7 @@ from machine_tool_calibration.cli.output import FILE, FOLDER, json_option, note,
 @click.option(
     "--limit", "limits", metavar="NAME=VALUE", multiple=True, help="Attention beyond it, such as EXX=5um; repeatable."
 )
-@click.option("--largest-u", metavar="VALUE", help="Attention where U (k = 2) of a length is more, such as 3um.")
+@click.option("--largest-u", metavar="VALUE", help="Attention where U (95 %) of a length is more, such as 3um.")
 @click.option("--language", default="en", show_default=True, metavar="en|de", help="Of the page.")
 @model_options
 @workers_options

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     "--csv",
     "table",
     type=FILE,
-    help="CSV file for all that was found, one value a row with its expanded uncertainty U (k = 2).",
+    help="CSV file for all that was found, one value a row with its expanded uncertainty U (95 %).",
 )
 @click.option(
     "--units",

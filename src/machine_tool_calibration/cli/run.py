@@ -71,7 +71,7 @@ def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
 @click.option(
     "--until",
     metavar="U=… | told=…",
-    help="End as soon as it is enough: U=2um (k = 2, every coordinate of the map), or told=backlash_y,… (effects). "
+    help="End as soon as it is enough: U=2um (95 %, every coordinate of the map), or told=backlash_y,… (effects). "
     "What the file's `choices` allow is measured in the order that comes to it soonest.",
 )
 @click.option(

@@ -23,7 +23,7 @@ def command(book: Path, machine: str | None, limits: tuple[str, ...], plot: Path
 
     BOOK is a logbook (`mtcal logbook add`); MACHINE is needed where it has several. The size of every error motion,
     squareness, reversal and effect is followed with its uncertainty; a spread between sessions is learned. An alarm is
-    a change with a probability of 0.95 or more, or a size that is beyond its limit with U (k = 2).
+    a change with a probability of 0.95 or more, or a size that is beyond its limit with U (95 %).
 
     \b
     mtcal trend mill.logbook

@@ -15,7 +15,12 @@ from scipy import special
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
-from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
+from machine_tool_calibration.diagnosis.search.effect_search import (
+    EffectSearch,
+    Structure,
+    led_by_places,
+    search_effects,
+)
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
@@ -31,7 +36,7 @@ from machine_tool_calibration.model.refits import changed, declared
 from machine_tool_calibration.model.result import ErrorMap, effect_estimates, effect_signal, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
-from machine_tool_calibration.residuals.noise import Noise
+from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
@@ -98,6 +103,18 @@ class Diagnosis:
     def likely(self) -> tuple[str, ...]:
         """Effects that are not named as missing and yet are what one would look at next."""
         return tuple(f.name for f in self.ranked if f.probability >= priors.LIKELY and f.name not in self.accepted)
+
+    @cached_property
+    def with_found(self) -> FittedSessions:
+        """The effects found with all readings, not with the means of their places."""
+        counts = [[len(session.readings) for session in one.sessions] for one in (self.searched, self.chosen)]
+        return self.fitted[-1] if counts[0] == counts[1] else fit_sessions(self.chosen.adding(self.accepted))
+
+    @cached_property
+    def left(self) -> tuple[Structure, ...]:
+        """What is left beside the effects found, the most telling first."""
+        joint = self.with_found.joint
+        return led_by_places(self.search.left, joint, [noise_of(own) for own in joint.fits])
 
     @property
     def noisy(self) -> bool:

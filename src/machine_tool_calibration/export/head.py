@@ -39,7 +39,7 @@ def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collect
         f"reference point: {_REFERENCE}",
         f"datum: {tables.datum}",
         f"squareness: {tables.squareness_words}",
-        f"largest expanded uncertainty U (k = 2) of an entry: {spread}",
+        f"largest expanded uncertainty U (95 %) of an entry: {spread}",
     ]
     if absent:
         lines.append(f"not in this format: {', '.join(absent)}")

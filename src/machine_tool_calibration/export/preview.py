@@ -29,7 +29,7 @@ class ResidualError:
     # expected of the machine now and with the files: the error, and what it is uncertain by
     rms_now: float
     rms_left: float
-    largest_now: float  # at any point at most, with 95 %: the error there, and its U (k = 2)
+    largest_now: float  # at any point at most, with 95 %: the error there, and its U (95 %)
     largest_left: float
 
     @property

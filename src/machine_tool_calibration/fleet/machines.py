@@ -30,7 +30,7 @@ class Machine:
     trend: Trend  # what changed on it
     # what its sessions' diagnoses say, in their order; None of one that was not diagnosed
     diagnoses: tuple[Mapping[str, Any] | None, ...]
-    largest_u: float | None = None  # the largest U (k = 2) that is no cause of attention, m; None for any
+    largest_u: float | None = None  # the largest U (95 %) that is no cause of attention, m; None for any
 
     @property
     def name(self) -> str:
@@ -119,7 +119,7 @@ def judged(
     """Judge all machines of a logbook by their entries, and by diagnoses by the SHA-256 of the session.
 
     Limits that sizes should keep, by name, m or rad, are for every machine that has such a size; `largest_u` is the U
-    (k = 2) of a length beyond which a machine needs attention, m. A ModelError: a limit for what is in no entry, or in
+    (95 %) of a length beyond which a machine needs attention, m. A ModelError: a limit for what is in no entry, or in
     another unit.
     """
     names = {size.name for entry in entries for size in entry.sizes}

@@ -21,7 +21,7 @@ _LOOKS = {cause: (COLORS[k], MARKERS[k]) for cause, k in zip(CAUSES, (1, 4, 3, 0
 
 
 def draw_fleet(fleet: Machines) -> Figure:
-    """Every machine's error with U (k = 2), and below it the effects that its model lacks, the surer the larger."""
+    """Every machine's error with U (95 %), and below it the effects that its model lacks, the surer the larger."""
     effects = list(fleet.occurrences)[:_EFFECTS]
     figure = new_figure(9.5, 4.0 + 0.22 * len(effects), say("fleet.picture"))
     heights = [3.0, 0.25 * max(len(effects), 1)]

@@ -82,7 +82,7 @@ class Features(Answer, Found):
             rows.append((", ".join(asked.of), asked.what, nominal, told, interval))
         draws = f"{100 * COVERAGE:.4g} % of {drawn.draws} draws, touches {drawn.distribution}" if drawn else ""
         heads = ("feature", "quantity", "nominal", "actual − nominal", draws)
-        title = "Features of the workpiece, ± U (k = 2)"
+        title = "Features of the workpiece, ± U (95 %)"
         note = f"frame: {self.datum}; U is without instrument and temperature"
         yield TextTable(title, heads, tuple(rows), note)
         for name, why in self.left_out.items():

@@ -116,7 +116,7 @@ def _differences(comparison: Compared) -> TextTable:
     axes = np.flatnonzero(told.any(axis=0))
     order = np.flatnonzero(told.any(axis=1))
     note = (
-        "± U (k = 2), without instrument and temperature; E_n is the difference over its U; "
+        "± U (95 %), without instrument and temperature; E_n is the difference over its U; "
         f"1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
     )
     if len(order) > _MOST_POINTS:

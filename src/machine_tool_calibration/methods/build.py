@@ -27,7 +27,7 @@ def model_names(method: str | None = None) -> tuple[str, ...]:
 
 def sharing_variant(session: Session, model: str | None) -> str | None:
     """The variant of a session's model in a fit of several: what was asked for, else tables that others can share."""
-    return model if model in spec_of(session).models else spec_of(session).tables
+    return model if model in spec_of(session).together else spec_of(session).tables
 
 
 def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:

@@ -150,7 +150,7 @@ def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tupl
     effects, labels = chosen.present, chosen.labels or ()
     if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
-    known = list(dict.fromkeys(name for session in chosen.sessions for name in spec_of(session).models))
+    known = list(dict.fromkeys(name for session in chosen.sessions for name in spec_of(session).together))
     if chosen.model is not None and chosen.model not in known:
         hint = did_you_mean(chosen.model, known)
         raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")

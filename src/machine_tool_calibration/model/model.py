@@ -63,9 +63,9 @@ class Parameter:
 
     @property
     def family(self) -> str:
-        """Name under which it is listed: that of the error motion for the values of a table."""
-        label = len(self.session)
-        return self.name[:label] + self.name[label:].partition("(")[0] if self.kind is Kind.MOTION else self.name
+        """Name under which it is listed: that of the error motion for the values of a table, or of a map's points."""
+        label, tabled = len(self.session), self.kind in (Kind.MOTION, Kind.POINTS)
+        return self.name[:label] + self.name[label:].partition("(")[0] if tabled else self.name
 
     @property
     def in_map(self) -> bool:

@@ -244,11 +244,12 @@ class Result(Identified):
 
     @property
     def parameters(self) -> list[Estimate]:
-        """The unknowns that the data determines, in the datum of the map."""
+        """The unknowns that the data determines, in the datum of the map, but for the map's own points."""
         fit, moved = self.fit, self.error_map.in_datum
         pairs = zip(fit.theta, np.sqrt(np.diag(fit.covariance)), strict=True)
         found = zip(fit.model.parameters, pairs, fit.determined, strict=True)
-        return [self.estimate(p, *moved.get(p.name, pair)) for p, pair, good in found if good]
+        own = ((p, pair) for p, pair, good in found if good and p.kind is not Kind.POINTS)
+        return [self.estimate(p, *moved.get(p.name, pair)) for p, pair in own]
 
     @property
     def not_determined(self) -> list[NotDetermined]:

@@ -64,7 +64,7 @@ def axis_cloud(stamp: int, result: Result) -> PointCloud2:
 
 
 def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> MarkerArray:
-    """The position errors as arrows, magnified; grey where the error is within its U (k = 2).
+    """The position errors as arrows, magnified; grey where the error is within its U (95 %).
 
     At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
     one says in words how much is magnified. A direction that is not determined counts as zero.
@@ -175,7 +175,7 @@ def _sizes(candidate: Mapping[str, Any]) -> str:
     """Sizes with their expanded uncertainty, where they have one."""
     known = [p for p in candidate["parameters"] if None not in (p["value"], p["standard_uncertainty"])]
     sizes = [Estimate(p["name"], p["value"], p["standard_uncertainty"], p["unit"]) for p in known]
-    return f"{sizes_in_words(sizes)} (k = 2)" if sizes else ""
+    return f"{sizes_in_words(sizes)} (95 %)" if sizes else ""
 
 
 def _told(value: object) -> object:

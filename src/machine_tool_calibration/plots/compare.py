@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 _PANELS = 6
 # Setups that a legend names.
 _LISTED = 24
+# Share of the largest residual below which what repeats leave in common is nothing.
+_CANCELLED = 1e-6
 
 
 def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
@@ -156,6 +158,8 @@ def draw_map(comparison: Comparison) -> Figure:
     residual, position = comparison.fit.residuals, observations.position
     arrow = residual[:, None] * observations.direction
     same = repeat_groups(observations)
+    if not np.abs(np.bincount(same, residual)).max(initial=0.0) > _CANCELLED * np.abs(residual).max(initial=0.0):
+        same = np.arange(len(residual))  # the model is of the places themselves: its repeats alone differ
     line, views = line_of(position, observations.direction), planes(position, observations.direction)
     if line is not None:
         figure = new_figure(9.0, 3.6)
@@ -212,7 +216,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
     strip.set_title(say("picture.downwards"), fontsize=10)
     bars.set(xlabel=say("picture.rms"), title=say("picture.rms_declared"))
     bars.title.set_fontsize(10)
-    bars.margins(x=0.25)
+    bars.margins(x=0.4)
     grids(figure)
     return figure
 

@@ -57,7 +57,7 @@ def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
 
 
 def draw_motions(tables: Mapping[str, Array], squareness: Mapping[str, tuple[float, float]]) -> Figure:
-    """One row of panels for each axis: positioning, straightness, angles; bands are U (k = 2).
+    """One row of panels for each axis: positioning, straightness, angles; bands are U (95 %).
 
     Args:
         tables: by name, as `read_tables` gives them; at least one.

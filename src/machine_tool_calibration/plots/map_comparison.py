@@ -36,7 +36,7 @@ _NO_EXTENT = 1e-6  # m
 def draw_map_comparison(comparison: MapComparison) -> Figure:
     """Both maps in their common datum on the left, the normalised differences on the right.
 
-    A map that is compared along two axes is drawn as places, errors magnified; along one as profiles with U (k = 2).
+    A map that is compared along two axes is drawn as places, errors magnified; along one as profiles with U (95 %).
     """
     from matplotlib.ticker import MaxNLocator
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
 _GRAY = "0.65"
+_BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.13), "ncols": 3, "frameon": False}
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
@@ -34,7 +35,9 @@ def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(13, 11), layout=ConstrainedLayoutEngine(w_pad=0.25))  # panels of equal scales move inside
+    figure = Figure(
+        figsize=(11.5, 11), layout=ConstrainedLayoutEngine(w_pad=0.25)
+    )  # panels of equal scales move inside
     panels = figure.subplots(2, 2)
     _draw_workpiece(panels[0, 0], description, content)
     _draw_uncertainty(panels[0, 1], description, content)
@@ -104,22 +107,29 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
 
 
 def _draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
-    """EXC and EYC (left scale) and ECC (right scale) at the indices of C (Figs. 13 and 14), bars: U (k = 2)."""
-    angle = np.degrees(numbers(content["c"]))
-    for name, color in (("EXC", "tab:blue"), ("EYC", "tab:green")):
+    """EXC and EYC (left scale) and ECC (right scale) at the indices of C (Figs. 13 and 14), bars: U (95 %)."""
+    angle, turned = np.degrees(numbers(content["c"])), panel.twinx()
+    beside = 0.012 * max(float(np.ptp(angle)), 1.0)  # so that bars at one angle do not hide each other
+    for k, (name, color, axes) in enumerate(
+        (("EXC", "tab:blue", panel), ("EYC", "tab:green", panel), ("ECC", "tab:red", turned))
+    ):
         bars: Any = 2e6 * numbers(content[f"{name}_u"])
         value = 1e6 * numbers(content[name])
-        panel.errorbar(angle, value, bars, marker="o", ms=4, lw=0.8, color=color, capsize=3, label=name)
-    turned = panel.twinx()
-    bars = 2e6 * numbers(content["ECC_u"])
-    ecc = 1e6 * numbers(content["ECC"])
-    turned.errorbar(angle, ecc, bars, marker="s", ms=4, lw=0.8, color="tab:red", capsize=3, label="ECC")
+        axes.errorbar(
+            angle + (k - 1) * beside, value, bars, marker="os"[axes is turned], ms=4, lw=0.8, color=color, capsize=3,
+            label=name,
+        )  # fmt: skip
+    for axes in (panel, turned):  # both have their zero in the middle
+        most = max(map(abs, axes.get_ylim()))
+        axes.set_ylim(-most, most)
     turned.set_ylabel(say("picture.ecc"), color="tab:red")
     panel.set_xlabel("C, °")
     panel.set_ylabel(say("picture.exc"))
-    panel.set_title(say("picture.table" if np.isfinite(ecc).any() else "picture.table_no_ecc"))
+    known = np.isfinite(numbers(content["ECC"])).any()
+    panel.set_title(say("picture.table" if known else "picture.table_no_ecc"))
     panel.grid(color="0.9")
-    panel.legend(loc="best", fontsize="small")
+    handles = [handle for axes in (panel, turned) for handle in axes.get_legend_handles_labels()[0]]
+    turned.legend(handles=handles, fontsize="small", **_BELOW)
 
 
 def _points(description: Probing) -> tuple[Array, Array]:
@@ -139,4 +149,4 @@ def _frame(panel: Axes, *, legend: bool = True) -> None:
     name_axes(panel, 0, 1)
     panel.margins(0.08)
     if legend:
-        panel.legend(loc="upper right", fontsize="small")
+        panel.legend(fontsize="small", **_BELOW)

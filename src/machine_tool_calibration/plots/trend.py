@@ -20,7 +20,7 @@ _MOST_DRAWN, _ACROSS = 12, 3
 
 
 def draw_trend(trend: Trend) -> Figure:
-    """Each number over time with U (k = 2), a colour for each instrument; what changed first, when it began shaded."""
+    """Each number over time with U (95 %), a colour for each instrument; what changed first, when it began shaded."""
     shown = trend.courses[:_MOST_DRAWN]
     across = min(_ACROSS, len(shown))
     down = -(-len(shown) // across)

@@ -158,15 +158,16 @@ def _numbered(plain: Formatter, words: Words) -> Formatter:
 
 
 def _wrap_titles(figure: Figure) -> None:
-    """Break the titles of panels that are wider than these, now that the figure is narrower."""
+    """Break the titles and labels of panels that are wider than these, now that the figure is narrower."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
     for panel in figure.axes:
-        text = panel.get_title()
-        room = panel.get_window_extent().width / max(panel.title.get_window_extent().width, 1.0)
-        if text and room < 1.0:
-            panel.set_title("\n".join(wrap(text, max(int(room * len(text)), 12))), fontsize=panel.title.get_fontsize())
+        for title in (panel.title, panel.xaxis.label):
+            text = title.get_text()
+            room = panel.get_window_extent().width / max(title.get_window_extent().width, 1.0)
+            if text and room < 1.0:
+                title.set_text("\n".join(wrap(text, max(int(room * len(text)), 12))))
 
 
 def map_pictures(found: Evaluation) -> Iterator[Picture]:
@@ -213,6 +214,8 @@ def residual_pictures(found: Evaluation) -> Iterator[Picture]:
     labels = found.measured.chosen.labels or ("",)
     for label, comparison in zip(labels, found.comparisons, strict=True):
         drawn = {"setups": draw_setups(comparison), "residual_map": draw_map(comparison)}
+        if drawn["residual_map"].get_figwidth() <= _SQUARE:  # then both stand side by side
+            drawn["setups"].set_size_inches(*drawn["residual_map"].get_size_inches())
         chosen = chosen_covariates(comparison, _PANELS)
         for names in (chosen[k : k + 2] for k in range(0, len(chosen), 2)):
             drawn[f"residuals_{'_'.join(names)}"] = draw_against(comparison, names)

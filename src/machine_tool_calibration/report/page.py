@@ -77,10 +77,10 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         words=words,
         sections=content,
         software=origin.software,
-        evaluated=origin.evaluated[:10],
-        footer=words.told(origin.footer),
+        evaluated=words.numbers(origin.evaluated[:10]),
+        footer=words.numbers(words.told(origin.footer)),
         machine=", ".join(dict.fromkeys(name for name in machines if name)),
-        measured=", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured)),
+        measured=words.numbers(", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured))),
         for_paper=for_paper,
         # no `</script>` in it can end the script
         drawings=json.dumps(drawings).replace("</", "<\\/") if interactive else "",

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.model.goodness import only_if_right
 from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -27,13 +26,15 @@ from machine_tool_calibration.report.figures import (
 from machine_tool_calibration.reports.budget import budget_parts, conformity_parts, decision_words
 from machine_tool_calibration.reports.comparison import records, times_declared
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
-from machine_tool_calibration.reports.goodness import negative_words
+from machine_tool_calibration.reports.goodness import free_words, negative_words
 from machine_tool_calibration.reports.history_tables import tried_models
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
     group_by_reason,
+    parameters_table,
     readings_set_aside,
+    spread_words,
     summary_rows,
 )
 from machine_tool_calibration.reports.improvement import steps_table
@@ -41,13 +42,12 @@ from machine_tool_calibration.reports.information import session_tables
 from machine_tool_calibration.reports.quantities import (
     micrometres,
     plus_minus,
-    probability,
     quantity,
     sizes_in_words,
 )
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.tables import TextTable, heads
-from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
+from machine_tool_calibration.reports.values import STANDARDS, standard_rows, standard_tables, value_tables
 from machine_tool_calibration.session.provenance import flattened
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.summary import summarize
@@ -97,7 +97,6 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
         **{name: _standard(found, name) for name in STANDARDS},
         "map": _map(found, words),
         "motions": _motions(found),
-        "reproducibility": _reproducibility(found),
         "residuals": _residuals(found),
         "diagnosis": _diagnosis(found),
         "improvement": _improvement(found),
@@ -143,12 +142,13 @@ def _summary(found: Evaluation) -> Iterator[str | TextTable]:
     if found.conformity is not None:
         yield decision_words(found.conformity)
     yield goodness_of_fit(document)
-    if only_if_right(document["p_value"], document["error_map"]):
-        yield say("report.only_if_right")
+    yield from free_words(document)
+    yield from spread_words(document)
     complete = "u_is_general" if found.general else "u_is_complete"
     yield say(f"report.{complete if document['uncertainty'] == 'budget' else 'u_is_incomplete'}")
     yield say("report.model_is", model=_model(found.result.model_name, document["effects"]))
-    yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
+    rows = [*summary_rows({**document, "not_determined": []}), *standard_rows(document["error_map"])]
+    yield TextTable("", ("", ""), tuple(rows))
     if document["effects"]:
         yield _effects(found)
         yield from negative_words(found.result.joint, document["effects"])
@@ -171,7 +171,7 @@ def _measurement(found: Evaluation) -> Iterator[str | TextTable]:
         if about:
             yield TextTable(say("report.about"), ("", ""), about)
         yield _set_up(session)
-        yield from islice(session_tables(session, summarize(session)), 2)  # setups and columns
+        yield next(session_tables(session, summarize(session)))  # of setups
 
 
 def _said(name: str) -> str:
@@ -230,7 +230,8 @@ def _effects(found: Evaluation) -> TextTable:
 
 def _motions(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     table = error_motions(found.result)
-    known = table[table["determined"].astype(bool)]
+    others = parameters_table(found.document, found.result.joint)
+    known = table[table["determined"].astype(bool) & ~table["motion"].isin([row[0] for row in others.rows])]
     single = tuple(
         (str(row["motion"]), plus_minus(row["value"], row["u"], 1e6), f"µ{row['unit']}")
         for row in known[known["position"].isna()].to_dict("records")
@@ -241,23 +242,8 @@ def _motions(found: Evaluation) -> Iterator[str | TextTable | Picture]:
     if single:
         yield TextTable(say("report.squareness"), heads("", "value_u", "unit"), single)
     yield from motion_pictures(found)
-
-
-def _reproducibility(found: Evaluation) -> Iterator[str | TextTable]:
-    rows = [
-        (
-            say(f"report.spread_{one['family']}"),
-            quantity(one["size"], "m"),
-            f"{quantity(one['interval'][0], 'm')} … {quantity(one['interval'][1], 'm')}",
-            probability(one["probability"]),
-        )
-        for one in found.document["spread"]
-    ]
-    if not rows:
-        yield say("report.nothing_spreads")
-        return
-    yield say("report.spread_is")
-    yield TextTable("", heads("between", "size_rms", "interval", "spread_probability"), tuple(rows))
+    if others.rows:
+        yield others
 
 
 def _residuals(found: Evaluation) -> Iterator[str | TextTable | Picture]:
@@ -281,7 +267,18 @@ def _diagnosis(found: Evaluation) -> Iterator[str | TextTable]:
     if judged != used:
         yield say("report.judged_anew", count=judged, used=used)
     yield from report.words
-    yield from report.tables
+    yield from (_entitled(table, found) for table in report.tables)
+
+
+def _entitled(table: TextTable, found: Evaluation) -> TextTable:
+    """A table with the titles of effects in the place of their ids."""
+
+    def told(text: str) -> str:
+        mark, name = ("✓ ", text[2:]) if text.startswith("✓ ") else ("", text)
+        title = found.titles.get(name)
+        return text if title is None else together((mark, title), "")
+
+    return replace(table, rows=tuple(tuple(map(told, row)) for row in table.rows))
 
 
 def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
@@ -289,7 +286,7 @@ def _improvement(found: Evaluation) -> Iterator[str | TextTable | Picture]:
         yield tried_models(history, history[-1].number)
     done = found.improvement
     if done is not None and len(done.steps) > 1:
-        yield steps_table(done)
+        yield _entitled(steps_table(done), found)
         yield Picture("improve", say("report.figure_improve"), draw_improvement(done))
 
 
@@ -320,7 +317,8 @@ def _rejected(found: Evaluation) -> Iterator[str | TextTable]:
 
 def _provenance(found: Evaluation) -> Iterator[TextTable]:
     origin = found.result.provenance
-    rows: list[tuple[str, str]] = [(say("report.evaluated"), origin.evaluated)]
+    evaluated = origin.evaluated.replace("T", " ")
+    rows: list[tuple[str, str]] = [(say("report.evaluated"), evaluated)]
     rows += [(say("report.software"), Verbatim(origin.software))]
     rows.append((say("head.model"), _model(origin.model, origin.effects)))
     for one in origin.sessions:
@@ -331,3 +329,5 @@ def _provenance(found: Evaluation) -> Iterator[TextTable]:
     if len(origin.sessions) > 1:
         rows.append((say("report.sha256_all"), origin.sha256))
     yield TextTable("", ("", ""), tuple(rows), say("report.sha256_note"))
+    for session in found.measured.recorded:
+        yield from islice(session_tables(session, summarize(session)), 1, 2)  # of columns

@@ -12,7 +12,7 @@ from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILIT
 from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.reports.documents import picked
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, in_digits_of, micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words, table
 from machine_tool_calibration.words import named, say, together
 
@@ -116,7 +116,7 @@ def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         (say("budget.combined"), *(_shown(one, one.u) for one in sums)),
         (say("budget.freedom"), *(_freedom(one.degrees_of_freedom) for one in sums)),
         (say("budget.coverage"), *(f"{one.k:.2f}" for one in sums)),
-        (say("budget.expanded"), *(_shown(one, one.expanded) for one in sums)),
+        (say("budget.expanded"), *(_shown(one, one.expanded, 0) for one in sums)),
         (say("budget.u_readings"), *(_shown(one, one.stated) for one in sums)),
     ]
     return TextTable(say("budget.contribute"), (*heads("contributor"), *map(_title, sums)), tuple(rows))
@@ -128,9 +128,10 @@ def line_name(line: Line) -> str:
     return say("budget.contributor", symbol=symbol, name=name) if symbol else name
 
 
-def _shown(one: Sum, value: float) -> str:
-    text = rounded(unit_of(one)[0] * value) if math.isfinite(value) else NOT_DETERMINED
-    return f"{text:>6}"
+def _shown(one: Sum, value: float, more: int = 1) -> str:
+    """An uncertainty beside U of its quantity, which has two figures, and what makes it up one decimal more."""
+    factor = unit_of(one)[0]
+    return f"{in_digits_of(factor * one.expanded, factor * value, more):>6}"
 
 
 def _part(one: Sum, k: int) -> str:
@@ -153,7 +154,7 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         quantity=_title,
         u=lambda one: _shown(one, one.u).strip(),
         k=lambda one: f"{one.k:.2f}",
-        U=lambda one: _shown(one, one.expanded).strip(),
+        U=lambda one: _shown(one, one.expanded, 0).strip(),
         u_readings=lambda one: _shown(one, one.stated).strip(),
         most_from=lambda one: _most(budget, one),
     )

@@ -12,7 +12,7 @@ import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
 from machine_tool_calibration.methods.build import error_map, suspicious_fits
-from machine_tool_calibration.model.goodness import fits
+from machine_tool_calibration.model.goodness import only_if_right
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.goodness import fit_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
@@ -42,7 +42,7 @@ def in_words(comparison: Comparison | JointComparison) -> str:
     overall, count = comparison.overall, len(comparison.outliers)
     fitting = scatter_words(_map_of(one), overall.p_value) if one else None
     fitting = fitting or fit_words(overall.reduced_chi_square, overall.p_value)
-    bad = fits(overall.p_value) == "bad" and fitting.key != "fit.one_direction"
+    bad = only_if_right(overall.p_value, _map_of(one) if one else None)
     said: list[str] = [fitting]
     said += [_where(comparison.parts, "setup" if one else "session", overall)] if bad else []
     said += [say("compared.sentence", text=stand_out(count))] if count else []
@@ -69,16 +69,21 @@ def _map_of(one: Comparison) -> Mapping[str, Any]:
 
 
 def _repeats(overall: Overall, noise: Noise, explained: bool) -> str:
-    if noise.from_repeats is None:
+    size = _of_repeats(noise)
+    if size is None:
         return say("compared.few_repeats")
     if noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK:
         key = "lack"
     elif explained:
         key = "scatter"
     else:
-        key = "less" if noise.from_repeats < _NOISE * overall.ratio * noise.declared else "as_much"
-    repeats, declared = (quantity(size, "m") for size in (noise.from_repeats, noise.declared))
-    return say(f"compared.{key}", repeats=repeats, declared=declared)
+        key = "less" if size < _NOISE * overall.ratio * noise.declared else "as_much"
+    return say(f"compared.{key}", repeats=quantity(size, "m"), declared=quantity(noise.declared, "m"))
+
+
+def _of_repeats(noise: Noise) -> float | None:
+    """What repeats of one place differ by: as they were read where that is what is told of a machine."""
+    return noise.from_repeats if noise.as_read is None else noise.as_read
 
 
 def stand_out(count: int) -> str:
@@ -263,7 +268,7 @@ def _overall(comparison: Comparison | JointComparison) -> TextTable:
     title = say("compared.all_sessions" if joint else "compared.all", n=overall.readings, count=sessions)
     if not isinstance(comparison, JointComparison):
         noise = comparison.noise
-        repeats = noise.from_repeats
+        repeats = _of_repeats(noise)
         rows += [
             (say("compared.declared"), quantity(noise.declared, "m")),
             (say("compared.repeated"), say("compared.no_repeats") if repeats is None else quantity(repeats, "m")),

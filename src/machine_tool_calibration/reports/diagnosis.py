@@ -224,7 +224,7 @@ def _outliers(diagnosis: Diagnosis) -> TextTable:
 
 
 def _structure(diagnosis: Diagnosis) -> TextTable:
-    left = diagnosis.search.left
+    left = diagnosis.left
     return table(
         say("found.structure"),
         left[:ROWS_SHOWN],

@@ -68,7 +68,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "separate_by": [_separation(s) for s in advice.separations],
         "absorbed": [{"effect": a.effect, "by": ", ".join(a.families) or "the model"} for a in look.absorbed],
         "structure": [asdict(s) for s in look.structure],
-        "structure_left": [asdict(s) for s in look.left],
+        "structure_left": [asdict(s) for s in diagnosis.left],
         "outliers": [
             ({"session": label} if label else {}) | picked(o, "row", "studentized", "deviation")
             for label, own in zip(diagnosis.chosen.labels or ("",), diagnosis.set_aside, strict=True)

@@ -6,12 +6,16 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.goodness import fits
+from machine_tool_calibration.model.goodness import fits, lacks_reversal, one_direction, only_if_right, scatter_p_value
+from machine_tool_calibration.model.observations import SAME_POSITION
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import quantity, rounded
-from machine_tool_calibration.words import Said, say
+from machine_tool_calibration.session.catalogue import method_spec
+from machine_tool_calibration.words import Said, say, together
 
 # Standard uncertainties below zero from which a coefficient is negative.
 _SURE = 2.0
@@ -28,22 +32,42 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> Said | None:
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
         return None
-    found, declared = scatter["found"], scatter["declared"]
-    both, ratio = _both(found, declared), rounded(found / declared)
-    if fits(p_value) == "bad" and fits(scatter.get("one_direction_p_value", 0.0)) != "bad":
-        return say("fit.one_direction", both=_both(scatter["one_direction"], declared))
-    if scatter["uncertainties_from"] == "scatter":
+    how, used = fits(scatter_p_value(p_value, content)), scatter["uncertainties_from"] == "scatter"
+    both, ratio = _both(scatter["found"], scatter["declared"]), rounded(scatter["found"] / scatter["declared"])
+    if (own := one_direction(content)) is not None:
+        key = {"bad": "_bad", "nearly": "_nearly"}.get(how, "")
+        both, ratio = _both(own, scatter["declared"]), rounded(own / scatter["declared"])
+        agree = say(f"fit.one_direction{key}", both=both, ratio=ratio)
+        return together((agree, say("fit.reversal")) if lacks_reversal(content) else (agree,))
+    if used:
         return say("fit.scatter_used", ratio=ratio, both=both)
-    if fits(p_value) == "bad":
+    if how == "bad":
         # What differs from run to run takes it up, so that the scatter beside that is as declared.
         return say("fit.runs_differ", ratio=ratio, both=both)
-    if fits(p_value) == "too well":
+    if how == "too well":
         return say("fit.declared_used", ratio=ratio, both=both)
     return say("fit.scatter_as_declared", both=both)
 
 
 def _both(found: float, declared: float) -> Said:
     return say("fit.scatter", found=quantity(found, "m"), declared=quantity(declared, "m"))
+
+
+def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
+    """That the readings speak against rigid axes, where the method has a model that takes none for granted.
+
+    Along a single axis both models are one.
+
+    Args:
+        document: of which `method`, `model`, `p_value` and `error_map` are asked; several sessions have no `model`.
+    """
+    content = document["error_map"] or {}
+    if document.get("model") != "rigid_body" or "free" not in method_spec(document["method"]).models:
+        return
+    points = np.array(content.get("points", ()), dtype=float).reshape(-1, 3)
+    wide = len(points) > 0 and (np.ptp(points, axis=0) > SAME_POSITION).sum() > 1
+    if wide and only_if_right(document["p_value"], content):
+        yield say("fit.free")
 
 
 def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:

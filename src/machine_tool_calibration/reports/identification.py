@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
-from machine_tool_calibration.model.goodness import fits, only_if_right
+from machine_tool_calibration.model.goodness import fits, only_if_right, scatter_p_value
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.reports.goodness import fit_words, negative_words, scatter_words
+from machine_tool_calibration.reports.goodness import fit_words, free_words, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
     declared_words,
@@ -171,30 +171,34 @@ _MOST_NAMES = 8
 
 
 def result_parts(
-    document: Mapping[str, Any], opened: Sequence[Session], result: Result | JointResult
+    document: Mapping[str, Any], opened: Sequence[Session], result: Result | JointResult, *, on_page: bool = False
 ) -> Iterator[Part]:
-    """A result: its document in words, with the sessions and the fit that it is of."""
-    fit = result.joint
+    """A result: its document in words, with the sessions and the fit that it is of.
+
+    On a page there is room for whole tables, and nobody types commands.
+    """
+    fit, most = result.joint, None if on_page else _MOST_PLACES
     yield from map(session_headline, opened)
     if document["effects"]:
         each = [f"{entry['model']} ({entry['label']})" for entry in document.get("sessions", ())]
         model = ", ".join(each) or document["model"]
         yield say("result.model_with", model=model, effects=", ".join(document["effects"]))
     fitting = goodness_of_fit(document)
-    doubt = fits(document["p_value"]) in ("bad", "nearly")
-    yield say("result.ask_diagnosis", text=fitting) if doubt else fitting
+    doubt = fits(scatter_p_value(document["p_value"], document["error_map"])) in ("bad", "nearly")
+    yield say("result.ask_diagnosis", text=fitting) if doubt and not on_page else fitting
+    yield from free_words(document)
     yield from suspicion_words(document["suspicious"])
-    yield from reproducibility_words(document["spread"])
-    yield from not_ruled_out(document["spread"])
+    yield from spread_words(document)
     yield TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []})))
     for name in STANDARDS:
-        yield from standard_tables(document["error_map"], name, _MOST_PLACES)
-    yield from value_tables(result, _MOST_PLACES)
+        yield from standard_tables(document["error_map"], name, most)
+    yield from value_tables(result, most)
     if "agreement" in document:
         yield document["agreement"]["statement"]
     for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         yield say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason)
-    yield from (table for table in (readings_set_aside(document, opened), _parameters(document, fit)) if table.rows)
+    tables = (readings_set_aside(document, opened), parameters_table(document, fit))
+    yield from (table for table in tables if table.rows)
     yield from negative_words(fit, document["effects"])
     namesakes = _namesakes(fit)
     missing = document["not_determined"]
@@ -202,6 +206,13 @@ def result_parts(
     for why, lost in group_by_reason(zip(names, (entry["why"] for entry in missing), strict=True)):
         yield say("result.not_determined", names=lost, why=why)
     yield say("result.datum", datum=datum_words(document))
+
+
+def spread_words(document: Mapping[str, Any]) -> Iterator[str]:
+    """What does not reproduce; the most that it may be only where the model fits, as runs share what it lacks."""
+    yield from reproducibility_words(document["spread"])
+    if not only_if_right(document["p_value"], document["error_map"]):
+        yield from not_ruled_out(document["spread"])
 
 
 def _namesakes(fit: JointFit) -> set[str]:
@@ -280,7 +291,8 @@ def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES)
     ]
 
 
-def _parameters(document: Mapping[str, Any], fit: JointFit) -> TextTable:
+def parameters_table(document: Mapping[str, Any], fit: JointFit) -> TextTable:
+    """The unknowns that are no values of a table or map: effects, squareness, places, zeros."""
     unknowns = fit.assembly.unknowns
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.

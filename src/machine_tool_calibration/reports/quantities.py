@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 # What stands where the data leaves no number.
 NOT_DETERMINED = "–"
-_MOST_PLACES = 6
 ROUNDING = 1e-12
 """Length or angle that is nothing, m or rad, however many figures the computer has of it."""
 # Probability from which what does not reproduce is shown with a size.
@@ -49,16 +48,11 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
         unit: SI.
         uncertainty: standard uncertainty; shown expanded (k = 2).
     """
-    expanded = None if uncertainty is None or not math.isfinite(uncertainty) else 2.0 * uncertainty
-    factor, shown = _scale(unit, max(abs(value), expanded or 0.0))
-    number, after = value * factor, f" {shown}" if shown else ""
-    if expanded is None or expanded == 0.0:
-        return f"{rounded(number)}{after}"
-    expanded *= factor
-    places = decimals(expanded) if expanded < 1e15 else 0
-    if places > 9:
-        return f"{rounded(number)} ± {rounded(expanded)}{after}"
-    return f"{fixed(number, places)} ± {fixed(expanded, places)}{after}"
+    expanded = 2.0 * uncertainty if uncertainty is not None and math.isfinite(uncertainty) else 0.0
+    factor, shown = _scale(unit, max(abs(value), expanded))
+    size, after = factor * expanded, f" {shown}" if shown else ""
+    number = in_digits_of(size, factor * value)
+    return f"{number} ± {in_digits_of(size, size)}{after}" if expanded else f"{number}{after}"
 
 
 def as_exact(value: float, unit: str, expanded: float | None) -> str:
@@ -70,9 +64,8 @@ def as_exact(value: float, unit: str, expanded: float | None) -> str:
         expanded: uncertainty in the unit, of which two figures count; None where it is not known.
     """
     factor, shown = _scale(unit, abs(value))
-    places = 10 if not expanded else decimals(expanded * factor)
     after = f" {shown}" if shown else ""
-    return f"{rounded(value * factor)}{after}" if places > 9 else f"{fixed(value * factor, places)}{after}"
+    return f"{in_digits_of(factor * (expanded or 0.0), factor * value)}{after}"
 
 
 def expanded_text(expanded: float, unit: str = "m") -> str:
@@ -214,7 +207,7 @@ def plus_minus(value: float | None, uncertainty: float | None, factor: float) ->
     """
     if value is None or uncertainty is None:
         return NOT_DETERMINED
-    text, expanded = _pair(factor * value, 2 * factor * uncertainty)
+    text, expanded = with_expanded(value, 2.0 * uncertainty, factor)
     return f"{'+' if float(text) > 0.0 else ''}{text} ± {expanded}"
 
 
@@ -224,22 +217,23 @@ def value_and_uncertainties(
     """Value, u and U with as many digits as `quantity` shows, and the unit that people use; a place is in mm."""
     expanded = 2.0 * uncertainty
     factor, name = (1e3, "mm") if place else _scale(unit, max(abs(value), expanded))
-    numbers = (value * factor, uncertainty * factor, expanded * factor)
-    if 1e-9 < numbers[2] < 1e7 and abs(numbers[0]) < 1e9:
-        texts = [fixed(number, decimals(numbers[2])) for number in numbers]
-    else:
-        texts = [rounded(number) for number in numbers]
-    return texts[0], texts[1], texts[2], name
+    size = expanded * factor
+    found, u = in_digits_of(size, value * factor), in_digits_of(size, uncertainty * factor, 1)
+    return found, u, in_digits_of(size, size), name
 
 
-def with_expanded(value: float, expanded: float) -> tuple[str, str]:
+def in_digits_of(expanded: float, number: float, more: int = 0) -> str:
+    """A number with the decimals that leave its expanded uncertainty two figures, or with `more` than these."""
+    if not math.isfinite(number):
+        return NOT_DETERMINED
+    if not 1e-9 < expanded < 1e7 or abs(number) >= 1e9:
+        return rounded(number)
+    return fixed(number, decimals(expanded) + more)
+
+
+def with_expanded(value: float, expanded: float, factor: float = 1e6) -> tuple[str, str]:
     """A length and its expanded uncertainty in micrometres, of which two figures are shown."""
-    return _pair(1e6 * value, 1e6 * expanded)
-
-
-def _pair(number: float, expanded: float) -> tuple[str, str]:
-    places = min(decimals(expanded) if expanded > 0 else 3, _MOST_PLACES)
-    return fixed(number, places), fixed(expanded, places)
+    return in_digits_of(factor * expanded, factor * value), in_digits_of(factor * expanded, factor * expanded)
 
 
 def of_map(size: float | None, u: float | None) -> tuple[str, str]:

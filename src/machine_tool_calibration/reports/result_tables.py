@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A result as tables: the same columns whatever the method, NaN and a flag where the data does not determine a value.
 
-SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (k = 2) is twice as large. The columns are
+SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (95 %) is twice as large. The columns are
 described where people ask for them, at the attributes of `Fit` with these names.
 """
 

@@ -19,6 +19,8 @@ _UNBROKEN = 24
 _GAP = 2
 # A column of nothing else stands to the right, so that places stand below each other.
 _NUMBER = re.compile(r"[-+−]?[\d.,:]+(e[-+]\d+)?( ± [\d.,]+)?( ?%)?|< ?[\d.,e-]+|–|…")
+# On paper: rows that are not folded any further, rows of a page, and columns that stand abreast.
+_SHORT, _PAGE, _ABREAST = 8, 44, 11
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,18 @@ class TextTable:
         used = [k for k in range(len(self.columns)) if any(row[k] for row in self.rows)]
         rows = tuple(tuple(row[k] for k in used) for row in self.rows)
         return TextTable(self.title, tuple(self.columns[k] for k in used), rows, self.note)
+
+    def folded(self) -> TextTable:
+        """A long, narrow table with rows that follow beside the others, a page's worth below each other."""
+        times = min(_ABREAST // max(len(self.columns), 1), len(self.rows) // _SHORT)
+        if times < 2:
+            return self
+        blank, rows = ("",) * len(self.columns), list[tuple[str, ...]]()
+        for page in (self.rows[k : k + times * _PAGE] for k in range(0, len(self.rows), times * _PAGE)):
+            high = -(-len(page) // times)
+            every = (*page, *[blank] * (times * high - len(page)))
+            rows += [sum(every[k::high], ()) for k in range(high)]
+        return TextTable(self.title, self.columns * times, tuple(rows), self.note)
 
     def numeric(self) -> set[int]:
         """Columns of nothing but numbers, shares, bounds and dashes, which stand to the right."""

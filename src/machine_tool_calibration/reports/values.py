@@ -58,8 +58,17 @@ def standard_tables(content: Mapping[str, Any], name: str, most: int | None = No
         yield _rotary(found, content.get("axis_average_line") or {})
 
 
+def standard_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What the runs by ISO 230-2 come to, a line for each."""
+    for run in content.get("iso230_2") or ():
+        figures = [(name, _said(run.get(name), run.get(f"{name}_U"))) for name in ("A", "E", "R", "B")]
+        told = ", ".join(f"{name} {text}" for name, text in figures if text != NOT_DETERMINED)
+        if told:
+            yield say("iso230.in_short", axis=run["axis"], setup=run["setup"]), f"{told} µm"
+
+
 def _said(value: float | None, expanded: float | None) -> str:
-    """A figure, um or urad, with its U (k = 2) where there is one, which says how many digits it has."""
+    """A figure, um or urad, with its U (95 %) where there is one, which says how many digits it has."""
     if value is None or not np.isfinite(value):
         return NOT_DETERMINED
     if expanded is None or not np.isfinite(expanded) or not expanded:
@@ -144,7 +153,7 @@ _DATUM = 1e-12
 def value_tables(result: Result | JointResult, most: int | None = None) -> Iterator[TextTable]:
     """Error motions, an axis a table; the map where the model has none or it depends on the approach; a part's points.
 
-    Every value with its expanded uncertainty U (k = 2), which says how many digits it has.
+    Every value with its expanded uncertainty U (95 %), which says how many digits it has.
     """
     motions = error_motions(result)
     known = motions[motions["determined"].astype(bool) & motions["position"].notna()]

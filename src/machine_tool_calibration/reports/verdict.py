@@ -15,7 +15,7 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.model.goodness import fits
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
-from machine_tool_calibration.reports.goodness import negative_words, scatter_words
+from machine_tool_calibration.reports.goodness import free_words, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     MOST_NAMED,
     p_value,
@@ -95,7 +95,7 @@ def left_words(diagnosis: Diagnosis) -> Iterator[str]:
     """What to make of structure that is left where nothing is missing: one sentence."""
     if good_enough(diagnosis):
         yield say("diagnosis.good_enough")
-    elif diagnosis.search.left and diagnosis.verdict in ("adequate", "outliers"):
+    elif diagnosis.left and diagnosis.verdict in ("adequate", "outliers"):
         yield say("diagnosis.structure_unsure")
 
 
@@ -277,20 +277,24 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     """Scatter of direct deviations: a part's or an axis's own, which no instrument declares."""
     fit, repeats = diagnosis.fits[-1], diagnosis.noise.as_read
     ratio = float(np.sqrt(fit.reduced_chi_square))
-    if words := scatter_words(diagnosis.fitted[-1].error_map.content, fit.p_value):
+    whole = diagnosis.with_found
+    if words := scatter_words(whole.error_map.content, whole.joint.p_value):
         yield words
+        method, content = diagnosis.chosen.sessions[0].method, whole.error_map.content
+        told = {"method": method, "model": whole.model_name, "p_value": whole.joint.p_value, "error_map": content}
+        yield from free_words(told)
     elif fits(fit.p_value) == "bad":  # of several sessions, whose map has no scatter of its own
         yield say("diagnosis.no_noise", ratio=rounded(ratio))
     found = ratio * diagnosis.noise.declared
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
         # "place" is what places differ by without a pattern.
-        patterns = [structure for structure in diagnosis.search.left if structure.covariate != "place"]
+        patterns = [structure for structure in diagnosis.left if structure.covariate != "place"]
         chances = [alike_beside_p(own) for own in fit.fits]
         alike = any(p is not None and p < priors.STRUCTURE_CHANCE for p in chances)
         if alike or not patterns:
             yield say("diagnosis.places_alike" if alike else "diagnosis.places_differ", repeats=quantity(repeats, "m"))
-    if diagnosis.verdict == "missing_effect" and diagnosis.search.left:
-        yield say("diagnosis.still_depend", **_dependence(diagnosis.search.left[0]))
+    if diagnosis.verdict == "missing_effect" and diagnosis.left:
+        yield say("diagnosis.still_depend", **_dependence(diagnosis.left[0]))
 
 
 def mounted_more_than_once(session: Session) -> bool:

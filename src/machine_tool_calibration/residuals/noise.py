@@ -72,8 +72,8 @@ def noise_of(fit: Fit) -> Noise:
         dof = fit.solution.degrees_of_freedom - rank_all
         if dof >= FEWEST_REPEATS and rank_all > rank_spread:
             break
-    else:
-        return Noise(declared, None, free, fit.joint.p_value, None)
+    else:  # the model may be of the places themselves: then nothing is left to compare
+        return Noise(declared, None, free, fit.joint.p_value, None, _as_read(fit))
     pure = max((total - explained_all) / dof, (_rounded_to(fit) / declared) ** 2 / 12.0, 1e-12 / dof)
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
     lack = float(special.fdtrc(rank_all - rank_spread, dof, lacking / pure))

@@ -37,6 +37,7 @@ class MethodSpec:
     remounted: ClassVar[str] = "the instrument"
     # variant with tables of the machine's error motions, which other sessions can share; the default if absent
     tables: ClassVar[str | None] = None
+    alone: ClassVar[tuple[str, ...]] = ()  # variants of which other sessions share nothing
     by_axes: ClassVar[tuple[str, ...]] = ()  # variants in which nothing but the axes' errors moves the tool point
     no_tables: ClassVar[str] = ""  # why a model has no tables of error motions, and what to do
     # what may be turned by orienting the spindle, and the effects that turn with it
@@ -69,6 +70,11 @@ class MethodSpec:
         """`method` in session.yaml."""
         name: str = get_args(self.description.model_fields["method"].annotation)[0]
         return name
+
+    @property
+    def together(self) -> list[str]:
+        """Names of the variants that a fit of several sessions may have."""
+        return [name for name in self.models if name not in self.alone]
 
     @cached_property
     def beam_from_pointer(self) -> bool:

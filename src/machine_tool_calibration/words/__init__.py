@@ -21,8 +21,9 @@ LANGUAGES = tuple(sorted(_FILES, key=lambda name: (name != "en", name)))
 """Codes of the languages that have a file, English first."""
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NO_LETTERS = re.compile("[^a-z0-9]+")
-# A number with decimals: not a part of a version or of an unknown's name, such as EXX(0.4).
-_DECIMAL = re.compile(r"(?<![\w.])(?<!\w\()(?<!\w\(-)(\d+)\.(\d+)(?=e[-+]?\d|(?!\w|\.\d))")
+# A number with decimals: not a part of a version.
+_DECIMAL = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?=e[-+]?\d|(?!\w|\.\d))")
+_DATE = re.compile(r"(?<![\w-])(\d{4})-(\d\d)-(\d\d)(?![\w-])")
 _LISTED = re.compile(r"(?<=\d), (?=[-+−]?\d)")
 
 
@@ -124,11 +125,13 @@ class Words:
         return text.told(self) if isinstance(text, Said) else text
 
     def numbers(self, text: str) -> str:
-        """A text with the language's decimal sign, and semicolons between listed numbers where that is a comma."""
+        """A text with the language's dates and decimal sign, and semicolons between numbers where that is a comma."""
         sign = self("report.decimal")
-        if sign == "." or isinstance(text, Verbatim) or not _DECIMAL.search(text):
+        if sign == "." or isinstance(text, Verbatim):
             return text
-        return _DECIMAL.sub(rf"\1{sign}\2", _LISTED.sub("; ", text))
+        if _DECIMAL.search(text):
+            text = _DECIMAL.sub(rf"\1{sign}\2", _LISTED.sub("; ", text))
+        return _DATE.sub(self("report.date_form"), text)
 
 
 @cache

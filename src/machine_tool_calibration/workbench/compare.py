@@ -9,7 +9,7 @@ from html import escape
 
 import numpy as np
 import panel as pn
-from bokeh.models import AllIndices, BoxAnnotation, CDSView, FactorRange, IndexFilter, Span
+from bokeh.models import AllIndices, BoxAnnotation, CDSView, ColumnDataSource, FactorRange, IndexFilter
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.plots.style import spaced
@@ -21,6 +21,7 @@ from machine_tool_calibration.workbench.look import (
     DIM,
     bar_button,
     beside,
+    choice,
     controls,
     folded,
     new_figure,
@@ -28,6 +29,7 @@ from machine_tool_calibration.workbench.look import (
     tables,
     text,
     when_changed,
+    zero_line,
 )
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings
@@ -38,6 +40,9 @@ _HOVER = [
     ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
     ("studentized", "@studentized{0.0}"),
 ]  # fmt: skip
+_DRAWN = ("aside", "against0", "against1", "across", "up", "u", "v", "arrow")
+# Of a plot, so that two below each other fit a window of 768 pixels.
+_HEIGHT = 255
 # Readings of a table.
 _LISTED = 14
 # Setups up to which each has a button that hides it.
@@ -53,48 +58,18 @@ class ComparePage:
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
-        source = readings.source(
-            self.title, "row", "setup", "repeat", "color", "residual", "studentized", "aside", "against0", "against1",
-            "across", "up", "u", "v", "arrow",
-        )  # fmt: skip
-        self._words, self._setups, self._more = text(), text(), text()
+        self._words, self._setups, self._more, self._table = text(), text(), text(), text()
         self._count = text("", min_width=150)
-        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=300) for k in (1, 2)]
-        self._plane = pn.widgets.Select(name="Map in the plane", width=100)
-        self._legend = pn.widgets.CheckButtonGroup(margin=(3, 4))
-        self._shown = pn.Row(pn.pane.HTML("<label>Setups shown</label>", margin=(8, 4)), self._legend)
-        self._view = CDSView(filter=AllIndices())
-        self._band = [
-            BoxAnnotation(fill_color="#009e73", fill_alpha=0.1, line_color=None, level="underlay") for _ in range(3)
+        self._against = [
+            choice(f"Plot {k + 1}: residuals against", partial(self._draw_against, k), width=300) for k in (0, 1)
         ]
-        self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
-        for k, plot in enumerate(self._plots):
-            x = f"against{k}"
-            plot.scatter(x, "residual", source=source, view=self._view, size=4, color="color", alpha=0.7, **DIM)
-            plot.scatter(
-                x, "aside", source=source, view=self._view, size=8, marker="x", color="#b00020", nonselection_alpha=0.3
-            )
-            plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-            plot.add_layout(self._band[k])
-        self._map = new_figure("Residuals as arrows", "", "", hover=_HOVER, match_aspect=True)
-        self._map.scatter(
-            "across", "up", source=source, view=self._view, size=3, color="#999999", nonselection_alpha=0.3
-        )
-        self._map.segment(
-            "across", "up", "u", "v", source=source, view=self._view, color="arrow", line_width=1.3,
-            nonselection_alpha=0.12, nonselection_line_color="#888888",
-        )  # fmt: skip
-        self._strip = new_figure("Residuals by setup, worst on top", "residual, µm", "",
-                                 hover=_HOVER, y_range=FactorRange())  # fmt: skip
-        self._strip.scatter(
-            "residual", "setup", source=source, view=self._view, size=4, color="color", alpha=0.5, **DIM
-        )
-        self._strip.add_layout(self._band[2])
-        for k, choice in enumerate(self._against):
-            when_changed(choice, partial(self._draw_against, k))
-        when_changed(self._plane, lambda _: self._draw_plane())
+        self._plane = choice("Map in the plane", lambda _: self._draw_plane(), width=100)
+        self._legend = pn.widgets.CheckButtonGroup(margin=(3, 4))
         when_changed(self._legend, lambda _: self._show_setups())
+        self._shown = pn.Row(pn.pane.HTML("<label>Setups shown</label>", margin=(8, 4)), self._legend)
+        source = readings.source(self.title, "row", "setup", "repeat", "color", "residual", "studentized", *_DRAWN)
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
+        self._draw(source)
         self._rows = pn.widgets.TextInput(name="Select rows", placeholder="264, 470-476", width=120)
         when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
@@ -102,20 +77,39 @@ class ComparePage:
         self._look = bar_button("Select those set aside", lambda: readings.select(state.model.aside), visible=False)
         self._cleared = bar_button("Clear the selection", self._clear)
         self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
-        self._table = text()
+        buttons = (self._aside, self._back, self._look, self._cleared, self._suggest)
         self.view = pn.Column(
             self._words,
-            controls(
-                *self._against, self._plane, self._rows, self._aside, self._back, self._look, self._cleared,
-                self._suggest,
-            ),
+            controls(*self._against, self._plane, self._rows, *buttons),
             pn.Row(self._shown, self._count, sizing_mode="stretch_width"),
             beside(*self._plots),
             beside(self._map, self._strip),
             beside(self._setups, self._table, least=560),
             folded("By repeat, region, direction of approach and covariate", self._more),
             sizing_mode="stretch_width",
-        )  # fmt: skip
+        )
+
+    def _draw(self, source: ColumnDataSource) -> None:
+        """The plots, which show the same readings, and those set aside as crosses."""
+        self._view = CDSView(filter=AllIndices())
+        shown = {"source": source, "view": self._view}
+        look = {"fill_color": "#009e73", "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
+        self._band = [BoxAnnotation(**look) for _ in range(3)]
+        new = partial(new_figure, height=_HEIGHT, hover=_HOVER)
+        self._plots = [new("Residuals", "", "residual, µm") for _ in (1, 2)]
+        for k, plot in enumerate(self._plots):
+            x = f"against{k}"
+            plot.scatter(x, "residual", **shown, size=4, color="color", alpha=0.7, **DIM)
+            plot.scatter(x, "aside", **shown, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
+            zero_line(plot)
+            plot.add_layout(self._band[k])
+        self._map = new("Residuals as arrows", "", "", match_aspect=True)
+        self._map.scatter("across", "up", **shown, size=3, color="#999999", nonselection_alpha=0.3)
+        faint = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
+        self._map.segment("across", "up", "u", "v", **shown, color="arrow", line_width=1.3, **faint)
+        self._strip = new("Residuals by setup, worst on top", "residual, µm", "", y_range=FactorRange())
+        self._strip.scatter("residual", "setup", **shown, size=4, color="color", alpha=0.5, **DIM)
+        self._strip.add_layout(self._band[2])
 
     def refresh(self) -> None:
         """Show the model in use."""
@@ -157,9 +151,9 @@ class ComparePage:
         if self._against[0].options == options and self._plane.options == self._readings.planes:
             return
         self._plane.param.update(options=self._readings.planes, value=self._readings.planes[0])
-        for k, choice in enumerate(self._against):
+        for k, field in enumerate(self._against):
             chosen = self._readings.ranked[min(k, len(self._readings.ranked) - 1)]
-            choice.param.update(options=options, value=chosen)
+            field.param.update(options=options, value=chosen)
 
     def _draw_against(self, k: int, name: str) -> None:
         if name in self._readings.labels:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from functools import partial
 from html import escape
+from typing import Any
 
 import numpy as np
 import panel as pn
-from bokeh.models import ColumnDataSource, FactorRange, Span
+from bokeh.models import ColumnDataSource, FactorRange
 
 from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
@@ -18,6 +19,7 @@ from machine_tool_calibration.workbench.look import (
     DIM,
     bar_button,
     beside,
+    choice,
     controls,
     folded,
     legend_above,
@@ -25,7 +27,7 @@ from machine_tool_calibration.workbench.look import (
     paragraphs,
     tables,
     text,
-    when_changed,
+    zero_line,
 )
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.own_effect import OwnEffect, addable
@@ -39,6 +41,7 @@ _HOVER = [
 ]  # fmt: skip
 # The pattern lies over residuals in all colours of setups.
 _PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
+_DRAWN = ("residual", "pattern", "over")
 # Effects of the bars.
 _BARS = 12
 
@@ -55,61 +58,22 @@ class DiagnosePage:
         self._trial: Model | None = None
         self._words, self._more, self._said, self._tables = text(), text(), text(), text()
         self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
-        self._ranking = new_figure(
-            "Probability that it is missing", "", "", height=330, y_range=FactorRange(),
-            x_range=(0, 1.15),
-        )  # fmt: skip
-        self._ranking.hbar("effect", 0.7, "probability", source=self._bars, color="color", nonselection_alpha=0.5)
-        self._ranking.text("probability", "effect", "words", source=self._bars, x_offset=4, y_offset=5,
-                           text_font_size="11px")  # fmt: skip
-        self._ranking.toolbar.active_drag = None
-        self._ranking.toolbar_location = None
-        self._bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
-        source = readings.source(
-            self.title, "row", "setup", "repeat", "color", "residual", "pattern", "over"
-        )  # fmt: skip
-        self._over = new_figure("Residuals, and what it would take out", "", "µm", height=330, hover=_HOVER)
-        self._over.scatter(
-            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **DIM
-        )
-        self._over.scatter(
-            "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
-            legend_label="pattern", nonselection_alpha=0.15,
-        )  # fmt: skip
-        self._added = new_figure("Do the residuals follow it? (line: slope 1)", "pattern, µm", "residual, µm",
-                                 height=330, hover=_HOVER)  # fmt: skip
-        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **DIM)
         self._line = ColumnDataSource({"x": [], "y": []})
-        self._added.line("x", "y", source=self._line, color="#555555")
-        legend_above(self._over)
-        for plot in (self._over, self._added):
-            plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._against = pn.widgets.Select(name="Residuals against", width=400)
-        when_changed(self._against, lambda _: self._draw_against())
-        self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
-        when_changed(self._effect, self._look_at)
+        plots = self._plots(readings.source(self.title, "row", "setup", "repeat", "color", *_DRAWN))
+        self._against = choice("Residuals against", lambda _: self._draw_against(), width=400)
+        self._effect = choice("Effect", self._look_at, width=230, options=[""])
         self._add = bar_button("Add it to the model", self._use, "primary", disabled=True)
+        look, add = "looking for what is missing", "adding what was found"
         self._all = bar_button(
-            "Add all that the diagnosis names",
-            lambda: work.run("adding what was found", state.improved()),
-            disabled=True,
+            "Add all that the diagnosis names", lambda: work.run(add, state.improved()), disabled=True
         )
+        search = bar_button("Look for what is missing", lambda: work.run(look, state.diagnosed()), "primary")
         self._own = OwnEffect(state, self._new_effect)
         self.view = pn.Column(
-            controls(
-                bar_button(
-                    "Look for what is missing",
-                    lambda: work.run("looking for what is missing", state.diagnosed()),
-                    "primary",
-                ),
-                self._effect,
-                self._against,
-                self._add,
-                self._all,
-            ),
+            controls(search, self._effect, self._against, self._add, self._all),
             self._words,
             self._said,
-            beside(self._ranking, self._over, self._added, least=400),
+            beside(*plots, least=400),
             self._more,
             self._own.view,
             folded(
@@ -119,6 +83,32 @@ class DiagnosePage:
             ),
             sizing_mode="stretch_width",
         )
+
+    def _plots(self, source: ColumnDataSource) -> tuple[Any, ...]:
+        """The ranking, the pattern over the residuals, and both against each other."""
+        bars, new = self._bars, partial(new_figure, height=330)
+        self._ranking = new("Probability that it is missing", "", "", y_range=FactorRange(), x_range=(0, 1.15))
+        self._ranking.hbar("effect", 0.7, "probability", source=bars, color="color", nonselection_alpha=0.5)
+        self._ranking.text("probability", "effect", "words", source=bars, x_offset=4, y_offset=5, text_font_size="11px")
+        self._ranking.toolbar.active_drag = None
+        self._ranking.toolbar_location = None
+        bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
+        self._over = new("Residuals, and what it would take out", "", "µm", hover=_HOVER)
+        self._over.scatter(
+            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **DIM
+        )
+        self._over.scatter(
+            "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
+            legend_label="pattern", nonselection_alpha=0.15,
+        )  # fmt: skip
+        legend_above(self._over)
+        title = "Do the residuals follow it? (line: slope 1)"
+        self._added = new(title, "pattern, µm", "residual, µm", hover=_HOVER)
+        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **DIM)
+        self._added.line("x", "y", source=self._line, color="#555555")
+        zero_line(self._over)
+        zero_line(self._added)
+        return self._ranking, self._over, self._added
 
     def refresh(self) -> None:
         """Show the model in use and its diagnosis."""
@@ -184,7 +174,7 @@ class DiagnosePage:
         name = trial.step.change
         sizes = sizes_in_words(trial.fit.result.sizes([name]))
         moved = trial.step.map_change
-        words = f"With {name}: {sizes} (k = 2); "
+        words = f"With {name}: {sizes} (95 %); "
         if trial.aside != now.aside:  # what falls and moves then is not the effect's alone
             aside = f"{words_set_aside(len(trial.aside))} (now {len(now.aside)})"
             words += f"the residual is {quantity(then.rms_residual, 'm')} RMS, with {aside}"

@@ -13,7 +13,7 @@ from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
 from machine_tool_calibration.words import LANGUAGES
 from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
-from machine_tool_calibration.workbench.look import bar_button, controls, tables, text, when_changed
+from machine_tool_calibration.workbench.look import bar_button, choice, controls, tables, text
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved
 from machine_tool_calibration.workbench.state import Job, State
@@ -48,10 +48,8 @@ class ExportPage:
         self._diagnosis = pn.widgets.Select(
             name="Diagnosis in the report", options={"made": True, "left out": False}, width=170
         )
-        self._form = pn.widgets.Select(
-            name="Controller", options={_CONTROLLERS.get(form, form): form for form in FORMATS}, width=260
-        )
-        when_changed(self._form, lambda _: self._forget())
+        forms = {_CONTROLLERS.get(form, form): form for form in FORMATS}
+        self._form = choice("Controller", lambda _: self._forget(), options=forms, width=260)
         self._left: tuple[str, Exported, bytes] | None = None
         self._preview = text()
         self._picture = pn.pane.PNG(None, sizing_mode="scale_width", max_width=1000, alt_text="errors before and after")
@@ -66,7 +64,7 @@ class ExportPage:
                 bar_button("Save the report as PDF", partial(self._report, "pdf")),
             ),
             text(
-                f"<h3>Tables and documents</h3><p>{TABLES[0]}: all errors with their U (k = 2); {TABLES[1]}: every "
+                f"<h3>Tables and documents</h3><p>{TABLES[0]}: all errors with their U (95 %); {TABLES[1]}: every "
                 f"reading with its residual; {TABLES[2]}: the map with all that was found, for programs.</p>"
             ),
             bar_button("Save the tables", self._tables, "primary"),

@@ -15,12 +15,12 @@ from machine_tool_calibration.reports.quantities import of_map, quantity
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
+    choice,
     controls,
     legend_above,
     new_figure,
     tables,
     text,
-    when_changed,
 )
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.own_effect import addable
@@ -31,6 +31,8 @@ from machine_tool_calibration.workbench.work import Work
 _HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
 _DIM = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
 _BEFORE, _AFTER = "#d55e00", "#0072b2"
+_DRAWN = ("place_a", "place_b", "before_u", "before_v", "after_u", "after_v")
+_HEIGHT = 280
 
 
 class ImprovePage:
@@ -42,46 +44,23 @@ class ImprovePage:
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
-        self._add = pn.widgets.Select(name="Add an effect", width=210, options=[""])
-        self._take = pn.widgets.Select(name="Take an effect away", width=210, options=[""])
-        self._go = pn.widgets.Select(name="Go to a model of the history", width=210, options=[""])
-        self._before = pn.widgets.Select(name="Compare with", width=210)
-        self._plane = pn.widgets.Select(name="Maps in the plane", width=110)
+        self._add = choice("Add an effect", lambda name: self._changed(add=name), width=210, options=[""])
+        self._take = choice("Take an effect away", lambda name: self._changed(take=name), width=210, options=[""])
+        self._go = choice("Go to a model of the history", self._gone_to, width=210, options=[""])
+        self._before = choice("Compare with", lambda _: self._draw(), width=210)
+        self._plane = choice("Maps in the plane", lambda _: self._draw(), width=110)
         self._undo = bar_button("Undo", lambda: work.alone(state.undo))
         self._all = bar_button("Diagnose, and add all that is found", self._improve, "primary")
         self._table, self._history, self._note, self._scale = text(), text(), text(), text()
-        when_changed(self._add, lambda name: self._changed(add=name))
-        when_changed(self._take, lambda name: self._changed(take=name))
-        when_changed(self._go, self._gone_to)
-        when_changed(self._before, lambda _: self._draw())
-        when_changed(self._plane, lambda _: self._draw())
-        self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
-        self._fall = new_figure("", "", "µm", x_range=FactorRange(), height=320)
-        for name, color, marker, label in (
-            ("residual", _BEFORE, "circle", "residual, RMS"),
-            ("tool", _AFTER, "square", "residual volumetric error by the last of these models (k = 2), RMS"),
-        ):
-            self._fall.line("step", name, source=self._steps, color=color, legend_label=label)
-            self._fall.scatter("step", name, source=self._steps, color=color, size=7, marker=marker, legend_label=label)
-        self._fall.y_range.start = 0.0
-        self._fall.xaxis.major_label_orientation = 0.4
-        legend_above(self._fall)
-        self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
-        self._fall.add_layout(self._declared)
-        source = readings.source(
-            self.title, "row", "setup", "repeat", "color", "x", "y", "z", "place_a", "place_b",
-            *(f"{name}_{end}" for name in ("before", "after") for end in "uv"),
-        )  # fmt: skip
+        self._draw_steps()
+        source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", *_DRAWN)
         self._residuals, self._maps = {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
-            plot = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
+            plot = self._residuals[name] = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=_HEIGHT)
             plot.scatter("place_a", "place_b", source=source, size=3, color="#999999", nonselection_alpha=0.3)
-            plot.segment(
-                "place_a", "place_b", f"{name}_u", f"{name}_v", source=source, color="color", line_width=1.2,
-                **_DIM,
-            )  # fmt: skip
+            ends = ("place_a", "place_b", f"{name}_u", f"{name}_v")
+            plot.segment(*ends, source=source, color="color", line_width=1.2, **_DIM)
             plot.toolbar_location = None
-            self._residuals[name] = plot
             self._maps[name] = MapPlot(color)
         # Both of a pair are seen in the same frame.
         maps = {name: one.plot for name, one in self._maps.items()}
@@ -96,6 +75,23 @@ class ImprovePage:
             self._history,
             sizing_mode="stretch_width",
         )  # fmt: skip
+
+    def _draw_steps(self) -> None:
+        """The error from model to model."""
+        self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
+        self._fall = new_figure("", "", "µm", x_range=FactorRange(), height=_HEIGHT)
+        for name, color, marker, label in (
+            ("residual", _BEFORE, "circle", "residual, RMS"),
+            ("tool", _AFTER, "square", "residual volumetric error by the last model made (95 %), RMS"),
+        ):
+            look = {"source": self._steps, "color": color, "legend_label": label}
+            self._fall.line("step", name, **look)
+            self._fall.scatter("step", name, size=7, marker=marker, **look)
+        self._fall.y_range.start = 0.0
+        self._fall.xaxis.major_label_orientation = 0.4
+        legend_above(self._fall)
+        self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
+        self._fall.add_layout(self._declared)
 
     def refresh(self) -> None:
         """Show the model in use beside the one before it."""
@@ -123,7 +119,8 @@ class ImprovePage:
     def _draw_fall(self) -> None:
         steps = [model.step for model in self._state.models]
         labels = self._names()
-        left = [step.residual_volumetric_error(steps[-1]) for step in steps]
+        last = (self._state.furthest or self._state.model).step
+        left = [step.residual_volumetric_error(last) for step in steps]
         self._fall.x_range.factors = labels
         self._steps.data = {
             "step": labels,
@@ -152,7 +149,7 @@ class ImprovePage:
         if larger:
             words.append(f"{self._readings.arrows}: {spaced(larger)} times magnified, in the colour of their setup.")
         if factor:
-            words.append(f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2).")
+            words.append(f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (95 %).")
         self._scale.object = escape(" ".join(words))
         a, b = plane
         self._readings.draw(place_a=a, place_b=b)

@@ -25,12 +25,13 @@ from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
+    choice,
     html_table,
     new_figure,
     setup_color,
     tables,
     text,
-    when_changed,
+    zero_line,
 )
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.state import State
@@ -113,30 +114,7 @@ class LivePage:
         self._confirm = pn.Row(
             self._question, bar_button("Yes", self._confirmed, "danger"), bar_button("No", self._refused), visible=False
         )
-        self._points = ColumnDataSource({name: [] for name in _COLUMNS})
-        self._left = ColumnDataSource({name: [] for name in _COLUMNS})
-        self._readings = new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
-        self._residuals = new_figure("Residuals of the map", "number of the reading", "residual, µm", hover=_HOVER)
-        for plot, source in ((self._readings, self._points), (self._residuals, self._left)):
-            plot.visible = False
-            plot.scatter("number", "value", source=source, size=4, color="color", alpha=0.7)
-        self._residuals.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        # Both show the same readings one above the other in time.
-        self._residuals.x_range = self._readings.x_range
-        self._fall = ColumnDataSource({name: [] for name in ("number", "value", "shown", "determined")})
-        hover = [("readings", "@number"), ("largest U", "@shown"), ("coordinates determined", "@determined")]
-        self._uncertainty = new_figure(
-            "Largest U (k = 2) of a coordinate", "readings", "U, µm", hover=hover, height=220
-        )
-        self._uncertainty.line("number", "value", source=self._fall, color="#0072b2")
-        self._uncertainty.scatter("number", "value", source=self._fall, size=6, color="#0072b2")
-        self._wanted = Span(dimension="width", line_color="#b36b00", line_dash="dashed", visible=False)
-        self._uncertainty.add_layout(self._wanted)
-        self._uncertainty.visible = False
-        self._map = MapPlot("#0072b2")
-        self._map.plot.visible = False
-        self._plane = pn.widgets.Select(name="Map in the plane", width=120, options=["xy"], visible=False)
-        when_changed(self._plane, lambda _: self._draw_map())
+        self._plots()
         self.view = pn.Column(
             self._where,
             pn.Row(self._take, self._bar, self._count, sizing_mode="stretch_width"),
@@ -156,6 +134,30 @@ class LivePage:
             sizing_mode="stretch_width",
         )  # fmt: skip
         pn.state.curdoc.add_periodic_callback(self._look, _PERIOD)
+
+    def _plots(self) -> None:
+        """Readings, what the map leaves of them, its uncertainty, and itself."""
+        self._points = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._left = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._readings = new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
+        self._residuals = new_figure("Residuals of the map", "number of the reading", "residual, µm", hover=_HOVER)
+        for plot, source in ((self._readings, self._points), (self._residuals, self._left)):
+            plot.visible = False
+            plot.scatter("number", "value", source=source, size=4, color="color", alpha=0.7)
+        zero_line(self._residuals)
+        # Both show the same readings one above the other in time.
+        self._residuals.x_range = self._readings.x_range
+        self._fall = ColumnDataSource({name: [] for name in ("number", "value", "shown", "determined")})
+        hover = [("readings", "@number"), ("largest U", "@shown"), ("coordinates determined", "@determined")]
+        self._uncertainty = new_figure("Largest U (95 %) of a coordinate", "readings", "U, µm", hover=hover, height=220)
+        self._uncertainty.line("number", "value", source=self._fall, color="#0072b2")
+        self._uncertainty.scatter("number", "value", source=self._fall, size=6, color="#0072b2")
+        self._wanted = Span(dimension="width", line_color="#b36b00", line_dash="dashed", visible=False)
+        self._uncertainty.add_layout(self._wanted)
+        self._uncertainty.visible = False
+        self._map = MapPlot("#0072b2")
+        self._map.plot.visible = False
+        self._plane = choice("Map in the plane", lambda _: self._draw_map(), width=120, options=["xy"], visible=False)
 
     def refresh(self) -> None:
         """The measurement that is open has nothing to do with what is heard."""
@@ -208,7 +210,7 @@ class LivePage:
         if found is None:
             return said
         factor = magnification([found.error_map])
-        drawn = [("drawn", f"{spaced(factor)} times magnified; ellipses: U (k = 2)")] if factor else []
+        drawn = [("drawn", f"{spaced(factor)} times magnified; ellipses: U (95 %)")] if factor else []
         return said + tables([TextTable(f"The map, {found.whose}", ("", ""), (*found.rows, *drawn))])
 
     def _setup_table(self) -> str:

@@ -99,7 +99,7 @@ class Feed:
         trouble: why nothing is heard; empty if nothing is wrong.
         map: the newest map of the present session; None as long as there is none.
         number: grows with every map.
-        fall: of every map of the present session, its readings, its determined coordinates, and the largest U (k = 2)
+        fall: of every map of the present session, its readings, its determined coordinates, and the largest U (95 %)
             of one of them, m.
         calculating: since when a map is being calculated, and from how many readings; 0 if none is.
         why_not: why there is no map of the newest readings; empty if there is.

@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary, WeakMethod
 import numpy as np
 import panel as pn
 from bokeh.document.callbacks import invoke_with_curdoc
-from bokeh.models import HoverTool
+from bokeh.models import HoverTool, Span
 from bokeh.plotting import figure
 
 from machine_tool_calibration.plots.residuals import color as setup_color
@@ -26,6 +26,7 @@ __all__ = [
     "DIM",
     "bar_button",
     "beside",
+    "choice",
     "controls",
     "draw_stations",
     "folded",
@@ -42,6 +43,7 @@ __all__ = [
     "text",
     "typed_out",
     "when_changed",
+    "zero_line",
 ]
 
 CSS = """
@@ -169,6 +171,11 @@ def new_figure(
     return plot
 
 
+def zero_line(plot: Any) -> None:
+    """Where nothing is left."""
+    plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
+
+
 def bar_button(name: str, act: Callable[[], object], kind: str = "default", **more: Any) -> Any:
     """A button that does something."""
     button = pn.widgets.Button(name=name, button_type=kind, margin=(3, 4), stylesheets=[BUTTON], **more)
@@ -207,6 +214,13 @@ def legend_above(plot: Any) -> None:
 def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value") -> None:
     """Have something done with the new value of a widget whenever it changes."""
     widget.param.watch(lambda event: _locked(partial(act, event.new)), what)
+
+
+def choice(name: str, act: Callable[[Any], object], **more: Any) -> Any:
+    """A list to choose from, and what is done with what is chosen."""
+    made = pn.widgets.Select(name=name, **more)
+    when_changed(made, act)
+    return made
 
 
 # Of each window, by its document; neither is kept alive.

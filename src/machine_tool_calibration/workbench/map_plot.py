@@ -15,7 +15,7 @@ from machine_tool_calibration.workbench.look import new_figure
 
 _HOVER = [
     ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("error", "@ex{0.00}, @ey{0.00}, @ez{0.00} µm"),
-    ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm"),
+    ("U (95 %)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm"),
 ]  # fmt: skip
 _BAND = "#e69f00"
 # Share of the map's extent that the largest error is drawn as.

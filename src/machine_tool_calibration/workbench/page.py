@@ -23,15 +23,17 @@ from machine_tool_calibration.workbench.look import bar_button, controls, text, 
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.plan import PlanPage
 from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.result import ResultPage
 from machine_tool_calibration.workbench.state import State, measurements_in
 from machine_tool_calibration.workbench.work import Work
 
 # Each has a title, what it is about, how many blocks it has, these as `view`, and shows the model in use on `refresh`.
-_PAGES: tuple[Any, ...] = (MeasurementPage, ComparePage, DiagnosePage, ImprovePage, PlanPage, ExportPage)
+_PAGES: tuple[Any, ...] = (MeasurementPage, ResultPage, ComparePage, DiagnosePage, ImprovePage, PlanPage, ExportPage)
 
 
 # All roots one below the other.
 _TEMPLATE = """{% extends base %}
+{% block preamble %}<link rel="icon" href="data:,">{% endblock %}
 {% block contents %}
 {% for doc in docs %}{% for root in doc.roots %}{{ embed(root) }}{% endfor %}{% endfor %}
 {% endblock %}

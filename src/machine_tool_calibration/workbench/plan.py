@@ -21,6 +21,7 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
+    choice,
     controls,
     draw_stations,
     folded,
@@ -31,7 +32,6 @@ from machine_tool_calibration.workbench.look import (
     tables,
     text,
     typed_out,
-    when_changed,
 )
 from machine_tool_calibration.workbench.map_plot import map_arrows
 from machine_tool_calibration.workbench.models import looked_ahead, planned
@@ -42,7 +42,7 @@ from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
 _HOVER = [("setup", "@setup"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
-_MAP_HOVER = [("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm")]
+_MAP_HOVER = [("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("U (95 %)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm")]
 _NOW, _THEN = "#d55e00", "#0072b2"
 # Share of the map's extent that the largest uncertainty is drawn as.
 _LENGTH = 0.1
@@ -61,12 +61,10 @@ class PlanPage:
         # The text of a procedure's file, where an outlook is that of a procedure.
         self._procedures: dict[int, str] = {}
         self._words, self._table, self._plan = text(), text(), text()
-        self._choice = pn.widgets.Select(name="Measurement that is shown", options={"": 0}, width=500)
-        self._plane = pn.widgets.Select(name="Drawn in the plane", width=110)
+        self._choice = choice("Measurement that is shown", lambda _: self._draw(), options={"": 0}, width=500)
+        self._plane = choice("Drawn in the plane", lambda _: self._draw(), width=110)
         self._saved = Saved("Save its plan into the folder", width=380)
         self._save = bar_button("Save the plan", self._write, disabled=True)
-        for choice in (self._choice, self._plane):
-            when_changed(choice, lambda _: self._draw())
         self._forecast = bar_button("Forecast it", self._forecast_it, disabled=True)
         self._form = ProcedureForm(self._formed)
         self._variant = pn.widgets.Select(name="Model", options=["default"], width=130)
@@ -74,28 +72,7 @@ class PlanPage:
         self._angular = pn.widgets.FloatInput(
             name="Angular errors, µrad RMS", value=1e6 * ANGULAR, start=0.0, end=1000.0, step=1.0, width=160
         )
-        names = ("x", "y", "z", "setup", "color")
-        self._new = ColumnDataSource({name: [] for name in names})
-        self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
-        self._where = new_figure("What is measured", "", "", height=360, hover=_HOVER, match_aspect=True)
-        now = readings.source(self.title, "place_a", "place_b")
-        self._where.scatter(
-            "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
-        )
-        self._dots = self._where.scatter("x", "y", source=self._new, size=5, color="color", legend_label="with it")
-        self._marks = draw_stations(self._where, self._stations, "x", "y")
-        self._maps = {}
-        self._map = new_figure("Uncertainty of the map", "", "", height=360, hover=_MAP_HOVER, match_aspect=True)
-        for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
-            source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
-            glyph = self._map.ellipse(
-                "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5
-            )
-            # The legend would show the first ellipse, which may be a point.
-            self._map.line([np.nan], [np.nan], line_color=color, line_width=1.5, legend_label=label)
-            self._maps[name] = (source, glyph)
-        for plot in (self._where, self._map):
-            legend_above(plot)
+        self._plots(readings)
         self.view = pn.Column(
             controls(
                 bar_button("Look ahead", self._look_ahead, "primary"),
@@ -112,6 +89,31 @@ class PlanPage:
             ),
             sizing_mode="stretch_width",
         )  # fmt: skip
+
+    def _plots(self, readings: Readings) -> None:
+        """Where is read now and then, and how uncertain the map is."""
+        names = ("x", "y", "z", "setup", "color")
+        self._new = ColumnDataSource({name: [] for name in names})
+        self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
+        self._where = new_figure("What is measured", "", "", height=330, hover=_HOVER, match_aspect=True)
+        now = readings.source(self.title, "place_a", "place_b")
+        self._where.scatter(
+            "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
+        )
+        self._dots = self._where.scatter("x", "y", source=self._new, size=5, color="color", legend_label="with it")
+        self._marks = draw_stations(self._where, self._stations, "x", "y")
+        self._maps = {}
+        self._map = new_figure("Uncertainty of the map", "", "", height=330, hover=_MAP_HOVER, match_aspect=True)
+        for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
+            source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
+            glyph = self._map.ellipse(
+                "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5
+            )
+            # The legend would show the first ellipse, which may be a point.
+            self._map.line([np.nan], [np.nan], line_color=color, line_width=1.5, legend_label=label)
+            self._maps[name] = (source, glyph)
+        for plot in (self._where, self._map):
+            legend_above(plot)
 
     def refresh(self) -> None:
         """Forget what was calculated for another model; a procedure by itself does not depend on it."""
@@ -166,7 +168,7 @@ class PlanPage:
         """The measurement that is chosen, beside what is known now."""
         k, plane = self._choice.value, self._plane.value
         there = bool(self._every) and bool(k)
-        self._save.disabled, self._map.visible = not there, there
+        self._save.disabled, self._map.visible, self._where.visible = not there, there, there
         if not plane:
             return
         a, b = plane
@@ -189,7 +191,7 @@ class PlanPage:
         for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
             source.data = map_arrows(ErrorMap({}, one.points, np.zeros_like(one.points), one.uncertainty), factor)
         self._where.title.text = f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
-        self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
+        self._map.title.text = f"Uncertainty of the map: U (95 %), {spaced(factor)} times magnified"
 
     def _draw_places(self, then: Outlook) -> None:
         session = then.session

@@ -67,6 +67,7 @@ class State:
         paths: of the measurement; several are of one machine. Empty before one is open.
         subject: the measurement with all its readings.
         models: on the way from the first one to the one in use.
+        furthest: the last of them before any was undone.
         diagnosis: of the model in use, with what follows from it; None before it was made.
         remark: what the page should say.
     """
@@ -74,6 +75,7 @@ class State:
     def __init__(self, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> None:
         self.paths: tuple[Path, ...] = ()
         self.models: list[Model] = []
+        self.furthest: Model | None = None
         self.variant = variant
         self.diagnosis: Diagnosis | None = None
         self.remark = ""
@@ -169,12 +171,20 @@ class State:
 
         return Job(partial(opened, paths, self.variant, self._given), take)
 
-    def changed(self, *, add: Iterable[str] = (), take: Iterable[str] = (), aside: Iterable[int] | None = None) -> Job:
+    def changed(
+        self,
+        *,
+        add: Iterable[str] = (),
+        take: Iterable[str] = (),
+        aside: Iterable[int] | None = None,
+        variant: str | None = None,
+    ) -> Job:
         """Fit the model in use with a change.
 
         Args:
             add: ids of effects.
             take: ids of effects that it has.
+            variant: of the method's model; that of the model in use if absent.
             aside: numbers of all readings that are to be set aside; those of the model in use if absent. What a search
                 had set aside and is put back is kept: no search sets it aside again.
         """
@@ -183,15 +193,16 @@ class State:
         added, taken = list(add), set(take)
         effects = (*(name for name in now.fit.effects if name not in taken), *added)
         back = now.aside - rows
-        words = [*added, *(f"without {name}" for name in taken)]
+        words = [*([f"model {variant}"] if variant else []), *added, *(f"without {name}" for name in taken)]
         words += [
             f"{k} reading{'s' if k > 1 else ''} {what}"
             for k, what in ((len(rows - now.aside), "set aside"), (len(back), "put back"))
             if k
         ]
         kept = (now.kept | (back & now.found.keys())) - rows
-        asked = (now, " + ".join(words), replace(now.fit.chosen, effects=effects))
-        if effects == now.fit.effects:
+        chosen = replace(now.fit.chosen, effects=effects, model=variant or now.fit.chosen.model)
+        asked = (now, " + ".join(words), chosen)
+        if effects == now.fit.effects and variant is None:
             return Job(partial(_quiet, self.subject.tried, *asked, rows, kept, now.found), self.use)
         return Job(partial(_quiet, self.subject.anew, *asked, rows - now.found.keys(), kept), self.use)
 
@@ -244,7 +255,7 @@ class State:
             if self.models[-1].number is not None:
                 self._keep_models()
         self.diagnosis = None
-        self._tell()
+        self._tell(self.furthest)
 
     def use(self, *models: Model) -> None:
         """Put models, each made from the one before, into use, and keep them in the history."""
@@ -267,7 +278,8 @@ class State:
         """The models as entries of a history."""
         return self.subject.entries(self.models, self._prints, datetime.now(UTC).isoformat(timespec="seconds"))
 
-    def _tell(self) -> None:
+    def _tell(self, furthest: Model | None = None) -> None:
+        self.furthest = furthest or self.models[-1]
         for tell in self._watchers:
             tell()
 

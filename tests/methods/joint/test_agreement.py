@@ -164,8 +164,8 @@ def test_a_difference_has_the_value_and_uncertainty_of_its_least_squares() -> No
 
 
 @pytest.mark.parametrize(("others", "alike", "text"), [
-    (("b", "c"), (), "session 'a' contradicts the others in EXX by 3 ± 1 µm (k = 2)"),
-    (("b",), ("EYX", "C0Y"), "sessions 'a' and 'b' contradict each other in EXX (or EYX, C0Y) by 3 ± 1 µm (k = 2)"),
+    (("b", "c"), (), "session 'a' contradicts the others in EXX by 3 ± 1 µm (95 %)"),
+    (("b",), ("EYX", "C0Y"), "sessions 'a' and 'b' contradict each other in EXX (or EYX, C0Y) by 3 ± 1 µm (95 %)"),
 ])  # fmt: skip
 def test_a_contradiction_names_who_and_what_else(others: tuple[str, ...], alike: tuple[str, ...], text: str) -> None:
     assert _sentence(Contradiction("a", others, "EXX", alike, 3e-6, 5e-7, "m", 1e-9)) == text

@@ -146,7 +146,7 @@ def search_effects(
     further = priors.ACCEPTED if side_by_side else priors.FURTHER
     accepted = _accepted(columns, groups, found, further) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
-    structure = (_structure(columns, found, ()) or _of_places(fit, noise)) if still else ()
+    structure = (led_by_places(_structure(columns, found, ()), fit, noise) or _of_places(fit, noise)) if still else ()
     without_cause = [_without_cause(columns, found, k) for k in found.best]
     return EffectSearch(
         fit=fit,
@@ -417,8 +417,19 @@ def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, st
     return covariate, say(how.key, at=f"{at} s" if covariate.endswith("time") else say("shape.readings", n=at))
 
 
+def led_by_places(found: tuple[Structure, ...], fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
+    """Structures, and before them places that differ, where these take up as much as time or order does.
+
+    In a raster over a zone the one is the other, and places that repeat are no course of time.
+    """
+    if not found or found[0].covariate.rsplit("/", 1)[-1] not in ("time", "order"):
+        return found
+    places = [place for place in _of_places(fit, every) if place.share >= found[0].share]
+    return (*places, *found)
+
+
 def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
-    """Places that differ more than their repeats, without any pattern."""
+    """Places that differ more than their repeats, whatever the pattern."""
     out = []
     for noise in every:
         p, repeats, declared = noise.lack_of_fit_p, noise.from_repeats, noise.declared

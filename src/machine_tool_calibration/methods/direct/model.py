@@ -30,6 +30,7 @@ from machine_tool_calibration.methods.direct.datum import (
     setup_datum,
     silent_directions,
 )
+from machine_tool_calibration.methods.direct.free import PointErrors, point_datum, point_errors
 from machine_tool_calibration.methods.direct.mistakes import refuse_mistakes
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests, positioning_runs
 from machine_tool_calibration.model.fit import Fit
@@ -93,6 +94,7 @@ class DirectModel(MethodModel):
     tables: tuple[MachineTable, ...]  # the machine errors in the model, in the order of the first terms
     setups: SetupDatum  # what each setup leaves open
     fixed: Array  # (unknowns, q) changes of the setups' and tables' unknowns that go unseen and that the datum fixes
+    points: tuple[PointErrors, ...] = ()  # in place of tables, errors of every place by itself
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -116,17 +118,17 @@ class DirectModel(MethodModel):
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
-    """The model of a session of direct deviations: the machine errors that it names in `terms`.
+    """The model of a session of direct deviations: the machine errors that it names in `terms`, or `free` places.
 
     A ModelError says what is wrong: an unknown error, an axis that the machine does not have, no reading, or
     readings that contradict the model in a way that a common mistake explains.
     """
     if not session.description.trust_units:
         refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
-    return build_direct(session)
+    return build_direct(session, free=model == "free")
 
 
-def build_direct(session: Session, terms: Sequence[str] | None = None) -> DirectModel:
+def build_direct(session: Session, terms: Sequence[str] | None = None, *, free: bool = False) -> DirectModel:
     """The model, also with other machine errors (`terms`) than the session names; raises as `build`."""
     description = session.description.as_a(Direct)
     readings = _usable(session.readings)
@@ -137,9 +139,10 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     path = np.einsum("nj,nj->n", position, direction)
     observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)
     setups = setup_datum(description.datum, observations)
-    asked = description.terms if terms is None else tuple(terms)
-    tables = asked_tables(description.machine.kinematics, asked, position)
-    kept, machine, left = _sensed_terms(observations, tables)
+    asked, chain = description.terms if terms is None else tuple(terms), description.machine.kinematics
+    if free:
+        return _free(observations, setups, point_errors(chain, position, sensed_axes(direction)))
+    kept, machine, left = _sensed_terms(observations, asked_tables(chain, asked, position))
     constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
     laid_down = {name for constraint in constraints for name in constraint.weights}
     unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]
@@ -158,6 +161,24 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
         tables=kept,
         setups=setups,
         fixed=fixed,
+    )
+
+
+def _free(observations: Observations, setups: SetupDatum, points: tuple[PointErrors, ...]) -> DirectModel:
+    setup, count = observations.readings.setup, len(observations.session.setup_ids)
+    terms = tuple(one.term(observations) for one in points)
+    chosen, fixed = _needed(list(point_datum(points, observations, setup)), terms, setups, setup, count)
+    return DirectModel(
+        observations=observations,
+        terms=terms,
+        constraints=tuple(chosen),
+        priors=(),
+        left_out=setups.left_out,
+        datum=setups.words,
+        tables=(),
+        setups=setups,
+        fixed=fixed,
+        points=points,
     )
 
 
@@ -189,19 +210,26 @@ def _datum(
     tables: tuple[MachineTable, ...], terms: tuple[Term, ...], setups: SetupDatum, setup: IntArray, count: int
 ) -> tuple[tuple[Constraint, ...], list[str], Array]:
     """Zeros and slopes of tables, as many as the readings leave open: straightness first, positioning last."""
-    columns = np.concatenate([setup_columns(setups.columns, setup, count), *(term.columns for term in terms)])
-    basis, scale = silent_directions(columns)
-    names = [p.name for p in setups.parameters] + [q.name for term in terms for q in term.parameters]
-    place = {name: k for k, name in enumerate(names)}
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
     candidates = [constraint for table in ordered for constraint in table_datum((table,))]
-    chosen, fixed = needed_rows(basis, [weight_row(place, c.weights, len(names)) * scale for c in candidates])
-    needed = [candidates[k] for k in chosen]
+    needed, fixed = _needed(candidates, terms, setups, setup, count)
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]
     words = [f"{', '.join(zero)} = 0"] if zero else []
     words += [say("datum.from_line", names=", ".join(slope))] if slope else []
-    return tuple(needed), words, fixed * scale[:, None]
+    return tuple(needed), words, fixed
+
+
+def _needed(
+    candidates: Sequence[Constraint], terms: tuple[Term, ...], setups: SetupDatum, setup: IntArray, count: int
+) -> tuple[list[Constraint], Array]:
+    """Those conditions that fix what the readings leave open, and the (unknowns, q) changes that they fix."""
+    columns = np.concatenate([setup_columns(setups.columns, setup, count), *(term.columns for term in terms)])
+    basis, scale = silent_directions(columns)
+    names = [p.name for p in setups.parameters] + [q.name for term in terms for q in term.parameters]
+    place = {name: k for k, name in enumerate(names)}
+    chosen, fixed = needed_rows(basis, [weight_row(place, c.weights, len(names)) * scale for c in candidates])
+    return [candidates[k] for k in chosen], fixed * scale[:, None]
 
 
 _OPEN = {"none": "tables", "offset": "offsets", "rigid": "shifts"}
@@ -223,7 +251,7 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses is NaN
     everywhere: a term or an effect may move it, but nothing was measured there.
     """
-    observations, tables, setups = model.observations, model.tables, model.setups
+    observations, tables, setups = model.observations, model.tables or model.points, model.setups
     own, n = len(setups.parameters), len(observations)
     fields = [map_field(tables, observations.position)]
     # Terms of added effects follow those of the tables; of them only displacements count.
@@ -253,7 +281,9 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         "position_error": error,
         "position_error_u": uncertainty,
         "approach": np.array([told.get(f"dir_{axis}", np.zeros(n))[first] for axis in "xyz"]).T,
-        "tables": tables_content(tables, *(values[own:] for values in determined_values(fit))),
+        **(
+            {} if model.points else {"tables": tables_content(model.tables, *(v[own:] for v in determined_values(fit)))}
+        ),
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
         "datum": say(f"datum.nothing_of_{_OPEN[setups.kind]}") if common.shape[1] else setups.words,
     }

@@ -23,11 +23,14 @@ class DirectSpec(MethodSpec):
     any_axis = True
     model = "machine_tool_calibration.methods.direct.model"
     models: ClassVar = {
-        "rigid_body": "the only one: the axes are rigid bodies, their errors tables over their positions"
+        "rigid_body": "the default: the axes are rigid bodies, their errors tables over their positions",
+        "free": "every place that was read has errors of its own, whatever moves the tool: for a map of these places",
     }
     reads_deviations = reads_machine = True
+    tables = "rigid_body"
+    alone = ("free",)
     by_axes = ("rigid_body",)
-    no_tables = "the session names no terms (such as terms: [EXX, C0Y]) to be determined"
+    no_tables = "the session names no terms (such as terms: [EXX, C0Y]) to be determined, or the model is 'free'"
     steps = "machine_tool_calibration.procedure.steps:direct_steps"
     planned = "machine_tool_calibration.planning.forecast:directly"
     pictures = "machine_tool_calibration.plots.direct"

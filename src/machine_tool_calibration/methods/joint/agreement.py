@@ -143,7 +143,7 @@ def _sentence(entry: Contradiction) -> str:
     motion: str = entry.motion
     if entry.alike:
         motion = say("agreement.motion_or", motion=entry.motion, others=", ".join(entry.alike))
-    size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (k = 2)"
+    size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (95 %)"
     key = "agreement.pair" if len(entry.others) == 1 else "agreement.others"
     return say(key, one=entry.session, other=entry.others[0], motion=motion, size=size)
 

@@ -381,7 +381,7 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
 
 
 def _error_motion_values(model: RotaryAxisModel, fit: Fit) -> list[dict[str, Any]]:
-    """Error motion values of ISO 230-7:2015, Clause 3: the range of each over the angles that tell it, U (k = 2).
+    """Error motion values of ISO 230-7:2015, Clause 3: the range of each over the angles that tell it, U (95 %).
 
     Relative to the axis average line, sensed in the machine's fixed directions, of all revolutions: the synchronous
     ones.
