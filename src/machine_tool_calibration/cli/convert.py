@@ -247,7 +247,7 @@ def _own_table(
     described = description or table.with_name(DESCRIPTION_FILE)
     if not described.exists():
         raise CalibrationError(
-            f"{source}: say what this table holds, with --table points, ranges, iso230-2 or readings, or with "
+            f"{source}: say what this table holds, with --table points, ranges, iso230-2, circles or readings, or with "
             f"--mapping; if it is in SI units with the columns of {OBSERVATIONS_FILE}, with --description "
             f"{DESCRIPTION_FILE}"
         )

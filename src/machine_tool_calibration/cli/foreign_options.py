@@ -19,7 +19,7 @@ _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missi
 foreign_options = options(
     click.option(
         "--table",
-        type=click.Choice(["points", "ranges", "iso230-2", "readings"]),
+        type=click.Choice(["points", "ranges", "iso230-2", "circles", "readings"]),
         help="SOURCE is a text table: nominal and measured coordinates, distances from a tracker's stations, or "
         "readings by ISO 230-2; `readings`: those of any method, of which --description is the session.yaml.",
     ),

@@ -24,9 +24,11 @@ from machine_tool_calibration.effects.probe_pretravel import ProbePretravel
 from machine_tool_calibration.effects.refractive_index import RefractiveIndex
 from machine_tool_calibration.effects.retroreflector_form import RetroreflectorForm
 from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
+from machine_tool_calibration.effects.reversal_spike import ReversalSpike
 from machine_tool_calibration.effects.rotary_axis_drift import RotaryAxisDrift
 from machine_tool_calibration.effects.scale import AxisScale, Scale
 from machine_tool_calibration.effects.screw_growth import ScrewGrowth
+from machine_tool_calibration.effects.servo_mismatch import ServoMismatch
 from machine_tool_calibration.effects.squareness import Squareness
 from machine_tool_calibration.effects.squareness_drift import SquarenessDrift
 from machine_tool_calibration.effects.squareness_thermal import SquarenessThermal
@@ -46,7 +48,7 @@ _MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZAB
 # The effects in their order, with the axes or errors of axes of which there is one each.
 _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"),
-    (Reversal, REVERSALS),
+    (Reversal, REVERSALS), (ReversalSpike, "xyz"), (ServoMismatch, "xyz"),
     (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"),
     (ScrewGrowth, "xyz"),
     (PitchPeriodic, "xyz"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Families of effects: against the last move, late, of the air in a beam, of a squareness, and in harmonics."""
+"""Families of effects: against the last move, round a circle, late, of the air in a beam, of a squareness, and in harmonics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient, Effect, Shape
 from machine_tool_calibration.instruments.refractive_index import index_deviation
 from machine_tool_calibration.machine.error_motions import SQUARENESS, squareness_field
@@ -27,6 +27,22 @@ class ReversalEffect(AxisEffect):
     def approach(self, observations: Observations) -> Array:
         """(n,) sign of the last move."""
         return observations.readings.column(f"dir_{self.axis}")
+
+
+class CircleEffect(ReversalEffect):
+    """An effect of an axis on its way round a circle, which a ball bar reads."""
+
+    methods = ("ball_bar",)
+
+    def is_in_plane(self, observations: Observations) -> BoolArray:
+        """(n,) whether the circle of each reading lies along the axis."""
+        setup = observations.readings.setup
+        return np.asarray(np.bincount(setup, np.abs(self.along(observations)))[setup] > 0.0)
+
+    def share_of_path(self, observations: Observations) -> Array:
+        """(n,) way of the axis per way along the circle, with its sign."""
+        across = np.sqrt(np.maximum(1.0 - self.along(observations) ** 2, 0.0))
+        return np.asarray(self.approach(observations) * across)
 
 
 class LateEffect(AxisEffect):

@@ -12,6 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.circles import circle_rows
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import ROLES, Mapping
 from machine_tool_calibration.importing.points import point_rows, range_rows
@@ -107,6 +108,7 @@ _ROWS: dict[str, Callable[[Columns, str], Rows]] = {
     "points": point_rows,
     "ranges": lambda columns, setup: range_rows(columns),
     "iso230-2": positioning_rows,
+    "circles": circle_rows,
     "readings": _reading_rows,
 }
 

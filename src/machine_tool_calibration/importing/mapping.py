@@ -39,6 +39,7 @@ ROLES: dict[str, dict[str, str]] = {
         "run": "number",
         "direction": "text",
     },
+    "circles": {**_COMMON, "angle": "angle", **dict.fromkeys(("radius", "deviation"), "length"), "way": "text"},
     "readings": {
         **_COMMON,
         "target": "text",
@@ -78,8 +79,9 @@ class Mapping(Record):
 
     format: Literal["mtcal-mapping/1"] = "mtcal-mapping/1"
     # `points` (nominal and measured coordinates), `ranges` (distances from the stations of a tracker), `iso230-2`
-    # (deviations at target positions in runs up and down) or `readings` (those of any method)
-    table: Literal["points", "ranges", "iso230-2", "readings"]
+    # (deviations at target positions in runs up and down), `circles` (a ball bar's radius over the angle) or `readings`
+    # (those of any method)
+    table: Literal["points", "ranges", "iso230-2", "circles", "readings"]
     file: FileForm = FileForm()  # how the text is written
     columns: dict[str, Column] = Field(default_factory=dict)  # where each quantity stands (`ROLES`)
     extras: dict[str, Column] = Field(default_factory=dict)  # covariates by the name that they get, with their column

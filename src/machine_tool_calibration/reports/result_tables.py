@@ -193,6 +193,7 @@ def _standards(result: Result | JointResult) -> pd.DataFrame:
         for name, figure in figures.items()
     ]
     rows += [(f"{o['motion']}_range", None, o["value"], o["U"] / 2.0, o["unit"]) for o in content.get("iso230_7", ())]
+    rows += [(o["name"], o["setup"], o["value"], o["U"] / 2.0, o["unit"]) for o in content.get("figures", ())]
     found = pd.DataFrame(rows, columns=["error", "setup", "value", "u", "unit"]).astype({"value": float, "u": float})
     found["determined"] = np.isfinite(found["value"]) & np.isfinite(found["u"])
     found.loc[~found["determined"], ["value", "u"]] = np.nan

@@ -23,7 +23,7 @@ from machine_tool_calibration.reports.result_tables import error_map, error_moti
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, shortened
 from machine_tool_calibration.words import say, together
 
-STANDARDS = ("iso230_2", "iso230_6", "iso230_7")
+STANDARDS = ("iso230_2", "iso230_6", "iso230_7", "figures")
 """Entries of an error map that hold figures of a standard."""
 # Runs in each direction that ISO 230-2:2014 asks for.
 _RUNS = 5
@@ -54,6 +54,8 @@ def standard_tables(content: Mapping[str, Any], name: str, most: int | None = No
             yield _positions(run, most)
     elif name == "iso230_6":
         yield from _diagonals(found)
+    elif name == "figures":
+        yield _figures_of_method(found)
     else:
         yield _rotary(found, content.get("axis_average_line") or {})
 
@@ -93,6 +95,13 @@ def _figures(run: Mapping[str, Any]) -> TextTable:
     if min(counts) < _RUNS:
         notes.append(say("iso230.one_run" if max(counts) < 2 else "iso230.few_runs", n=_RUNS))
     return TextTable(title, heads(*_BOTH), _figure_rows(run, _FIGURES), together(notes, "; "))
+
+
+def _figures_of_method(found: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Figures that a method names itself, one a row."""
+    rows = tuple((one["setup"], one["name"], _said(one["value"], one["U"]), f"µ{one['unit']}") for one in found)
+    standards = together(dict.fromkeys(one["standard"] for one in found), ", ")
+    return TextTable(say("iso230.figures", standards=standards), heads("setup", "figure", "value", "unit"), rows)
 
 
 def _positions(run: Mapping[str, Any], most: int | None) -> TextTable:

@@ -26,6 +26,7 @@ METHODS = {
     "rotary_axis": "machine_tool_calibration.methods.rotary_axis.spec:SPEC",
     "probing": "machine_tool_calibration.methods.probing.spec:SPEC",
     "direct": "machine_tool_calibration.methods.direct.spec:SPEC",
+    "ball_bar": "machine_tool_calibration.methods.ball_bar.spec:SPEC",
 }
 """Where each method's record stands."""
 

@@ -16,11 +16,13 @@ from machine_tool_calibration.simulation.scene import Scene
 Parameters = Mapping[str, Any]
 Disturb = Callable[[float, Parameters, Scene], Disturbance]
 Draw = Callable[[np.random.Generator, Scene | None], Parameters]
-ALL_METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct")
-LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct")
+ALL_METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct", "ball_bar")
+LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct", "ball_bar")
 """Methods that move linear axes."""
 TABLE = ("rotary_axis", "probing")
 """Those that turn a table."""
+CIRCLE = ("ball_bar",)
+"""Those that go round circles."""
 BEAM = ("step_diagonal", "tracking_interferometer", "rotary_axis")
 """Those of a beam of light."""
 STATIONS = ("tracking_interferometer", "rotary_axis")

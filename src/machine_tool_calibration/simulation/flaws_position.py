@@ -11,7 +11,16 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.flaw import LINEAR, TABLE, Draw, Flaw, Parameters, drawn_phase, drawn_seed
+from machine_tool_calibration.simulation.flaw import (
+    CIRCLE,
+    LINEAR,
+    TABLE,
+    Draw,
+    Flaw,
+    Parameters,
+    drawn_phase,
+    drawn_seed,
+)
 from machine_tool_calibration.simulation.motions import (
     COMPONENTS,
     Table,
@@ -81,6 +90,17 @@ def _lost_motion(size: float, given: Parameters, scene: Scene, axis: str) -> Arr
 
 def _warmup_time(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
     return {"tau": float(600.0 * 5.0 ** rng.uniform())}
+
+
+def _servo_lag(size: float, _: Parameters, scene: Scene, axis: str) -> Array:
+    """The carriage follows its command late; what both axes of a plane have in common shows in no radius."""
+    return np.asarray(-size * scene.velocity.get(axis, np.zeros(len(scene))))
+
+
+def _spike(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
+    """Friction holds the carriage back as it reverses."""
+    since = scene.since_reversal.get(axis, np.full(len(scene), np.inf))
+    return np.asarray(-size * scene.toward(axis) * np.exp(-since / given["reach"]))
 
 
 def _squareness(name: str) -> Flaw:
@@ -170,6 +190,15 @@ def _reversal(name: str) -> Flaw:
 _WORN = "half the play against dir_{a}, size at the share `where` of the travel, half of it half a travel away"
 REVERSAL_FLAWS: tuple[Flaw, ...] = (
     *_along("lost_motion", _WORN, 2e-6, _lost_motion, {"where": 0.2}),
+    *_along(
+        "reversal_spike",
+        "-size * dir_{a} * exp(-path since {a} reversed / reach)",
+        2e-6,
+        _spike,
+        {"reach": 0.005},
+        methods=CIRCLE,
+    ),
+    *_along("servo_mismatch", "-size * velocity of {a}", 1e-4, _servo_lag, unit="s", methods=CIRCLE),
     *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
 )
 

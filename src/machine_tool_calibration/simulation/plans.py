@@ -8,17 +8,20 @@ from typing import Annotated
 
 from pydantic import Field
 
+from machine_tool_calibration.simulation.circle_run import CirclePlan
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
 from machine_tool_calibration.simulation.direct_run import DirectPlan
 from machine_tool_calibration.simulation.probing_run import ProbingPlan
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 
-AnyPlan = Annotated[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan, Field(discriminator="method")]
+AnyPlan = Annotated[
+    TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan | CirclePlan, Field(discriminator="method")
+]
 
-PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan]] = {
+PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan | CirclePlan]] = {
     plan.model_fields["method"].default: plan
-    for plan in (DiagonalPlan, TrackingPlan, RotaryPlan, ProbingPlan, DirectPlan)
+    for plan in (DiagonalPlan, TrackingPlan, RotaryPlan, ProbingPlan, DirectPlan, CirclePlan)
 }
 """The plan's class of each method."""
 
@@ -55,6 +58,8 @@ PRESETS: Mapping[str, AnyPlan] = {
     "iso230_2": DirectPlan(kind="iso230_2", repeats=5),
     "straightness": DirectPlan(kind="straightness", repeats=3),
     "grid_plate": DirectPlan(kind="grid_plate", count=11, repeats=2, end=0.2),
+    "ball_bar": CirclePlan(),
+    "ball_bar_three_planes": CirclePlan(planes=("XY", "YZ", "ZX")),
     "drilled_plate": DirectPlan(kind="drilled_plate", count=16, end=0.45, noise=1e-6, interval=20.0),
 }
 """Named plans: those of the papers and of the usual tests."""

@@ -104,6 +104,9 @@ class Scene:
     # lower and upper end of each axis's travel by letter
     ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     start: Array | None = None  # (n,) time of the first reading of that setup, s; found from the readings if absent
+    velocity: Mapping[str, Array] = field(default_factory=dict)  # by axis letter, (n,) m/s; at rest if absent
+    # way along the path since an axis reversed, by letter, (n,) m; long ago if absent
+    since_reversal: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time)

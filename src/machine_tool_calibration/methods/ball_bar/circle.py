@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nominal circles of a ball bar: arms, angles, and the way round."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.session.session import Readings
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.ball_bar.spec import BallBar
+
+# Component of a tangent below which an axis stands: it reverses there, and its direction says nothing of the way round.
+_STANDS = 0.02
+
+
+def arms(description: BallBar, readings: Readings) -> tuple[Array, IntArray]:
+    """(n, 3) from the nominal centre to the commanded place, m, and (n, 2) numbers of the axes of the plane."""
+    centre = np.array([setup.centre for setup in description.setups])
+    plane = np.array([["XYZ".index(axis) for axis in setup.plane] for setup in description.setups])
+    return readings.position() - centre[readings.setup], plane[readings.setup]
+
+
+def in_plane(vector: Array, plane: IntArray) -> Array:
+    """(n, 2) components of vectors (n, 3) along the two axes of the plane (n, 2)."""
+    return np.take_along_axis(vector, plane, axis=1)
+
+
+def angles(arm: Array, plane: IntArray) -> Array:
+    """(n,) from the plane's first axis towards its second, rad."""
+    first, second = in_plane(arm, plane).T
+    return np.asarray(np.arctan2(second, first))
+
+
+def travel_sense(arm: Array, plane: IntArray, readings: Readings) -> Array | None:
+    """(n,) +1 counter-clockwise, -1 clockwise, NaN where the axes' directions contradict; None without directions."""
+    letters = ["xyz"[j] for j in np.unique(plane)]
+    if any(f"dir_{a}" not in readings.columns for a in letters):
+        return None
+    moved = np.column_stack([readings.columns.get(f"dir_{a}", np.zeros(len(arm))) for a in "xyz"])
+    angle = angles(arm, plane)
+    tangent = np.column_stack([-np.sin(angle), np.cos(angle)])
+    along = np.where(np.abs(tangent) > _STANDS, np.sign(tangent) * np.sign(in_plane(moved, plane)), 0.0).sum(axis=1)
+    return np.where(along == 0.0, np.nan, np.sign(along))

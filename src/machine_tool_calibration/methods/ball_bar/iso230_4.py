@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Circular tests by ISO 230-4:2005: circular deviations G and G(b), hysteresis H, radial deviations F and mean D.
+
+All are of radial deviations about the least-squares circle: of one way round for G, of both for the others. Readings of
+one place and one way round are averaged over the runs before a range is taken, so that it does not grow with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.methods.ball_bar.circle import angles, arms, travel_sense
+from machine_tool_calibration.methods.ball_bar.spec import BallBar
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import Term
+from machine_tool_calibration.model.observations import Observations
+
+WAYS: Mapping[str, float] = {"ccw": 1.0, "cw": -1.0}
+"""Ways round, and their sense."""
+
+
+@dataclass(frozen=True)
+class _Path:
+    """The mean of all runs of one way round, place by place in the order of the angle.
+
+    Attributes:
+        angle: (k,) rad.
+        radial: (k,) radial deviation as it was read, m.
+        u: (k,) its standard uncertainty, m.
+    """
+
+    angle: Array
+    radial: Array
+    u: Array
+
+    def about(self, circle: Array) -> Array:
+        """(k,) radial deviations about a circle: offsets of its centre along both axes and of its radius, m."""
+        return np.asarray(self.radial - _columns(self.angle) @ circle)
+
+
+def circular_tests(
+    seen: Observations, second_order: Array, u: Array
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Figures of every setup, and the paths that they are of.
+
+    Args:
+        seen: the readings.
+        second_order: (n,) what the offset of the centre adds to its first order, m.
+        u: (n,) standard uncertainty of a reading, m.
+
+    Returns:
+        Entries with `standard`, `setup`, `name`, `value`, expanded uncertainty `U` (k = 2) and `unit`; and of each setup
+        and way round `angle`, rad, and `deviation` about the least-squares circle of both, m. Nothing where the way
+        round was not recorded.
+    """
+    description = seen.session.description.as_a(BallBar)
+    arm, plane = arms(description, seen.readings)
+    sense = travel_sense(arm, plane, seen.readings)
+    figures: list[dict[str, Any]] = []
+    circles: list[dict[str, Any]] = []
+    if sense is None:
+        return figures, circles
+    angle, radial = angles(arm, plane), seen.readings.displacement - second_order
+    for index, setup in enumerate(description.setups):
+        paths = {}
+        for way, sign in WAYS.items():
+            mine = (seen.readings.setup == index) & (sense == sign)
+            if mine.sum() > len(_columns(angle[:1])[0]):
+                paths[way] = _mean_path(angle[mine], radial[mine], u[mine])
+        if not paths:
+            continue
+        both = _fitted(*paths.values())
+        for name, value, expanded in _figures(paths, both, description.length_uncertainty):
+            told = {
+                "standard": "ISO 230-4",
+                "setup": setup.id,
+                "name": name,
+                "value": value,
+                "U": expanded,
+                "unit": "m",
+            }
+            figures.append(told)
+        for way, path in paths.items():
+            entry = {"setup": setup.id, "plane": setup.plane, "way": way, "angle": path.angle}
+            circles.append({**entry, "deviation": path.about(both)})
+    return figures, circles
+
+
+def _figure(setup: str, name: str, value: float, expanded: float) -> dict[str, Any]:
+    return {"standard": "ISO 230-4", "setup": setup, "name": name, "value": value, "U": expanded, "unit": "m"}
+
+
+def _columns(angle: Array) -> Array:
+    return np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(angle))])
+
+
+def _mean_path(angle: Array, radial: Array, u: Array) -> _Path:
+    place = groups(np.round(np.mod(angle, 2.0 * np.pi) * 1e7))
+    count = np.bincount(place)
+    mean, at = np.bincount(place, radial) / count, np.bincount(place, np.mod(angle, 2.0 * np.pi)) / count
+    order = np.argsort(at)
+    return _Path(at[order], mean[order], np.sqrt(np.bincount(place, u**2))[order] / count[order])
+
+
+def _fitted(*paths: _Path) -> Array:
+    """(3,) the least-squares circle."""
+    angle, radial = (np.concatenate([getattr(p, name) for p in paths]) for name in ("angle", "radial"))
+    return np.asarray(np.linalg.lstsq(_columns(angle), radial, rcond=1e-6)[0])
+
+
+def _figures(paths: Mapping[str, _Path], both: Array, length_u: float | None) -> Iterator[tuple[str, float, float]]:
+    """Name, value and U of each figure."""
+    for way, path in paths.items():
+        yield f"G_{way}", *_range(path.about(_fitted(path)), path.u)
+    if len(paths) == 2:
+        deviation, u = (
+            np.concatenate([p.about(both) for p in paths.values()]),
+            np.concatenate([p.u for p in paths.values()]),
+        )
+        yield "G_b", *_range(deviation, u)
+        if (between := _hysteresis(paths["ccw"], paths["cw"])) is not None:
+            yield "H", *between
+    if length_u is None:
+        return
+    centre = np.append(both[:2], 0.0)
+    for way, path in paths.items():
+        radial = path.about(centre)
+        for name, at in (("F_max", int(np.argmax(radial))), ("F_min", int(np.argmin(radial)))):
+            yield f"{name}_{way}", float(radial[at]), 2.0 * float(np.hypot(path.u[at], length_u))
+    if len(paths) == 2:
+        yield "D", float(both[2]), 2.0 * length_u
+
+
+def _range(deviation: Array, u: Array) -> tuple[float, float]:
+    high, low = int(np.argmax(deviation)), int(np.argmin(deviation))
+    return float(deviation[high] - deviation[low]), 2.0 * float(np.hypot(u[high], u[low]))
+
+
+def _hysteresis(forth: _Path, back: _Path) -> tuple[float, float] | None:
+    """Largest distance between both paths at one angle, and its U; None where they have no angle in common."""
+    low, high = max(forth.angle[0], back.angle[0]), min(forth.angle[-1], back.angle[-1])
+    at = forth.angle[(forth.angle >= low) & (forth.angle <= high)]
+    if not len(at):
+        return None
+    there = np.isin(forth.angle, at)
+    apart = np.abs(forth.radial[there] - np.interp(at, back.angle, back.radial))
+    k = int(np.argmax(apart))
+    return float(apart[k]), 2.0 * float(np.hypot(forth.u[there][k], np.interp(at[k], back.angle, back.u)))
+
+
+def contributions(fit: Fit, terms: Sequence[Term], first: int) -> list[dict[str, Any]]:
+    """Of every cause in the model what it adds to the radius, as G(b) it would have alone, the largest first.
+
+    Args:
+        fit: the model's.
+        terms: the causes.
+        first: place of the first of their unknowns.
+    """
+    seen, out = fit.model.observations, []
+    arm, plane = arms(seen.session.description.as_a(BallBar), seen.readings)
+    angle = angles(arm, plane)
+    for term in terms:
+        mine = np.arange(first, first + len(term.parameters))
+        first += len(mine)
+        if not fit.determined[mine].all():
+            continue
+        for index, setup in enumerate(seen.session.description.as_a(BallBar).setups):
+            own = seen.readings.setup == index
+            base = _columns(angle[own])
+            if own.sum() <= base.shape[1]:
+                continue
+            left = term.columns[:, own].T
+            left = left - base @ np.linalg.lstsq(base, left, rcond=1e-6)[0]
+            change = left @ fit.theta[mine]
+            apart = left[int(np.argmax(change))] - left[int(np.argmin(change))]
+            u = float(np.sqrt(max(apart @ fit.covariance[np.ix_(mine, mine)] @ apart, 0.0)))
+            out.append(_figure(setup.id, f"G_b of {term.name}", float(np.ptp(change)), 2.0 * u))
+    return sorted(out, key=lambda one: -one["value"])

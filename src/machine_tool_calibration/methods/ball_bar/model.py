@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a ball bar should read: radial deviation by centre, length, squareness and the difference of the scales.
+
+With u the unit vector from the centre to the tool, a displacement e of the tool changes the reading by u.e, an offset c
+of the centre by -u.c, and a bar that is longer than stated by -1 (ISO 230-4:2005; Knapp 1983). The mean scale of the
+axes cannot be distinguished from the bar's length; differences of the scales can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
+from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
+from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
+from machine_tool_calibration.methods.ball_bar.spec import BallBar
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import (
+    OPEN_CHANGE,
+    MachineTable,
+    determined_part,
+    map_field,
+    position_errors,
+    tables_content,
+)
+from machine_tool_calibration.session.session import Readings, Session, distinct_places
+from machine_tool_calibration.words import say
+
+_SQUARENESS = {"XY": "C0Y", "ZX": "B0Z", "YZ": "A0Z"}
+
+
+@dataclass(frozen=True)
+class CircleModel(MethodModel):
+    """Centre and length of the bar in every setup; squareness and difference of the scales of the machine.
+
+    Attributes:
+        tables: squareness errors of the planes that were measured.
+        scales: letters of the axes whose scales are compared, the first one the reference.
+        second_order: (n,) what the offset of the centre adds to its first order, m.
+    """
+
+    tables: tuple[MachineTable, ...]
+    scales: str
+    second_order: Array
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """Offset of the centre along the plane's two axes, and excess length of the bar."""
+        setups = self.observations.session.description.as_a(BallBar).setups
+        return tuple(
+            Parameter(f"{setup.id}.{what}", "m", kind=Kind.OFFSET, owner=setup.id, meaning=meaning)
+            for setup in setups
+            for what, meaning in (
+                *((f"centre_{axis.lower()}", say("unknown.centre", setup=setup.id)) for axis in setup.plane),
+                ("length", say("unknown.bar_length", setup=setup.id)),
+            )
+        )
+
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        """Every setup is a block."""
+        seen = self.observations
+        _, plane = arms(seen.session.description.as_a(BallBar), seen.readings)
+        return LinearPart(
+            groups=group_rows(seen.readings.setup),
+            reading=seen.readings.displacement - self.second_order,
+            sigma=self.sigma,
+            local=np.zeros((0, len(seen))),
+            block=-np.concatenate([in_plane(seen.direction, plane).T, np.ones((1, len(seen)))]),
+            dense=self.dense(),
+            block_index=own_index.reshape(-1, 3),
+            dense_index=dense_index,
+        )
+
+
+def build(session: Session, model: str = "circle") -> CircleModel:
+    """The model of a session of circles.
+
+    Raises:
+        ModelError: no reading.
+    """
+    description = session.description.as_a(BallBar)
+    readings = session.readings.select(np.flatnonzero(np.isfinite(session.readings.displacement)))
+    if not len(readings):
+        raise ModelError("no reading: every displacement is missing")
+    readings = _with_feed(description, readings)
+    position = readings.position()
+    arm, plane = arms(description, readings)
+    flat = np.zeros_like(arm)
+    np.put_along_axis(flat, plane, in_plane(arm, plane), axis=1)
+    direction = flat / np.linalg.norm(flat, axis=1)[:, None]
+    radius = np.array([setup.radius for setup in description.setups])[readings.setup]
+    observations = Observations(
+        session, readings, position, direction, np.zeros_like(direction), radius, readings.setup
+    )
+    chain = description.machine.kinematics
+    planes = dict.fromkeys(setup.plane for setup in description.setups)
+    tables = tuple(MachineTable(chain, _SQUARENESS[name], np.empty(0)) for name in planes)
+    scales = "".join(sorted({axis for name in planes for axis in name}))
+    terms = [table.term(observations) for table in tables]
+    terms += [
+        Term(p.name, (p,), observations.sense(field[None]))
+        for p, field in zip(_mismatches(scales), _mismatch_field(scales, position), strict=True)
+    ]
+    return CircleModel(
+        observations=observations,
+        terms=tuple(terms),
+        constraints=(),
+        priors=(),
+        left_out=(NotDetermined("mean_scale", say("undetermined.bar_length")),),
+        datum=say("datum.ball_bar"),
+        tables=tables,
+        scales=scales,
+        second_order=_second_order(observations, plane),
+    )
+
+
+def _with_feed(description: BallBar, readings: Readings) -> Readings:
+    """The readings with the path speed that the setups state, where no column says it."""
+    stated = np.array([setup.feed or np.nan for setup in description.setups])[readings.setup]
+    if "feed" in readings.columns or not np.isfinite(stated).all():
+        return readings
+    return replace(readings, columns={**readings.columns, "feed": stated})
+
+
+def _mismatches(scales: str) -> tuple[Parameter, ...]:
+    """Scale of every other axis less that of the first."""
+    first, *others = scales
+    return tuple(
+        Parameter(f"scale_{axis.lower()}_less_{first.lower()}", "1", shared=True, kind=Kind.SQUARENESS)
+        for axis in others
+    )
+
+
+def _mismatch_field(scales: str, position: Array) -> Array:
+    """(k, n, 3) displacement per unit of each difference of scales; their mean, which the bar takes up, is zero."""
+    axes = np.array(["XYZ".index(axis) for axis in scales])
+    scale = np.zeros((len(axes) - 1, 3))
+    scale[:, axes] = np.eye(len(axes))[1:] - 1.0 / len(axes)
+    return np.asarray(scale[:, None, :] * position)
+
+
+def _second_order(seen: Observations, plane: IntArray) -> Array:
+    """|arm - c| - |arm| + u.c of the centre's best offset c: 0.1 mm beside a radius of 150 mm are 33 nm."""
+    out = np.zeros(len(seen))
+    for index in np.unique(seen.readings.setup):
+        mine = seen.readings.setup == index
+        unit = in_plane(seen.direction[mine], plane[mine])
+        columns = -np.column_stack([unit, np.ones(len(unit))])
+        arm = seen.path[mine, None] * unit
+        for _ in range(3):
+            offset = np.linalg.lstsq(columns, seen.readings.displacement[mine] - out[mine], rcond=1e-6)[0][:2]
+            out[mine] = np.linalg.norm(arm - offset, axis=1) - seen.path[mine] + unit @ offset
+    return out
+
+
+def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
+    """Position errors by squareness and difference of scales, from the machine's zero; figures of ISO 230-4."""
+    seen, own = model.observations, len(model.own)
+    points = seen.position[distinct_places(seen.position)[0]]
+    field = np.concatenate([map_field(model.tables, points), _mismatch_field(model.scales, points)])
+    mine = slice(own, own + len(field))
+    error, covariance = position_errors(field, fit.theta[mine], fit.covariance[mine, mine])
+    open_ones = fit.solution.loose_directions()[fit.places][mine]
+    loose = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > OPEN_CHANGE
+    loose |= ~np.isin(np.arange(3), ["XYZ".index(axis) for axis in model.scales])
+    error, uncertainty, covariance = determined_part(error, covariance, loose)
+    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
+    content: dict[str, Any] = {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "tables": tables_content(model.tables, theta[own:], sigma[own:]),
+        "datum": model.datum,
+    }
+    # These are of the readings themselves: a restated fit changes nothing of them.
+    if fit.joint.given is None:
+        content["figures"], content["circles"] = circular_tests(seen, model.second_order, model.sigma)
+        content["figures"] += contributions(fit, model.terms, own)
+    return ErrorMap(content, points, error, uncertainty, covariance)

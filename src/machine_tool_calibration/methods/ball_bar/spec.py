@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Circles with a double ball bar in the planes of two linear axes (ISO 230-4): record, traits, and checks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from machine_tool_calibration.arrays import first_true
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense
+from machine_tool_calibration.session.description import Description, Place, Setup
+from machine_tool_calibration.session.judgements import Held
+from machine_tool_calibration.session.method import MethodSpec
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.values import Positive, Vector3
+
+# Share of the radius by which a commanded place may be off its circle, and largest deviation that a bar reads, m.
+_OFF_CIRCLE, _RANGE = 1e-3, 3e-3
+
+
+class CircleSetup(Setup):
+    """A circle: its two axes, the centre where it is meant to be, m, the bar's nominal length, m.
+
+    Attributes:
+        plane: counter-clockwise is from its first axis towards its second.
+        feed: path speed, m/s, where the readings do not say it in a column `feed`.
+    """
+
+    plane: Literal["XY", "YZ", "ZX"]
+    centre: Vector3
+    radius: Positive
+    feed: Positive | None = None
+
+
+class BallBar(Description):
+    """Deviations of the distance between tool and centre from the bar's nominal length, all around."""
+
+    reads: ClassVar[str | None] = "ball_bar"
+
+    method: Literal["ball_bar"]
+    setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
+    # standard uncertainty of the bar's length, m: of one that was calibrated, radial deviations are reported
+    length_uncertainty: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> BallBar:
+        linear = self.machine.kinematics.linear
+        for setup in self.setups:
+            for axis in setup.plane:
+                if axis not in linear:
+                    raise ValueError(
+                        f"setup {setup.id} is in the plane {setup.plane}, and the chain {self.machine.chain} has no {axis}"
+                    )
+        return self
+
+
+class CircleSpec(MethodSpec):
+    """A centre, a length, a squareness and a difference of scales need at least eight readings on an arc."""
+
+    description = BallBar
+    needed = 8
+    remounted = "the ball bar"
+    model = "machine_tool_calibration.methods.ball_bar.model"
+    models: ClassVar = {
+        "circle": "the only one: centre and length of the bar in every setup; squareness and difference of the scales"
+    }
+    reads_deviations = reads_machine = True
+    by_axes = ("circle",)
+    steps = "machine_tool_calibration.methods.ball_bar.steps:circle_steps"
+    planned = "machine_tool_calibration.methods.ball_bar.steps:nominal"
+    pictures = "machine_tool_calibration.plots.ball_bar"
+
+    def columns(self, description: BallBar) -> tuple[str, ...]:
+        """Places in the planes of the circles."""
+        letters = sorted({axis.lower() for setup in description.setups for axis in setup.plane})
+        return ("setup", *letters, "displacement")
+
+    def words(self, description: BallBar) -> str:
+        """What it is."""
+        planes = ", ".join(dict.fromkeys(setup.plane for setup in description.setups))
+        return f"circles with a ball bar in {planes} (ISO 230-4)"
+
+    def magnitudes(self, session: Session, place: Place) -> None:
+        """Refuse readings that are the bar's length rather than its deviation, or in another unit."""
+        read = session.readings.displacement
+        bad = first_true(np.abs(read) > _RANGE)
+        if bad is None:
+            return
+        where, value = place.row(session.readings.row[bad]), float(read[bad])
+        radius = session.description.as_a(BallBar).setups[session.readings.setup[bad]].radius
+        what = f"displacement is {value:g} m, more than a ball bar's range of {_RANGE * 1e3:g} mm"
+        if abs(value - radius) < _RANGE:
+            what += "; it looks like the length: a deviation is the length less the radius"
+        elif abs(value) * 1e-3 < _RANGE:
+            what += "; it looks like millimetres"
+        elif abs(value) * 1e-6 < _RANGE:
+            what += "; it looks like micrometres"
+        raise SessionError(f"{where}: {what}")
+
+    def held(self, session: Session) -> Iterator[Held]:
+        """Commanded places against the circle, and directions of approach against the way round it."""
+        description, readings = session.description.as_a(BallBar), session.readings
+        radius = np.array([setup.radius for setup in description.setups])[readings.setup]
+        arm, plane = arms(description, readings)
+        length = np.linalg.norm(in_plane(arm, plane), axis=1)
+        yield Held("place", "the stated circle", np.abs(length - radius), _OFF_CIRCLE * radius)
+        sense = travel_sense(arm, plane, readings)
+        if sense is not None:
+            off = np.where(np.isnan(sense), 1.0, 0.0)
+            yield Held("dir", "one way round the circle", off, np.full(len(off), 0.5), unit="", share=0.05)
+
+    def suspicious(self, session: Session) -> Iterator[str]:
+        """Circles without directions of approach."""
+        if not any(name.startswith("dir_") for name in session.readings.columns):
+            yield "no directions of approach (dir_x, …) were recorded: reversal, backlash and servo mismatch stay unseen"
+
+
+SPEC = CircleSpec()

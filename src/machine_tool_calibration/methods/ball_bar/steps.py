@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Circles as a procedure: place after place around the centre, counter-clockwise and clockwise in every repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.methods.ball_bar.spec import BallBar, CircleSetup
+from machine_tool_calibration.procedure.description import Procedure, Spread
+from machine_tool_calibration.procedure.steps import Step
+
+
+def circle_steps(procedure: Procedure) -> Iterator[Step]:
+    """Setup by setup, repeat by repeat, both ways round, with one place of run-in before the first.
+
+    Raises:
+        SessionError: the path does not name the angles of the circle, or a circle leaves the travel.
+    """
+    session = procedure.session.as_a(BallBar)
+    angles = _angles(procedure)
+    number = 0
+    for setup, repeat, sense in product(session.setups, range(session.repeats), (1, -1)):
+        forth = angles[::sense]
+        # The other way round the circle is entered where it ends.
+        run_in = forth[0] - sense * abs(forth[1] - forth[0])
+        before, direction = _place(procedure, setup, run_in), dict.fromkeys("xyz", 1)
+        for k, angle in enumerate(forth):
+            position = _place(procedure, setup, angle)
+            for axis, value in position.items():
+                if value != before[axis]:
+                    direction[axis] = 1 if value > before[axis] else -1
+            yield Step(
+                number, setup.id, repeat, position, dict(direction), (before,) if k == 0 else (),
+                (position["x"], position["y"], position["z"]), points=False, datum=False,
+            )  # fmt: skip
+            before, number = position, number + 1
+
+
+def _angles(procedure: Procedure) -> list[float]:
+    grid = procedure.path.grid or {}
+    if set(grid) != {"angle"}:
+        raise SessionError(
+            f"procedure {procedure.name}: path of circles is grid: {{angle: …}}, from the plane's first axis towards its "
+            "second, rad; centre and radius are the setups'"
+        )
+    entry = grid["angle"]
+    angles = entry.values() if isinstance(entry, Spread) else list(entry)
+    if len(angles) < 2 or not (np.diff(angles) > 0).all():
+        raise SessionError(f"procedure {procedure.name}: path.grid.angle must increase, over two angles at least")
+    return angles
+
+
+def _place(procedure: Procedure, setup: CircleSetup, angle: float) -> Mapping[str, float]:
+    place = dict(zip("xyz", setup.centre, strict=True))
+    for axis, part in zip(setup.plane.lower(), (np.cos(angle), np.sin(angle)), strict=True):
+        # To the picometre, so that an axis that stands has not moved.
+        place[axis] = round(place[axis] + setup.radius * float(part), 12)
+        low, high = procedure.session.machine.travel.get(axis, (-np.inf, np.inf))
+        if not low <= place[axis] <= high:
+            raise SessionError(
+                f"procedure {procedure.name}: circle {setup.id} reaches {axis} = {place[axis]:.6g}, outside the travel "
+                f"{low:g} to {high:g}"
+            )
+    return place
+
+
+def nominal(
+    procedure: Procedure, steps: tuple[Step, ...], setup: IntArray
+) -> tuple[Array, dict[str, Array], dict[str, Any]]:
+    """No deviation, of a bar at rest."""
+    return np.zeros(len(steps)), {}, {}

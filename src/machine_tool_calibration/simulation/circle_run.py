@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session with a double ball bar: circles in planes of two axes, both ways round (ISO 230-4)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import NotNegative, Positive
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.machine_file import Amplitudes
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
+from machine_tool_calibration.simulation.scene import Environment, Scene
+from machine_tool_calibration.simulation.sensors import distance
+
+# Circles of which less than a whole turn is possible leave this much of the arc out at both ends, rad.
+_HALF_ARC = np.radians(110.0)
+
+
+class CirclePlan(Plan):
+    """Circles in one or more planes, counter-clockwise and clockwise in every repeat.
+
+    Attributes:
+        planes: a setup each.
+        centre: where all circles have their centre, m.
+        radius: nominal length of the bar, m.
+        count: readings of a circle.
+        feed: path speed, m/s.
+        arc: in planes with Z the bar clears the table over an arc of 220 degrees only (`upper`), or all round (`whole`).
+        centring: the centre is off by this (standard deviation per coordinate), m.
+        length_error: the bar's length is off by this (standard deviation), m.
+    """
+
+    method: Literal["ball_bar"] = "ball_bar"
+    planes: Annotated[tuple[Literal["XY", "YZ", "ZX"], ...], Field(min_length=1)] = ("XY",)
+    centre: Vector3 = (0.25, 0.2, 0.15)
+    radius: Positive = 0.15
+    count: Annotated[int, Field(ge=8, le=100_000)] = 180
+    feed: Positive = 1.0 / 60.0
+    arc: Literal["upper", "whole"] = "upper"
+    centring: NotNegative = 2e-5
+    length_error: NotNegative = 5e-6
+    chain: str = "w-Y-X-b-Z-t"
+    noise: Positive = 2e-7
+
+    @model_validator(mode="after")
+    def _check(self) -> CirclePlan:
+        if len(set(self.planes)) < len(self.planes):
+            raise ValueError("planes names one twice")
+        return self
+
+    def travel(self) -> dict[str, tuple[float, float]]:
+        """Ends of the axes that hold all circles and zero, m."""
+        centre = np.asarray(self.centre)
+        reach = np.array([self.radius * any(axis in plane for plane in self.planes) for axis in "XYZ"])
+        return spanned(np.stack([centre - reach, centre + reach]))
+
+    def errors(self) -> Amplitudes:
+        """Errors of a machining centre whose axes were compensated: squareness and scales are what is left."""
+        return Amplitudes(positioning=4e-7, straightness=4e-7, angular=1e-6, squareness=2e-5)
+
+    def angles(self, plane: str) -> Array:
+        """(k,) of a circle, counter-clockwise, rad: half a step off the axes, where they stand."""
+        if "Z" not in plane or self.arc == "whole":
+            return np.asarray((np.arange(self.count) + 0.5) * 2.0 * np.pi / self.count)
+        upwards = 0.5 * np.pi if plane.endswith("Z") else 0.0
+        return np.asarray(upwards + np.linspace(-_HALF_ARC, _HALF_ARC, self.count))
+
+    def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
+        """The measurement of a plan: plane by plane, in every repeat once each way round."""
+        circles = [
+            (s, repeat, sense, self.angles(plane)[:: int(sense)])
+            for s, plane in enumerate(self.planes)
+            for repeat in range(self.repeats)
+            for sense in (1.0, -1.0)
+        ]
+        size = [len(angle) for *_, angle in circles]
+        setup, repeat = (np.repeat([c[k] for c in circles], size) for k in (0, 1))
+        sense, angle = np.repeat([c[2] for c in circles], size), np.concatenate([c[3] for c in circles])
+        axes = np.array([["XYZ".index(a) for a in plane] for plane in self.planes])[setup]
+        arm, way = np.zeros((2, len(setup), 3))
+        np.put_along_axis(arm, axes, self.radius * np.column_stack([np.cos(angle), np.sin(angle)]), axis=1)
+        np.put_along_axis(way, axes, np.column_stack([-np.sin(angle), np.cos(angle)]) * sense[:, None], axis=1)
+        centre = np.asarray(self.centre)
+        position = centre + arm
+        # Every circle is begun while the bar moves already, and the other way round follows after an interval.
+        interval = [self.radius * abs(a[1] - a[0]) / self.feed for *_, a in circles]
+        begun = np.cumsum([0.0, *(k * step + self.interval for k, step in zip(size, interval, strict=True))])
+        number = np.concatenate([np.arange(k) for k in size])
+        time = np.repeat(begun[:-1], size) + number * np.repeat(interval, size) + setup * self.pause
+        direction = {letter: np.where(way[:, j] < 0.0, -1.0, 1.0) for j, letter in enumerate("XYZ")}
+        unit = arm / self.radius
+        scene = Scene(
+            time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel(),
+            velocity={letter: self.feed * way[:, j] for j, letter in enumerate("XYZ")},
+            since_reversal={
+                letter: self.radius * np.arccos(np.clip(-unit[:, j] * direction[letter], -1.0, 1.0))
+                for j, letter in enumerate("XYZ")
+            },
+        )  # fmt: skip
+        off = self.centring * rng.normal(size=(len(self.planes), 3))
+        length = self.radius + self.length_error * rng.normal(size=len(self.planes))
+
+        def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+            actual, stand = disturbance.functional_point(machine, position), centre + off[setup]
+            path = distance(actual, stand)
+            sight = Sight(path, (actual - stand) / path[:, None], azimuth=angle, change=path - self.radius)
+            return np.asarray(path - length[setup] + disturbance.added(sight))
+
+        def judged(machine: VirtualMachine) -> dict[str, Any]:
+            at = np.unique(position, axis=0)
+            return {
+                "points": at.tolist(),
+                "position_error": machine.position_error(at).tolist(),
+                "centres": (centre + off).tolist(),
+                "lengths": length.tolist(),
+            }
+
+        description = {
+            "method": "ball_bar",
+            "machine": self.machine(),
+            "setups": [
+                {"id": plane, "plane": plane, "centre": list(self.centre), "radius": self.radius, "feed": self.feed}
+                for plane in self.planes
+            ],
+        }
+        return Measurement(
+            lambda machine: description, scene, read, None, axis_columns(position, direction), truth=judged
+        )
