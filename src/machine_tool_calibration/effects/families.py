@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Families of effects: against the last move, round a circle, late, of the air in a beam, of a squareness, and in harmonics."""
+"""Families of effects: against the last move, round circles, late, of a beam's air, of a squareness, in harmonics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ReversalEffect(AxisEffect):
     """An effect against the direction of the axis's last move."""
 
     kind = "position"
-    needs = ("{axis}", "dir_{axis}")
+    needs: tuple[str, ...] = ("{axis}", "dir_{axis}")
 
     def approach(self, observations: Observations) -> Array:
         """(n,) sign of the last move."""

@@ -11,7 +11,7 @@ from machine_tool_calibration.effects.families import CircleEffect
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say
 
-# Reaches that are tried, as angles of the circle, rad: from a degree, about what 360 readings show, to a tenth of a turn.
+# Reaches that are tried, as angles of the circle, rad: from a degree, what 360 readings show, to a tenth of a turn.
 _SHORTEST, _LONGEST, _TRIED = np.radians(1.0), np.radians(36.0), 8
 
 

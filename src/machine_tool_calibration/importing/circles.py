@@ -9,13 +9,14 @@ from scipy.ndimage import median_filter
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
-from machine_tool_calibration.methods.ball_bar.spec import CircleSetup
+from machine_tool_calibration.methods.ball_bar.description import CircleSetup
 from machine_tool_calibration.session.defects import validated
 
 _CCW = ("ccw", "+", "+1", "1", "g3", "g03", "left", "↺")
 _CW = ("cw", "-", "-1", "g2", "g02", "right", "↻")
-# Steps of which most go the way round: a trigger scatters. Readings that a run has at least.
-_WINDOW, _FEWEST = 5, 8
+# Steps of which most go the way round: a trigger scatters. Readings that a run has at least. Share of the usual step
+# below which nothing moved.
+_WINDOW, _FEWEST, _STANDS = 5, 8, 0.25
 
 
 def circle_rows(columns: Columns, name: str) -> Rows:
@@ -72,12 +73,15 @@ def _runs(columns: Columns, angle: Array) -> tuple[Array, IntArray]:
             raise SessionError(f"{columns.table.where(bad)}: way is {str(words[bad])!r}, neither ccw nor cw")
         sense = np.where(forth, 1.0, -1.0)
         return sense, np.cumsum(np.diff(sense, prepend=sense[:1]) != 0.0)
-    step = np.sign(np.angle(np.exp(1j * np.diff(angle, prepend=2.0 * angle[:1] - angle[1:2]))))
-    sense = median_filter(step, _WINDOW, mode="nearest")
+    step = np.angle(np.exp(1j * np.diff(angle, prepend=2.0 * angle[:1] - angle[1:2])))
+    # Where a run begins at the place at which the last one ended, the next step says which way it goes.
+    moves = np.abs(step) > _STANDS * np.median(np.abs(step))
+    after = np.minimum.accumulate(np.where(moves, np.arange(len(step)), len(step) - 1)[::-1])[::-1]
+    sense = median_filter(np.sign(step[after]), _WINDOW, mode="nearest")
     run = np.cumsum(np.diff(sense, prepend=sense[:1]) != 0.0)
     if (sense == 0.0).any() or np.bincount(run).min() < _FEWEST:
         raise SessionError(
-            f"{columns.table.source}: the angles go neither one way round nor first one and then the other; a column way "
-            "(ccw, cw) says which readings belong together"
+            f"{columns.table.source}: the angles go neither one way round nor first one and then the other; a column "
+            "way (ccw, cw) says which readings belong together"
         )
     return sense, run

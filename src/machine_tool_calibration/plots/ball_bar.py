@@ -57,8 +57,8 @@ def draw_circles(circles: Sequence[Mapping[str, Any]], values: Sequence[Mapping[
 def _draw(panel: Axes, circles: Sequence[Mapping[str, Any]], largest: float) -> None:
     around = np.linspace(0.0, 2.0 * np.pi, 361)
     step = round_down(largest)
-    for radius, style in ((1.0, "-"), (1.0 + _SHARE * step / largest, ":"), (1.0 - _SHARE * step / largest, ":")):
-        panel.plot(radius * np.cos(around), radius * np.sin(around), style, color=NOMINAL, linewidth=0.8)
+    for ring, style in ((1.0, "-"), (1.0 + _SHARE * step / largest, ":"), (1.0 - _SHARE * step / largest, ":")):
+        panel.plot(ring * np.cos(around), ring * np.sin(around), style, color=NOMINAL, linewidth=0.8)
     for circle, color in zip(circles, COLORS, strict=False):
         angle, deviation = numbers(circle["angle"]), numbers(circle["deviation"])
         radius = 1.0 + _SHARE * deviation / largest

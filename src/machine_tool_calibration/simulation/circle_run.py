@@ -30,7 +30,7 @@ class CirclePlan(Plan):
         radius: nominal length of the bar, m.
         count: readings of a circle.
         feed: path speed, m/s.
-        arc: in planes with Z the bar clears the table over an arc of 220 degrees only (`upper`), or all round (`whole`).
+        arc: in planes with Z the bar clears the table over 220 degrees only (`upper`), or all round (`whole`).
         centring: the centre is off by this (standard deviation per coordinate), m.
         length_error: the bar's length is off by this (standard deviation), m.
     """

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.methods.ball_bar.description import BallBar
 from machine_tool_calibration.session.session import Readings
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.methods.ball_bar.spec import BallBar
 
 # Component of a tangent below which an axis stands: it reverses there, and its direction says nothing of the way round.
 _STANDS = 0.02

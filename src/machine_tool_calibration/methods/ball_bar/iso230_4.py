@@ -15,7 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.methods.ball_bar.circle import angles, arms, travel_sense
-from machine_tool_calibration.methods.ball_bar.spec import BallBar
+from machine_tool_calibration.methods.ball_bar.description import BallBar
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
@@ -54,9 +54,9 @@ def circular_tests(
         u: (n,) standard uncertainty of a reading, m.
 
     Returns:
-        Entries with `standard`, `setup`, `name`, `value`, expanded uncertainty `U` (k = 2) and `unit`; and of each setup
-        and way round `angle`, rad, and `deviation` about the least-squares circle of both, m. Nothing where the way
-        round was not recorded.
+        Entries with `standard`, `setup`, `name`, `value`, expanded uncertainty `U` (k = 2) and `unit`; and of each
+        setup and way round `angle`, rad, and `deviation` about the least-squares circle of both, m. Nothing where the
+        way round was not recorded.
     """
     description = seen.session.description.as_a(BallBar)
     arm, plane = arms(description, seen.readings)

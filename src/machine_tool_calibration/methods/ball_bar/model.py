@@ -17,8 +17,8 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
+from machine_tool_calibration.methods.ball_bar.description import BallBar
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
-from machine_tool_calibration.methods.ball_bar.spec import BallBar
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
@@ -132,7 +132,7 @@ def _with_feed(description: BallBar, readings: Readings) -> Readings:
 
 def _mismatches(scales: str) -> tuple[Parameter, ...]:
     """Scale of every other axis less that of the first."""
-    first, *others = scales
+    first, others = scales[0], scales[1:]
     return tuple(
         Parameter(f"scale_{axis.lower()}_less_{first.lower()}", "1", shared=True, kind=Kind.SQUARENESS)
         for axis in others

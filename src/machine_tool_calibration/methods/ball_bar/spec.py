@@ -1,61 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Circles with a double ball bar in the planes of two linear axes (ISO 230-4): record, traits, and checks."""
+"""Circles with a double ball bar in the planes of two linear axes (ISO 230-4): traits and checks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense
-from machine_tool_calibration.session.description import Description, Place, Setup
+from machine_tool_calibration.methods.ball_bar.description import BallBar
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.judgements import Held
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.session.values import Positive, Vector3
 
 # Share of the radius by which a commanded place may be off its circle, and largest deviation that a bar reads, m.
 _OFF_CIRCLE, _RANGE = 1e-3, 3e-3
-
-
-class CircleSetup(Setup):
-    """A circle: its two axes, the centre where it is meant to be, m, the bar's nominal length, m.
-
-    Attributes:
-        plane: counter-clockwise is from its first axis towards its second.
-        feed: path speed, m/s, where the readings do not say it in a column `feed`.
-    """
-
-    plane: Literal["XY", "YZ", "ZX"]
-    centre: Vector3
-    radius: Positive
-    feed: Positive | None = None
-
-
-class BallBar(Description):
-    """Deviations of the distance between tool and centre from the bar's nominal length, all around."""
-
-    reads: ClassVar[str | None] = "ball_bar"
-
-    method: Literal["ball_bar"]
-    setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
-    # standard uncertainty of the bar's length, m: of one that was calibrated, radial deviations are reported
-    length_uncertainty: Positive | None = None
-
-    @model_validator(mode="after")
-    def _check_axes(self) -> BallBar:
-        linear = self.machine.kinematics.linear
-        for setup in self.setups:
-            for axis in setup.plane:
-                if axis not in linear:
-                    raise ValueError(
-                        f"setup {setup.id} is in the plane {setup.plane}, and the chain {self.machine.chain} has no {axis}"
-                    )
-        return self
 
 
 class CircleSpec(MethodSpec):
@@ -116,7 +79,7 @@ class CircleSpec(MethodSpec):
     def suspicious(self, session: Session) -> Iterator[str]:
         """Circles without directions of approach."""
         if not any(name.startswith("dir_") for name in session.readings.columns):
-            yield "no directions of approach (dir_x, …) were recorded: reversal, backlash and servo mismatch stay unseen"
+            yield "no directions of approach (dir_x, …) were recorded: backlash and servo mismatch stay unseen"
 
 
 SPEC = CircleSpec()

@@ -11,7 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.ball_bar.spec import BallBar, CircleSetup
+from machine_tool_calibration.methods.ball_bar.description import BallBar, CircleSetup
 from machine_tool_calibration.procedure.description import Procedure, Spread
 from machine_tool_calibration.procedure.steps import Step
 
@@ -46,8 +46,8 @@ def _angles(procedure: Procedure) -> list[float]:
     grid = procedure.path.grid or {}
     if set(grid) != {"angle"}:
         raise SessionError(
-            f"procedure {procedure.name}: path of circles is grid: {{angle: …}}, from the plane's first axis towards its "
-            "second, rad; centre and radius are the setups'"
+            f"procedure {procedure.name}: path of circles is grid: {{angle: …}}, from the plane's first axis towards "
+            "its second, rad; centre and radius are the setups'"
         )
     entry = grid["angle"]
     angles = entry.values() if isinstance(entry, Spread) else list(entry)
