@@ -57,6 +57,8 @@ SHOWN: dict[str, tuple[str, float]] = {
         ("rotary_axis", 0.98, "table_thermal_growth"),
         ("probing_cam", 0.98, "workpiece_thermal"),
         ("probing_cross", 0.98, "probe_pretravel"),
+        ("ball_bar_three_planes", 0.999, "servo_mismatch_x servo_mismatch_y servo_mismatch_z"),
+        ("ball_bar_three_planes", 0.98, "reversal_spike_x reversal_spike_y reversal_spike_z"),
         ("drilled_plate", 0.999, "scale C0Y"),
         ("drilled_plate", 0.98, "pitch_periodic_x pitch_periodic_y"),
         ("drilled_plate", 0.93, "EXX EYX EXY EYY"),
@@ -96,7 +98,7 @@ STILL_AIR = {
 NEVER = {
     *("linear_drift", "station_drift", "pointer_radial_error", "retroreflector_form", "probe_pretravel"),
     *("squareness_drift_C0Y", "squareness_drift_B0Z", "squareness_drift_A0Z", "rotary_axis_drift"),
-    *("screw_growth_x", "screw_growth_y", "screw_growth_z"),
+    *(f"{name}_{axis}" for name in ("screw_growth", "servo_mismatch", "reversal_spike") for axis in "xyz"),
 }
 
 

@@ -23,6 +23,7 @@ from machine_tool_calibration.simulation import (
     choose_flaw,
     simulate,
 )
+from machine_tool_calibration.simulation.circle_run import CirclePlan
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.flaw import ALL_METHODS, Chosen, Flaw
 from machine_tool_calibration.simulation.plan import since_first
@@ -41,6 +42,7 @@ PLANS: dict[str, AnyPlan] = {
     "rotary_c": RotaryPlan(),
     "probing": ProbingPlan(grid=tuple(np.linspace(-0.13, 0.13, 11))),
     "probing_pins": ProbingPlan(part="pins", sign=1),
+    "ball_bar": CirclePlan(planes=("XY", "YZ", "ZX"), count=60, arc="whole"),
     "iso230_2": DirectPlan(repeats=2),
     "straightness": DirectPlan(kind="straightness", axis="y", sense="z"),
     "oblique": DirectPlan(
@@ -145,7 +147,7 @@ def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float]
         share = np.linspace(0.0, 1.0, 201)
         play = size * np.cos(0.5 * np.pi * (share - more["where"])) ** 2
         known = {f"b{k}": b for k, b in enumerate(np.polynomial.legendre.legfit(2 * share - 1, play, 12))}
-    shape = tuple(more[key] for key in ("tau", "lead") if key in more)
+    shape = tuple(more[key] for key in ("tau", "lead", "reach") if key in more)
     return known, (float(max(more["orders"])),) if "orders" in more else shape
 
 

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Circles with a ball bar: against exact geometry, which knows nothing of the model."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.build import Imported, import_table
+from machine_tool_calibration.importing.mapping import parse_mapping
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.procedure.description import read_procedure
+from machine_tool_calibration.procedure.plan import plan
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Session, assemble
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation.spec import FlawSpec
+
+ROOT = Path(__file__).parents[2]
+RADIUS, SIGMA, FEED, REACH = 0.15, 2e-7, 0.02, 0.01
+CENTRE = np.array([0.25, 0.2, 0.3])
+PLANES = {"XY": (0, 1), "YZ": (1, 2), "ZX": (2, 0)}
+
+
+class Circles:
+    """Places around circles in planes, counter-clockwise and clockwise, with the way of the tool there."""
+
+    def __init__(self, *planes: str, count: int = 48) -> None:
+        turn = (np.arange(count) + 0.3) * 2.0 * np.pi / count
+        self.planes = planes
+        self.setup = np.repeat(planes, 2 * count)
+        self.sense = np.tile(np.repeat([1.0, -1.0], count), len(planes))
+        self.angle = np.tile(np.concatenate([turn, -turn]), len(planes))
+        self.arm, self.way = np.zeros((2, len(self.angle), 3))
+        for k, (name, angle, sense) in enumerate(zip(self.setup, self.angle, self.sense, strict=True)):
+            self.arm[k, PLANES[name]] = RADIUS * np.array([np.cos(angle), np.sin(angle)])
+            self.way[k, PLANES[name]] = sense * np.array([-np.sin(angle), np.cos(angle)])
+        self.moved = np.where(self.way < 0.0, -1.0, 1.0)
+
+    def length(self, error: Array) -> Array:
+        """(n,) exact change of the distance to the centre by displacements (n, 3), m."""
+        return np.asarray(np.linalg.norm(self.arm + error, axis=1) - RADIUS)
+
+    def session(self, displacement: Array | float = 0.0, **more: Any) -> Session:
+        """What was read."""
+        own = {"centre": CENTRE.tolist(), "radius": RADIUS, "feed": FEED}
+        content = {
+            "format": "mtcal-session/1",
+            "method": "ball_bar",
+            "machine": {"chain": "w-Y-X-b-Z-t"},
+            "standard_uncertainty": {"displacement": SIGMA},
+            "setups": [{"id": name, "plane": name} | own for name in self.planes],
+        } | more
+        numbers = {"displacement": np.zeros(len(self.angle)) + displacement, "repeat": np.zeros(len(self.angle))}
+        for j, axis in enumerate("xyz"):
+            numbers |= {axis: CENTRE[j] + self.arm[:, j], f"dir_{axis}": self.moved[:, j]}
+        place = Place("session.yaml", "observations.csv")
+        description = describe(content, "session.yaml")
+        session = Session(description, assemble(description, numbers, {"setup": self.setup}, place), "test")
+        check_session(session, place)
+        return session
+
+
+def lost(circles: Circles, axis: int, share: Array | float = 1.0) -> Array:
+    """(n, 3) an axis behind its command, against the way it goes."""
+    error = np.zeros((len(circles.angle), 3))
+    error[:, axis] = -circles.moved[:, axis] * share
+    return error
+
+
+def since_reversal(circles: Circles, axis: int) -> Array:
+    """(n,) path along the circle since the axis turned, found by going back in small steps, m."""
+    out = np.full(len(circles.angle), np.inf)
+    steps = np.arange(0.0, np.pi, 1e-4)
+    for k in np.flatnonzero(circles.way[:, axis] != 0.0):
+        back = np.cos(steps) * circles.way[k, axis] + np.sin(steps) * circles.arm[k, axis] / RADIUS
+        out[k] = RADIUS * steps[int(np.argmax(back * circles.way[k, axis] < 0.0))]
+    return out
+
+
+@pytest.mark.parametrize("name", ["servo_mismatch_y", "reversal_spike_z"])
+def test_an_effect_of_the_path_is_what_it_moves_in_exact_geometry(name: str) -> None:
+    circles, size = Circles("XY", "YZ", "ZX"), 1e-7
+    late = -FEED * circles.way * (0.0, 1.0, 0.0)
+    held_back = lost(circles, 2, np.exp(-since_reversal(circles, 2) / REACH))
+    (effect,) = find_effects([name])
+    columns = effect.columns(build_model(circles.session())[0].observations, (REACH,) * len(effect.shapes))
+    exact = circles.length(size * (late if effect.id.startswith("servo") else held_back)) / size
+    np.testing.assert_allclose(columns, exact[None], atol=3e-3 * np.abs(exact).max())
+
+
+def found(result: Result) -> dict[str, tuple[float, float]]:
+    return {p.name: (p.value, p.standard_uncertainty) for p in result.parameters}
+
+
+@pytest.mark.parametrize("planes", [("XY",), ("YZ",), ("ZX",), ("XY", "YZ", "ZX")])
+def test_centre_length_squareness_and_scales_are_found(planes: tuple[str, ...]) -> None:
+    circles, rng = Circles(*planes), np.random.default_rng(5)
+    place = CENTRE + circles.arm
+    scale, square = np.array([3e-6, -5e-6, 9e-6]), {"C0Y": 12e-6, "A0Z": -7e-6, "B0Z": 5e-6}
+    error = scale * place
+    error[:, 0] -= square["C0Y"] * place[:, 1]  # ISO 230-1: Y turned about Z, Z about X and Y
+    error[:, 1] -= square["A0Z"] * place[:, 2]
+    error[:, 0] += square["B0Z"] * place[:, 2]
+    offset = np.array([80e-6, -120e-6, 50e-6])
+    reading = np.linalg.norm(circles.arm + error - offset, axis=1) - RADIUS - 4e-6
+    result = identify(circles.session(reading + SIGMA * rng.normal(size=len(reading))))
+    values = found(result)
+    axes = sorted({axis for name in planes for axis in name})
+    for axis in axes[1:]:
+        value, u = values[f"scale_{axis.lower()}_less_{axes[0].lower()}"]
+        assert abs(value - scale["XYZ".index(axis)] + scale["XYZ".index(axes[0])]) < 4.0 * u < 3e-6
+    for name, key in (("C0Y", "XY"), ("A0Z", "YZ"), ("B0Z", "ZX")):
+        assert (name in values) == (key in planes)
+        if key in planes:
+            assert abs(values[name][0] - square[name]) < 4.0 * values[name][1] < 3e-6
+    assert result.fit.joint.reduced_chi_square < 1.4
+    assert [entry.name for entry in result.not_determined] == ["mean_scale"]
+
+
+def test_figures_are_those_of_iso_230_4() -> None:
+    circles = Circles("XY", count=360)
+    # An ellipse at 45 degrees of 3 um either way, and 1 um between the ways round, about a centre that is off.
+    ellipse, between = 3e-6 * np.sin(2.0 * circles.angle), 0.5e-6 * circles.sense
+    reading = 20e-6 * np.cos(circles.angle) + 7e-6 + ellipse + between
+    session = circles.session(reading, length_uncertainty=5e-7)
+    content = identify(session, keep_all=True).error_map.content
+    value = {one["name"]: one["value"] for one in content["figures"]}
+    assert value["G_ccw"] == pytest.approx(6e-6, rel=1e-3)
+    assert value["G_cw"] == pytest.approx(6e-6, rel=1e-3)
+    assert value["G_b"] == pytest.approx(7e-6, rel=1e-3)
+    assert value["H"] == pytest.approx(1e-6, rel=0.02)
+    assert value["D"] == pytest.approx(7e-6, rel=1e-3)
+    assert value["F_max_ccw"] == pytest.approx(10.5e-6, rel=1e-3)
+    assert value["F_min_cw"] == pytest.approx(3.5e-6, rel=1e-3)
+    assert value["G_b of C0Y"] == pytest.approx(6e-6, rel=1e-3)
+    expanded = {one["name"]: one["U"] for one in content["figures"]}
+    assert expanded["G_b"] == pytest.approx(2.0 * np.sqrt(2.0) * SIGMA)
+    assert expanded["D"] == pytest.approx(1e-6)
+
+
+def simulated(*effects: str, seed: int = 1) -> Session:
+    flaws = tuple(FlawSpec(id=name, amplitude=3e-6) for name in effects)
+    return simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=seed, effects=flaws)).session
+
+
+def test_nothing_is_missing_in_a_sound_machine() -> None:
+    assert diagnose(simulated()).verdict == "adequate"
+
+
+def test_three_causes_are_named_together() -> None:
+    causes = ("backlash_y", "reversal_spike_x", "pitch_periodic_x")
+    assert set(causes) <= set(diagnose(simulated(*causes)).accepted)
+
+
+def test_of_a_servo_mismatch_one_plane_does_not_tell_which_axis_is_late() -> None:
+    accepted = diagnose(simulated("servo_mismatch_y")).accepted
+    assert len({"servo_mismatch_x", "servo_mismatch_y"} & set(accepted)) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.session(RADIUS), "it looks like the length"),
+        (lambda c: c.session(0.012), "it looks like millimetres"),
+        (lambda c: c.session(setups=[{"id": "XY", "plane": "XY", "centre": [0.25, 0.21, 0.3], "radius": RADIUS}]),
+         "the stated circle"),
+        (lambda c: c.session(machine={"chain": "w-X-b-Z-t"}), "has no axis Y"),
+    ],
+)  # fmt: skip
+def test_a_session_that_cannot_be_is_refused(change: Any, message: str) -> None:
+    with pytest.raises(SessionError, match=message):
+        change(Circles("XY"))
+
+
+def test_directions_that_go_no_way_round_are_refused() -> None:
+    circles = Circles("XY")
+    circles.moved[:, 0] *= -1.0
+    with pytest.raises(SessionError, match="one way round"):
+        circles.session()
+
+
+def table(folder: Path, lines: list[str]) -> Imported:
+    file = folder / "circle.csv"
+    file.write_text("\n".join(lines) + "\n")
+    content = {
+        "table": "circles",
+        "columns": {"angle": {"column": "Angle", "unit": "deg"}, "radius": {"column": "Radius", "unit": "mm"}},
+        "session": {
+            "machine": {"chain": "w-Y-X-b-Z-t"},
+            "setups": [{"id": "XY", "plane": "XY", "centre": CENTRE.tolist(), "radius": RADIUS}],
+            "standard_uncertainty": "0.2um",
+        },
+    }
+    return import_table(file, parse_mapping(content, "mapping"))
+
+
+def test_a_table_of_radii_over_the_angle_is_read(tmp_path: Path) -> None:
+    forth = (np.arange(90) + 0.25) * 4.0 + 90.0
+    lines = ["Angle,Radius"]
+    # Twice round one way without a stop and once the other, across 360 degrees, with the scatter of a trigger.
+    for k, angles in enumerate((forth, forth, forth[::-1])):
+        lines += [f"{(a + 0.2 * (-1) ** j) % 360:.3f},{150.001 + 0.001 * k:.4f}" for j, a in enumerate(angles)]
+    session = table(tmp_path, lines).session
+    readings = session.readings
+    np.testing.assert_array_equal(readings.repeat, 0)
+    np.testing.assert_allclose(readings.displacement[[0, -1]], [1e-6, 3e-6], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(readings.position() - CENTRE, axis=1), RADIUS)
+    # At the top, counter-clockwise, X goes down.
+    assert readings.columns["dir_x"][0] == -1.0
+    assert readings.columns["dir_x"][-1] == 1.0
+
+
+def test_angles_in_disorder_are_refused(tmp_path: Path) -> None:
+    angle = np.random.default_rng(1).permutation(90) * 4.0
+    with pytest.raises(SessionError, match="neither one way round nor first one and then the other"):
+        table(tmp_path, ["Angle,Radius", *(f"{a},150.0" for a in angle)])
+
+
+def test_a_procedure_is_planned_and_foretold() -> None:
+    procedure = read_procedure(ROOT / "config" / "procedures" / "ball_bar.yaml")
+    steps = plan(procedure, 1000).steps
+    assert len(steps) == 288
+    place = np.array([[step.position[axis] for axis in "xyz"] for step in steps])
+    np.testing.assert_allclose(np.hypot(place[:, 0] - 0.21, place[:, 1] - 0.2), 0.15, atol=1e-9)
+    way = np.array([[step.direction[axis] for axis in "xy"] for step in steps])
+    np.testing.assert_array_equal(np.sign(np.diff(place[:72, :2], axis=0)), way[1:72])
+    result = forecast(procedure).result
+    assert found(result)["C0Y"][1] < 1e-6
+
+
+def test_a_circle_beyond_the_travel_is_refused() -> None:
+    procedure = read_procedure(ROOT / "config" / "procedures" / "ball_bar.yaml")
+    machine = procedure.session.machine.model_copy(update={"travel": {"x": (0.1, 0.42), "y": (0.0, 0.4)}})
+    session = procedure.session.model_copy(update={"machine": machine})
+    with pytest.raises(SessionError, match=r"circle XY reaches x = 0\.0"):
+        plan(procedure.model_copy(update={"session": session}), 1000)
