@@ -29,6 +29,8 @@ _COUNTS = 0.03
 # machine itself is read, which holds many small errors side by side.
 _GROWN, _PAIRS = 6, 4
 _MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
+# Coefficients of an effect beyond which it may stand for two.
+_MANY = 2
 # Logarithm of the odds to the best below which a set is not worth growing.
 _HOPELESS = -7.0
 # A probability of nothing.
@@ -164,11 +166,19 @@ class _Search:
                 self._keep_with(others, k, found)
         return self.found[key][1]
 
-    def exchange(self, key: frozenset[int]) -> None:
-        """Every other candidate in place of each member, the others at the points that the set has given them."""
+    def exchange(self, key: frozenset[int], pairs_among: Sequence[int]) -> None:
+        """Every other candidate in place of each member, the others at the points that the set has given them.
+
+        A member of many coefficients may stand for two effects: all pairs are tried in its place.
+        """
         members = self.found[key][1]
-        for k in members if len(key) > 1 else ():
-            self.grow({j: point for j, point in members.items() if j != k})
+        for k, point in members.items():
+            others = {j: own for j, own in members.items() if j != k}
+            beside = self.grow(others)
+            if len(self.blocks[point.block].unit) > _MANY:
+                for pair in _best_pairs(self, beside, pairs_among, others):
+                    for one, at in pair.items():
+                        self.grow(others | {one: at})
 
     def _keep_with(self, members: Members, k: int, found: Table) -> None:
         """The set of some members and another candidate, from the table beside these members."""
@@ -203,10 +213,10 @@ def search(
     """
     work = _Search(blocks, log_odds, _sizes_that_matter(gram, blocks, log_odds), exclusive)
     single = work.grow({})
-    for pair in _best_pairs(work, single, pairs_among):
+    for pair in _best_pairs(work, single, pairs_among, {}):
         # Each at the point that is best beside the other.
-        for k in pair:
-            work.grow({k: single.best[k]})
+        for k, point in pair.items():
+            work.grow({k: point})
     most, width = (_MOST_SIDE_BY_SIDE, 1) if side_by_side else (_MOST_MEMBERS, _GROWN)
     done, exchanged = {frozenset[int]()}, set[frozenset[int]]()
     while True:
@@ -217,7 +227,7 @@ def search(
             break
         if not ready:
             exchanged.add(ranked[0])
-            work.exchange(ranked[0])
+            work.exchange(ranked[0], pairs_among)
             continue
         done.add(ready[0])
         work.grow(work.polished(ready[0]))
@@ -264,31 +274,31 @@ def _sizes_that_matter(gram: Gram, blocks: Sequence[Block], log_odds: Array) -> 
     return [marginal_at(gram, ratio, prior[ratio]) for ratio in sorted(prior)]
 
 
-def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tuple[int, int]]:
-    """Pairs that together do better than the best single, at the points where each is best alone."""
-    points = {k: single.best[k] for k in among if k in single.best}
-    pairs = [pair for pair in combinations(points, 2) if work.may_stand(pair)]
+def _best_pairs(work: _Search, beside: Table, among: Sequence[int], members: Members) -> list[Members]:
+    """Pairs that do better than the best set beside some members, each at the point where it is best beside these."""
+    points = {k: beside.best[k] for k in among if k in beside.best and k not in members}
+    pairs = [pair for pair in combinations(points, 2) if work.may_stand({*members, *pair})]
     if not pairs:
         return []
+    tried = work.marginals_with(members)
     columns, scale = _columns(work.blocks, points)
     ends = np.cumsum([len(work.blocks[point.block].unit) for point in points.values()])
     place = dict(zip(points, np.split(np.arange(len(columns)), ends[:-1]), strict=True))
-    inner = np.eye(len(columns)) + [
-        marginal.inner(columns, columns) * np.outer(scale, scale) for marginal in work.tried
-    ]
-    data = np.array([marginal.data[columns] * scale for marginal in work.tried])
-    squares = np.array([marginal.squares for marginal in work.tried])
-    left, determinant = np.empty((2, len(pairs), len(work.tried)))
+    inner = np.eye(len(columns)) + [marginal.inner(columns, columns) * np.outer(scale, scale) for marginal in tried]
+    data = np.array([marginal.data[columns] * scale for marginal in tried])
+    squares = np.array([marginal.squares for marginal in tried])
+    left, determinant = np.empty((2, len(pairs), len(tried)))
     for n, (i, j) in enumerate(pairs):
         own = np.append(place[i], place[j])
         core, right = inner[:, own[:, None], own], data[:, own]
         left[n] = squares - np.sum(right * np.linalg.solve(core, right[..., None])[..., 0], axis=1)
         determinant[n] = np.linalg.slogdet(core)[1]
-    logs = work.tried[0].gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant
-    logs += [marginal.log_prior for marginal in work.tried]
-    weight = logsumexp(logs, axis=1) + [work.prior({k: points[k] for k in pair}) for pair in pairs]
+    logs = tried[0].gram.log_likelihood(np.maximum(left, NOTHING * squares)) - 0.5 * determinant
+    logs += [marginal.log_prior for marginal in tried]
+    weight = logsumexp(logs, axis=1) + [work.prior(members | {k: points[k] for k in pair}) for pair in pairs]
     least = max(value for value, _ in work.found.values()) + _HOPELESS
-    return [pairs[n] for n in np.argsort(-weight)[:_PAIRS] if weight[n] > least]
+    best = [pairs[n] for n in np.argsort(-weight)[:_PAIRS] if weight[n] > least]
+    return [{k: points[k] for k in pair} for pair in best]
 
 
 def _columns(blocks: Sequence[Block], members: Members) -> tuple[IntArray, Array]:
