@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A measuring method that a package of its own adds, with one line that announces it: circles with a ball bar."""
+"""A measuring method that a package of its own adds, with one line that announces it: circles with a gauge."""
 
 import json
 from collections.abc import Iterator
@@ -22,12 +22,12 @@ from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
-LINE = "ball_bar = ball_bar.spec:SPEC"
+LINE = "circle_gauge = circle_gauge.spec:SPEC"
 RADIUS, SIGMA = 0.15, 2e-7
 SQUARENESS, MISMATCH, BACKLASH = 12e-6, -8e-6, 3e-6
 
 DESCRIPTION = f"""format: mtcal-session/1
-method: ball_bar
+method: circle_gauge
 machine: {{chain: w-Y-X-b-Z-t, travel: {{x: [0, 0.5], y: [0, 0.4]}}}}
 repeats: 2
 standard_uncertainty: {{displacement: {SIGMA}}}
@@ -39,9 +39,9 @@ setups:
 
 def announced(site: Path, line: str) -> Path:
     """A folder with an installed package that announces a method."""
-    info = site / "ball_bar-1.0.dist-info"
+    info = site / "circle_gauge-1.0.dist-info"
     info.mkdir(parents=True)
-    (info / "METADATA").write_text("Name: ball-bar\nVersion: 1.0\n")
+    (info / "METADATA").write_text("Name: circle-gauge\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[{catalogue.ENTRY_POINT_GROUP}]\n{line}\n")
     return site
 
@@ -137,10 +137,10 @@ def test_the_command_line_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture
     folder = str(circles(tmp_path / "circles", backlash=BACKLASH))
     assert run(["identify", folder, "--effect", "backlash_y", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["method"] == "ball_bar"
+    assert document["method"] == "circle_gauge"
     within({p["name"]: (p["value"], p["standard_uncertainty"]) for p in document["parameters"]})
     assert run(["identify", folder, "--plot", "-o", str(tmp_path / "out")]) == 0
-    assert "circles with a ball bar" in capsys.readouterr().out
+    assert "circles with a gauge" in capsys.readouterr().out
     assert (tmp_path / "out" / "error_map.png").exists()
     assert run(["convert", folder, str(tmp_path / "bag")]) == 0
     assert run(["compare", str(tmp_path / "bag")]) == 0
@@ -156,15 +156,15 @@ def test_its_session_is_checked(tmp_path: Path) -> None:
     (folder / "session.yaml").write_text(text)
     rows = (folder / "observations.csv").read_text().replace(",x,", ",position,", 1)
     (folder / "observations.csv").write_text(rows)
-    with pytest.raises(SessionError, match="the column 'x' is missing, which ball_bar needs"):
+    with pytest.raises(SessionError, match="the column 'x' is missing, which circle_gauge needs"):
         read_session(folder)
 
 
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("ball_bar = no_such_module:SPEC", "No module named"),
-        ("ball_bar = json:loads", "no MethodSpec"),
+        ("circle_gauge = no_such_module:SPEC", "No module named"),
+        ("circle_gauge = json:loads", "no MethodSpec"),
         ("probing = machine_tool_calibration.methods.probing.spec:SPEC", "already"),
     ],
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Circles with a double ball bar in the XY plane (ISO 230-4), as a record."""
+"""Circles with a length gauge between table and tool in the XY plane (ISO 230-4), as a record."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -17,29 +17,29 @@ class CircleSetup(Setup):
     radius: Positive
 
 
-class BallBar(Description):
+class CircleGauge(Description):
     """Deviations of the distance between tool and centre from the nominal radius."""
 
     reads: ClassVar[str | None] = "ball_bar"
 
-    method: Literal["ball_bar"]
+    method: Literal["circle_gauge"]
     setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
 
 
 class CircleSpec(MethodSpec):
     """A centre, a length and the machine's errors need six readings."""
 
-    description = BallBar
+    description = CircleGauge
     always = ("setup", "x", "y", "displacement")
     needed = 6
-    remounted = "the ball bar"
-    model = "ball_bar.model"
+    remounted = "the gauge"
+    model = "circle_gauge.model"
     models: ClassVar = {"circle": "the only one"}
     reads_deviations = True
 
-    def words(self, description: BallBar) -> str:
+    def words(self, description: CircleGauge) -> str:
         """What it is."""
-        return "circles with a ball bar"
+        return "circles with a gauge"
 
 
 SPEC = CircleSpec()

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ball_bar.spec import BallBar
+from circle_gauge.spec import CircleGauge
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
@@ -81,7 +81,7 @@ def build(session: Session, model: str) -> CircleModel:
     Raises:
         ModelError: no reading.
     """
-    description = session.description.as_a(BallBar)
+    description = session.description.as_a(CircleGauge)
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     if not len(readings):
         raise ModelError("no reading: every displacement is missing")
