@@ -20,11 +20,9 @@ from worlds import machining
 
 from machine_tool_calibration.errors import CalibrationError
 
-CAUSES = tuple(
-    f"{kind}_{axis}"
-    for kind in ("backlash", "lost_motion", "servo_mismatch", "reversal_spike", "pitch_periodic")
-    for axis in "xy"
-) + ("reversal_EYX", "reversal_EXY", "EYX", "EXY", "linear_drift")  # fmt: skip
+_OF_AXES = ("backlash", "lost_motion", "servo_mismatch", "reversal_spike", "pitch_periodic")
+CAUSES = (*(f"{kind}_{axis}" for kind in _OF_AXES for axis in "xy"),
+          "reversal_EYX", "reversal_EXY", "EYX", "EXY", "linear_drift")  # fmt: skip
 PLANS = ("ball_bar", "ball_bar_three_planes")
 
 
@@ -42,12 +40,17 @@ def trial(number: int, count: int, size: float) -> Outcome | None:
 
 def table(outcomes: Sequence[tuple[int, Outcome]]) -> str:
     """Shares by number of causes."""
-    lines = ["| causes | machines | all named % | none wrong % | processor s of a diagnosis |", "|---:|---:|---:|---:|---:|"]
+    lines = [
+        "| causes | machines | all named % | none wrong % | processor s of a diagnosis |",
+        "|---:|---:|---:|---:|---:|",
+    ]
     for count in sorted({count for count, _ in outcomes}):
         mine = [outcome for k, outcome in outcomes if k == count]
         named = 100.0 * np.mean([bool(o.named) for o in mine])
         right = 100.0 * np.mean([not o.wrong for o in mine])
-        lines.append(f"| {count} | {len(mine)} | {named:.0f} | {right:.0f} | {np.median([o.seconds for o in mine]):.1f} |")
+        lines.append(
+            f"| {count} | {len(mine)} | {named:.0f} | {right:.0f} | {np.median([o.seconds for o in mine]):.1f} |"
+        )
     return "\n".join(lines)
 
 
@@ -64,8 +67,8 @@ def main() -> None:
         if outcome is None:
             continue
         outcomes.append((count, outcome))
-        print(number, outcome.plan, outcome.hidden, "->", outcome.accepted, "WRONG " + outcome.wrong if outcome.wrong else "",
-              "" if outcome.named else "MISSED", flush=True)  # fmt: skip
+        marks = "WRONG " * bool(outcome.wrong) + "MISSED" * (not outcome.named)
+        print(number, outcome.plan, outcome.hidden, "->", outcome.accepted, marks, flush=True)
     print(table(outcomes))
 
 

@@ -20,7 +20,11 @@ def test_a_guide_runs_from_top_to_bottom(guide: Path, tmp_path: Path, monkeypatc
         shutil.copy(procedure, tmp_path)
     monkeypatch.chdir(tmp_path)
     text = guide.read_text(encoding="utf-8")
-    lines = [line for block in re.findall(r"^```bash\n(.*?)^```", text, re.DOTALL | re.MULTILINE) for line in block.splitlines()]
+    lines = [
+        line
+        for block in re.findall(r"^```bash\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+        for line in block.splitlines()
+    ]
     commands = [shlex.split(line, comments=True) for line in lines if line.strip()]
     assert commands
     for verb, *arguments in commands:

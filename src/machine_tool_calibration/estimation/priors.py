@@ -149,6 +149,10 @@ structure lies in the span of an effect, and is that effect."""
 UNRELATED = 0.5
 """Probability that two effects are in together, over that if they were unrelated, below which they exchange it."""
 
+AS_LIKELY = 0.5
+"""Share of the likeliest look-alike's probability from which a commoner one, which the catalogue has before it, stands
+for both: readings that do not tell them apart give them probabilities that differ by their priors' widths alone."""
+
 LAW, SECOND_TIME_CONSTANT = 0.5, 1.0
 """Share of a surer effect's signal below which another one that is the same but for a smooth function of time is what
 that effect differs from its law by; and the same where that effect has a time constant and the other none: slow parts

@@ -353,7 +353,7 @@ def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
 def _accepted(
     columns: _Columns, groups: Sequence[tuple[str, ...]], found: Posterior, further: float
 ) -> tuple[str, ...]:
-    """Effects that are in more likely than not, the surest first; of look-alikes the likeliest stands for all.
+    """Effects that are in more likely than not, the surest first; of look-alikes one stands for all.
 
     Each given those before it: what is likely in different sets is not for that likely together.
 
@@ -369,7 +369,7 @@ def _accepted(
     accepted: list[int] = []
     while left:
         chances = [round(found.of(*group, given=accepted), 2) for group in left]
-        heads = [max(group, key=lambda k: found.of(k, given=accepted)) for group in left]
+        heads = [_head(group, found, accepted) for group in left]
         best = max(range(len(left)), key=lambda j: (chances[j], found.log_factor(heads[j])))
         if chances[best] <= (further if accepted else priors.ACCEPTED):
             break
@@ -378,6 +378,12 @@ def _accepted(
     accepted.sort(key=lambda k: -found.log_factor(k))
     signals = [_signal(columns, found, k) for k in accepted]
     return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
+
+
+def _head(group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
+    """Of look-alikes the likeliest, or one nearly as likely that comes before it in the catalogue: a commoner cause."""
+    chance = {k: found.of(k, given=accepted) for k in group}
+    return min(k for k in group if chance[k] >= priors.AS_LIKELY * max(chance.values()))
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
