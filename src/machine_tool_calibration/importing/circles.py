@@ -9,8 +9,8 @@ from scipy.ndimage import median_filter
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
-from machine_tool_calibration.methods.ball_bar.description import CircleSetup
 from machine_tool_calibration.session.defects import validated
+from machine_tool_calibration.session.description import CircleSetup
 
 _CCW = ("ccw", "+", "+1", "1", "g3", "g03", "left", "↺")
 _CW = ("cw", "-", "-1", "g2", "g02", "right", "↻")

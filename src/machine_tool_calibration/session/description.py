@@ -190,6 +190,20 @@ class DirectSetup(Setup):
     """A setup of an instrument that reads deviations directly."""
 
 
+class CircleSetup(Setup):
+    """A circle: its two axes, the centre where it is meant to be, m, the bar's nominal length, m.
+
+    Attributes:
+        plane: counter-clockwise is from its first axis towards its second.
+        feed: path speed, m/s, where the readings do not say it in a column `feed`.
+    """
+
+    plane: Literal["XY", "YZ", "ZX"]
+    centre: Vector3
+    radius: Positive
+    feed: Positive | None = None
+
+
 Said = TypeVar("Said", bound="Description")
 
 
@@ -315,3 +329,25 @@ class Direct(Description):
                 "reads"
             )
         return (float(name[1] == "X"), float(name[1] == "Y"), float(name[1] == "Z"))
+
+
+class BallBar(Description):
+    """Deviations of the distance between tool and centre from the bar's nominal length, all around."""
+
+    reads: ClassVar[str | None] = "ball_bar"
+
+    method: Literal["ball_bar"]
+    setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
+    # standard uncertainty of the bar's length, m: of one that was calibrated, radial deviations are reported
+    length_uncertainty: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> BallBar:
+        linear = self.machine.kinematics.linear
+        for setup in self.setups:
+            for axis in setup.plane:
+                if axis not in linear:
+                    raise ValueError(
+                        f"setup {setup.id} is in {setup.plane}, and the chain {self.machine.chain} has no axis {axis}"
+                    )
+        return self

@@ -14,6 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.description import (
+    BallBar,
     Description,
     Direct,
     RotaryAxis,
@@ -150,6 +151,19 @@ class Along(Optics):
         return Sight(targets @ self._direction, np.broadcast_to(self._direction, targets.shape))
 
 
+class Bar(Optics):
+    """A ball bar between the tool and a cup on the table, which stands a little beside its place."""
+
+    def __init__(self, site: Site, description: BallBar) -> None:
+        self._centres = [np.array(setup.centre) + site.cup_offset(k) for k, setup in enumerate(description.setups)]
+
+    def sight(self, targets: Array, pose: Pose, beam: Beam, moment: Scene) -> Sight:
+        """See `Optics`."""
+        arm = targets - self._centres[int(moment.setup[0])]
+        length = np.linalg.norm(arm, axis=1)
+        return Sight(length, arm / length[:, None])
+
+
 def make_optics(site: Site, description: Description) -> Optics:
     """The optics of a session's method.
 
@@ -165,4 +179,6 @@ def make_optics(site: Site, description: Description) -> Optics:
             return FlatMirror(site, description)
         case Direct():
             return Along(site, description)
+        case BallBar():
+            return Bar(site, description)
     raise CalibrationError(f"no interferometer measures a {description.method} session")

@@ -34,6 +34,7 @@ from machine_tool_calibration.simulation.spec import FlawSpec
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
 _NOISE = 3e-7
+_CENTRED = 2e-5  # m: standard deviation to which a ball bar's cup is put in its place
 _TURNS = (-20.0 * np.pi, 20.0 * np.pi)
 
 
@@ -181,6 +182,10 @@ class Site(LiveMachine):
         """(2,) tilt of a setup's flat mirror off its beam, rad, in a direction drawn from the seed."""
         angle = np.random.default_rng([self.spec.seed, 17, index]).uniform(0.0, 2.0 * np.pi)
         return self.spec.mirror_tilt * np.array([np.cos(angle), np.sin(angle)])
+
+    def cup_offset(self, index: int) -> Array:
+        """(3,) how far a ball bar's cup of a setup stands beside its place, m, drawn from the seed."""
+        return self._drawn(19, index, None, _CENTRED)
 
     def true_beam(self, moment: Scene, azimuth: float, elevation: float, station: Array) -> Beam:
         """The beam for commanded angles, rad, of the pointer whose true rotation centre is at a station (3,)."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.methods.ball_bar.description import BallBar
+from machine_tool_calibration.session.description import BallBar
 from machine_tool_calibration.session.session import Readings
 
 # Component of a tangent below which an axis stands: it reverses there, and its direction says nothing of the way round.

@@ -15,10 +15,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.methods.ball_bar.circle import angles, arms, travel_sense
-from machine_tool_calibration.methods.ball_bar.description import BallBar
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.description import BallBar
 
 WAYS: Mapping[str, float] = {"ccw": 1.0, "cw": -1.0}
 """Ways round, and their sense."""

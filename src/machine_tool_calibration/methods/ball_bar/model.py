@@ -17,7 +17,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
-from machine_tool_calibration.methods.ball_bar.description import BallBar
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
@@ -31,6 +30,7 @@ from machine_tool_calibration.model.rigid_body import (
     position_errors,
     tables_content,
 )
+from machine_tool_calibration.session.description import BallBar
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say
 

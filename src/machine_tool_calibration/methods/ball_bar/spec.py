@@ -11,8 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense
-from machine_tool_calibration.methods.ball_bar.description import BallBar
-from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.description import BallBar, Place
 from machine_tool_calibration.session.judgements import Held
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session

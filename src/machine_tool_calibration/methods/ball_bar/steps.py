@@ -11,9 +11,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.ball_bar.description import BallBar, CircleSetup
 from machine_tool_calibration.procedure.description import Procedure, Spread
 from machine_tool_calibration.procedure.steps import Step
+from machine_tool_calibration.session.description import BallBar, CircleSetup
 
 
 def circle_steps(procedure: Procedure) -> Iterator[Step]:
@@ -24,7 +24,7 @@ def circle_steps(procedure: Procedure) -> Iterator[Step]:
     """
     session = procedure.session.as_a(BallBar)
     angles = _angles(procedure)
-    number = 0
+    number, last = 0, ""
     for setup, repeat, sense in product(session.setups, range(session.repeats), (1, -1)):
         forth = angles[::sense]
         # The other way round the circle is entered where it ends.
@@ -37,9 +37,9 @@ def circle_steps(procedure: Procedure) -> Iterator[Step]:
                     direction[axis] = 1 if value > before[axis] else -1
             yield Step(
                 number, setup.id, repeat, position, dict(direction), (before,) if k == 0 else (),
-                (position["x"], position["y"], position["z"]), points=False, datum=False,
+                (position["x"], position["y"], position["z"]), points=False, datum=setup.id != last,
             )  # fmt: skip
-            before, number = position, number + 1
+            before, number, last = position, number + 1, setup.id
 
 
 def _angles(procedure: Procedure) -> list[float]:
