@@ -24,27 +24,18 @@ from machine_tool_calibration.session.contributor import Contributor
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All that a report tells.
+    """All that a report tells."""
 
-    Attributes:
-        measured: what was evaluated.
-        result: the machine's errors.
-        comparisons: the model against the readings of each session.
-        improvement: the diagnosis of the model, and the models with what it finds; None if it was not asked for.
-        conclusions: what follows from the diagnosis.
-        budget: of uncertainties, which the result and the steps state; None if there are no contributors.
-        general: whether its contributors are those of an instrument to begin with.
-        conformity: with tolerances; None if there are none.
-    """
-
-    measured: Measured
-    result: Result | JointResult
-    comparisons: tuple[Comparison, ...]
+    measured: Measured  # what was evaluated
+    result: Result | JointResult  # the machine's errors
+    comparisons: tuple[Comparison, ...]  # the model against the readings of each session
+    # the diagnosis of the model, and the models with what it finds; None if it was not asked for
     improvement: Improvement | None = None
-    conclusions: Conclusions | None = None
+    conclusions: Conclusions | None = None  # what follows from the diagnosis
+    # of uncertainties, which the result and the steps state; None if there are no contributors
     budget: Budget | None = None
-    general: bool = False
-    conformity: Conformity | None = None
+    general: bool = False  # whether its contributors are those of an instrument to begin with
+    conformity: Conformity | None = None  # with tolerances; None if there are none
 
     @cached_property
     def document(self) -> dict[str, Any]:

@@ -48,17 +48,11 @@ _PANELS = 4
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture of the report.
+    """A picture of the report."""
 
-    Attributes:
-        name: of its file, without the ending.
-        caption: below it, and for those who do not see it.
-        figure: itself.
-    """
-
-    name: str
-    caption: str
-    figure: Figure
+    name: str  # of its file, without the ending
+    caption: str  # below it, and for those who do not see it
+    figure: Figure  # itself
 
     @property
     def inches(self) -> float:

@@ -70,16 +70,11 @@ Block = str | TextTable | Picture | Turnable
 
 @dataclass
 class Section:
-    """A section of the report.
+    """A section of the report."""
 
-    Attributes:
-        id: for links.
-        title: its heading.
-        blocks: what stands in it: sentences, tables, pictures, drawings in space.
-    """
-
-    id: str
-    title: str
+    id: str  # for links
+    title: str  # its heading
+    # what stands in it: sentences, tables, pictures, drawings in space
     blocks: list[Block] = field(default_factory=list)
 
     def rows(self) -> Iterator[tuple[int, list[Block]]]:

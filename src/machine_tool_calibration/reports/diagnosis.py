@@ -109,18 +109,12 @@ _MOST_OTHERS = 3  # effects beside those found
 
 @dataclass(frozen=True)
 class Report:
-    """A diagnosis in words.
+    """A diagnosis in words."""
 
-    Attributes:
-        words: paragraphs, the verdict first.
-        tables: the numbers; empty ones are left out.
-        forecast: sentences on what dominates the map's uncertainty, and what makes it smaller.
-        details: what to measure next, what this measurement could not show, and what was not looked for.
-    """
-
-    words: tuple[str, ...]
-    tables: tuple[TextTable, ...]
-    forecast: tuple[str, ...]
+    words: tuple[str, ...]  # paragraphs, the verdict first
+    tables: tuple[TextTable, ...]  # the numbers; empty ones are left out
+    forecast: tuple[str, ...]  # sentences on what dominates the map's uncertainty, and what makes it smaller
+    # what to measure next, what this measurement could not show, and what was not looked for
     details: tuple[TextTable, ...]
 
 

@@ -41,18 +41,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Measured:
-    """Measurements as they were recorded, and what is to be fitted to them.
+    """Measurements as they were recorded, and what is to be fitted to them."""
 
-    Attributes:
-        recorded: the measurements, with all their readings.
-        chosen: those to fit, without what the history's model sets aside, and the model: one that was asked for, or
-            one of the history.
-        history: the models from the first to the one in use, where it is the history's.
-    """
-
-    recorded: tuple[Session, ...]
+    recorded: tuple[Session, ...]  # the measurements, with all their readings
+    # those to fit, without what the history's model sets aside, and the model: one that was asked for, or one of the
+    # history
     chosen: FitRequest
-    history: tuple[Entry, ...] = ()
+    history: tuple[Entry, ...] = ()  # the models from the first to the one in use, where it is the history's
 
     def document(self, result: Result | JointResult) -> dict[str, Any]:
         """The result as a JSON document, with the readings that the history's model set aside among the rejected."""

@@ -25,19 +25,12 @@ _SHORT, _PAGE, _ABREAST = 8, 44, 11
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text.
+    """A table of text."""
 
-    Attributes:
-        title: what it shows; may be empty.
-        columns: heads; all may be empty.
-        rows: as many texts as there are heads; a text may have several lines.
-        note: to be read below it.
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
+    title: str  # what it shows; may be empty
+    columns: tuple[str, ...]  # heads; all may be empty
+    rows: tuple[tuple[str, ...], ...]  # as many texts as there are heads; a text may have several lines
+    note: str = ""  # to be read below it
 
     def filled(self) -> TextTable:
         """The same without columns of which no row has any text."""

@@ -22,28 +22,18 @@ _HALF_ARC = np.radians(110.0)
 
 
 class CirclePlan(Plan):
-    """Circles in one or more planes, counter-clockwise and clockwise in every repeat.
-
-    Attributes:
-        planes: a setup each.
-        centre: where all circles have their centre, m.
-        radius: nominal length of the bar, m.
-        count: readings of a circle.
-        feed: path speed, m/s.
-        arc: in planes with Z the bar clears the table over 220 degrees only (`upper`), or all round (`whole`).
-        centring: the centre is off by this (standard deviation per coordinate), m.
-        length_error: the bar's length is off by this (standard deviation), m.
-    """
+    """Circles in one or more planes, counter-clockwise and clockwise in every repeat."""
 
     method: Literal["ball_bar"] = "ball_bar"
-    planes: Annotated[tuple[Literal["XY", "YZ", "ZX"], ...], Field(min_length=1)] = ("XY",)
-    centre: Vector3 = (0.25, 0.2, 0.15)
-    radius: Positive = 0.15
-    count: Annotated[int, Field(ge=8, le=100_000)] = 180
-    feed: Positive = 1.0 / 60.0
+    planes: Annotated[tuple[Literal["XY", "YZ", "ZX"], ...], Field(min_length=1)] = ("XY",)  # a setup each
+    centre: Vector3 = (0.25, 0.2, 0.15)  # where all circles have their centre, m
+    radius: Positive = 0.15  # nominal length of the bar, m
+    count: Annotated[int, Field(ge=8, le=100_000)] = 180  # readings of a circle
+    feed: Positive = 1.0 / 60.0  # path speed, m/s
+    # in planes with Z the bar clears the table over 220 degrees only (`upper`), or all round (`whole`)
     arc: Literal["upper", "whole"] = "upper"
-    centring: NotNegative = 2e-5
-    length_error: NotNegative = 5e-6
+    centring: NotNegative = 2e-5  # the centre is off by this (standard deviation per coordinate), m
+    length_error: NotNegative = 5e-6  # the bar's length is off by this (standard deviation), m
     chain: str = "w-Y-X-b-Z-t"
     noise: Positive = 2e-7
 

@@ -38,25 +38,17 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Model:
-    """A model that was tried.
+    """A model that was tried."""
 
-    Attributes:
-        fit: to the readings that are not set aside.
-        step: what it is on the way.
-        comparison: it, held against its readings.
-        aside: numbers of the readings that are set aside.
-        kept: numbers of the readings that are not to be set aside, however far they stand out.
-        number: in the history; None while it is not kept.
-        found: the readings that a search found not to belong to the rest, by number: what they deviate by from what
-            all others predict, m. The user set aside what is not among them.
-    """
-
-    fit: Fit
-    step: Step
-    comparison: Comparison | JointComparison
-    aside: frozenset[int] = frozenset()
+    fit: Fit  # to the readings that are not set aside
+    step: Step  # what it is on the way
+    comparison: Comparison | JointComparison  # it, held against its readings
+    aside: frozenset[int] = frozenset()  # numbers of the readings that are set aside
+    # numbers of the readings that are not to be set aside, however far they stand out
     kept: frozenset[int] = frozenset()
-    number: int | None = None
+    number: int | None = None  # in the history; None while it is not kept
+    # the readings that a search found not to belong to the rest, by number: what they deviate by from what all others
+    # predict, m. The user set aside what is not among them
     found: Mapping[int, float] = field(default_factory=dict)
 
     @property
@@ -80,14 +72,10 @@ class Subject:
     """A measurement with all its readings, and the user's own effects.
 
     Readings have a number: the row of the recording, counted on from session to session where there are several.
-
-    Attributes:
-        measurement: one session or several.
-        own: effects beside the catalogue.
     """
 
-    measurement: Measurement
-    own: tuple[Effect, ...] = ()
+    measurement: Measurement  # one session or several
+    own: tuple[Effect, ...] = ()  # effects beside the catalogue
 
     @cached_property
     def first(self) -> tuple[int, ...]:
@@ -207,21 +195,13 @@ class Subject:
 
 @dataclass(frozen=True)
 class Opened:
-    """A measurement that was read.
+    """A measurement that was read."""
 
-    Attributes:
-        subject: it.
-        prints: fingerprints of the sessions.
-        models: on the way to the one in use.
-        history: of models.
-        remark: what is to be said.
-    """
-
-    subject: Subject
-    prints: tuple[str, ...]
-    models: list[Model]
-    history: History
-    remark: str
+    subject: Subject  # it
+    prints: tuple[str, ...]  # fingerprints of the sessions
+    models: list[Model]  # on the way to the one in use
+    history: History  # of models
+    remark: str  # what is to be said
 
 
 def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], progress: Progress) -> Opened:

@@ -36,15 +36,11 @@ def measurements_in(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class Job:
-    """Something to be calculated, perhaps in another process, and what takes the outcome.
+    """Something to be calculated, perhaps in another process, and what takes the outcome."""
 
-    Attributes:
-        work: the calculation, given what it reports its progress to. It knows nothing of the page.
-        take: shows the outcome.
-    """
-
+    # the calculation, given what it reports its progress to. It knows nothing of the page
     work: Callable[[Progress], Any]
-    take: Callable[[Any], None]
+    take: Callable[[Any], None]  # shows the outcome
 
     def then(self, act: Callable[[], object]) -> Job:
         """The same, with something done after the outcome has been shown."""
