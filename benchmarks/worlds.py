@@ -12,14 +12,17 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from machine_tool_calibration.arrays import Array, rigid_motions
+from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import (
@@ -39,6 +42,8 @@ from machine_tool_calibration.simulation.plan import since_first
 
 # Largest change of a reading by which an effect is tried at first, and by which it may be seen at last, m.
 _TRIED, _LARGEST_SEEN = 3e-6, 1.5e-5
+# Share of a signal that an effect at its largest usual size may leave.
+_OFF = 0.1
 # Cosine from which signals outside the model count as the same, and up to which two are told apart.
 ALIKE, _APART = 0.9, 0.5
 # Slopes and bows between setups, and gross errors, in standard uncertainties of a reading; their share.
@@ -151,6 +156,21 @@ def inner_products(fit: Fit, changes: Sequence[Array]) -> Array:
     return np.asarray(screen(fit, np.array(changes)).gram[:-1, :-1])
 
 
+def plausible(fit: JointFit, name: str, signal: Array) -> bool:
+    """Whether usual coefficients, by the catalogue's limits, reproduce a signal as well as any: where any do best."""
+    pool, tried = Pool(fit), list[tuple[float, float]]()
+    for shaped in (shaped for found in effect_candidates(pool, find_effects([name]))[0] for shaped in found.shapes):
+        least, largest = np.array([(max(c.least, -c.usual), min(c.high, c.usual)) for c in shaped.coefficients]).T
+        # Rows with the inner products of the signal and of the columns at their largest size.
+        columns = largest[:, None] * shaped.columns
+        values, vectors = np.linalg.eigh(pool.screen(np.array([signal, *columns])).gram[:-1, :-1])
+        rows = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        limits = (-np.inf, np.inf), (least / largest, 1.0)
+        free, usual = (2.0 * lsq_linear(rows[:, 1:], rows[:, 0], own).cost for own in limits)
+        tried.append((free, usual - free))
+    return bool(tried) and min(tried)[1] <= _OFF**2 * float(inner_products(fit.fits[0], [signal])[0, 0])
+
+
 def hidden_signals(
     spec: SimulationSpec, clean: Session, names: Sequence[str], sizes: Sequence[float]
 ) -> dict[str, Array]:
@@ -171,6 +191,11 @@ def hidden_signals(
         session = with_change(clean, signal)
         return gain(session, name) > ALIKE**2 * least_squares(session).joint.solution.chi_square
 
+    def occurs(name: str, signal: Array) -> bool:
+        if name not in catalogue():
+            return not any(reproduced(known, signal) for known in catalogue())
+        return plausible(fit.joint, name, signal) and reproduced(name, signal)
+
     for name in (name for name in names if name not in taken):
         try:
             seen = float(np.sqrt(max(inner_products(fit, [change(name, _TRIED)])[0, 0], 0.0)))
@@ -183,9 +208,8 @@ def hidden_signals(
         norm = np.sqrt(np.diag(inner))
         if (np.abs(inner[0, 1:]) > _APART * norm[0] * norm[1:]).any():
             continue
-        # A listed effect acts by its law, an unlisted one by none of the catalogue's.
-        listed = name in catalogue()
-        if any(reproduced(known, signal) for known in ([name] if listed else catalogue())) == listed:
+        # A listed effect acts by its law and is of a size that occurs, an unlisted one acts by none of the catalogue's.
+        if occurs(name, signal):
             out[name] = signal
         if len(out) == len(sizes):
             return out
