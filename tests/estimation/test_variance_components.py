@@ -6,7 +6,7 @@ import pytest
 from scipy.special import logsumexp
 
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, size_grid
+from machine_tool_calibration.estimation.marginal import Gram, left_at, size_grid
 from machine_tool_calibration.estimation.variance_components import components
 
 GROUPS, EACH = 6, 6
@@ -76,7 +76,7 @@ def test_posterior_is_that_of_the_dense_restricted_likelihood(sizes: tuple[float
     prior = {ratio: log for ratio, log, _ in size_grid(gram, lambda ratio, log: 0.0, finer=2)}
     expected = np.array(logs) + [prior[ratio] for ratio in found.ratios]
     assert found.log_weights == pytest.approx(expected - logsumexp(expected), abs=1e-6)
-    assert found.squares == pytest.approx(np.array(squares), rel=1e-9)
+    assert [left_at(gram, ratio)[1] for ratio in found.ratios] == pytest.approx(squares, rel=1e-9)
     assert found.weights.sum() == pytest.approx(1.0)
 
 

@@ -138,10 +138,15 @@ class Marginal:
 
     def log_null_with(self, columns: IntArray, scale: Array) -> float:
         """What `log_null` is with columns of given scales folded in, without folding them in."""
+        log_prior, left = self.left_with(columns, scale)
+        return float(log_prior + self.gram.log_likelihood(left))
+
+    def left_with(self, columns: IntArray, scale: Array) -> tuple[float, float]:
+        """`log_prior` and `squares` with columns of given scales folded in, likewise."""
         lower = _factor_of_sum(self.inner(columns, columns) * np.outer(scale, scale))
         explained = float(np.sum(_below(lower, scale * self.data[columns]) ** 2))
         left = max(self.squares - explained, NOTHING * self.gram.squares)
-        return float(self.log_prior - np.log(np.diag(lower)).sum() + self.gram.log_likelihood(left))
+        return self.log_prior - float(np.log(np.diag(lower)).sum()), left
 
     def with_columns(self, columns: IntArray, scale: Array) -> Marginal:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
@@ -157,8 +162,8 @@ class Marginal:
         )
 
 
-def log_noise(squares: float, dof: int) -> Array:
-    """(2,) logarithms of the likelihood of a sum of squares by what the declared uncertainty is worth.
+def log_noise(squares: Array | float, dof: int) -> Array:
+    """(..., 2) logarithms of the likelihood of sums of squares by what the declared uncertainty is worth.
 
     Either it holds, as knowledge worth a number of readings, or it says next to nothing (inverse-gamma priors of the
     variance): what differs by more than was declared is not for that alone what does not reproduce.
@@ -166,13 +171,14 @@ def log_noise(squares: float, dof: int) -> Array:
     prior = np.array(priors.NOISE_DOF)
     half = 0.5 * (dof + prior)
     logs = gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
-    return np.asarray(logs - half * np.log(prior + squares))
+    return np.asarray(logs - half * np.log(prior + np.expand_dims(squares, -1)))
 
 
-def noise_variance(squares: float, dof: int) -> float:
+def noise_variance(squares: Array | float, dof: int) -> Array:
     """Mean of the noise's variance, over that declared, over what the latter may be worth (`log_noise`)."""
     prior = np.array(priors.NOISE_DOF)
-    return float(softmax(log_noise(squares, dof)) @ ((prior + squares) / (prior + dof)))
+    each = (prior + np.expand_dims(squares, -1)) / (prior + dof)
+    return np.asarray(np.sum(softmax(log_noise(squares, dof), axis=-1) * each, axis=-1))
 
 
 LogEvidence = Callable[[tuple[float, ...], float], float]
@@ -196,8 +202,12 @@ def size_grid(
         The sizes of all families, the logarithm of their prior, and that of the evidence.
     """
     spread = gram.of_spread
-    given = log_evidence or (lambda ratio, prior: marginal_at(spread, ratio, prior).log_null)
-    return _Sizes(gram, given, finer).with_share(share)
+
+    def without_any(ratio: tuple[float, ...], prior: float) -> float:
+        log_prior, left = left_at(spread, ratio, prior)
+        return log_prior + float(gram.log_likelihood(left))
+
+    return _Sizes(gram, log_evidence or without_any, finer).with_share(share)
 
 
 class _Sizes:
@@ -264,9 +274,21 @@ def _with(place: tuple[int, ...], axis: int, at: int) -> tuple[int, ...]:
 
 def marginal_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Marginal:
     """That of one size of each family, in units of the noise, with the logarithm of its prior."""
+    plain, columns, scale = _plain(gram, ratio, prior)
+    return plain.with_columns(columns, scale)
+
+
+def left_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> tuple[float, float]:
+    """`log_prior` and `squares` of that marginal alone."""
+    plain, columns, scale = _plain(gram, ratio, prior)
+    return plain.left_with(columns, scale)
+
+
+def _plain(gram: Gram, ratio: tuple[float, ...], prior: float) -> tuple[Marginal, IntArray, Array]:
+    """Where all reproduces, and the columns of what does not, with their sizes."""
     plain = Marginal(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros(0))
     used = np.flatnonzero(plain.tau)
-    return plain.with_columns(gram.spread[used], plain.tau[used])
+    return plain, gram.spread[used], plain.tau[used]
 
 
 def _below(lower: Array, right: Array) -> Array:

@@ -16,8 +16,8 @@ from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.marginal import (
     Gram,
+    left_at,
     log_noise,
-    marginal_at,
     noise_variance,
     size_grid,
 )
@@ -34,16 +34,12 @@ class Components:
     Attributes:
         ratios: combinations of sizes, in units of the noise.
         log_weights: (t,) logarithm of the posterior probability of each, summing to 1.
-        squares: (t,) weighted sum of squared residuals that is left with each.
         noise: standard deviation of the noise that the sizes are units of, over that declared.
-        dof: degrees of freedom of the readings beside the model's unknowns.
     """
 
     ratios: tuple[tuple[float, ...], ...]
     log_weights: Array
-    squares: Array
     noise: float
-    dof: int
 
     @property
     def weights(self) -> Array:
@@ -73,25 +69,23 @@ class Components:
         return min(float(self.weights[np.array(self.ratios)[:, list(families)].any(axis=1)].sum()), 1.0)
 
 
-def components(gram: Gram, repeats: Gram | None = None) -> Components:
+def components(gram: Gram) -> Components:
     """Posterior of the sizes of all families.
 
     Args:
-        gram: inner products of the spread's columns with the residual, the model's unknowns projected off.
-        repeats: the same among readings of the same thing, which then tell the sizes.
+        gram: inner products of the spread's columns and the residual, the model's unknowns projected off; or those
+            among readings of the same thing.
     """
-    telling = (gram if repeats is None else repeats).of_spread
+    left = dict[tuple[float, ...], float]()
 
     def log_evidence(ratio: tuple[float, ...], prior: float) -> float:
-        marginal = marginal_at(telling, ratio, prior)
-        return marginal.log_prior + float(logsumexp(log_noise(marginal.squares, telling.dof)))
+        log_prior, left[ratio] = left_at(gram, ratio, prior)
+        return log_prior + float(np.logaddexp(*log_noise(left[ratio], gram.dof)))
 
-    ratios, _, logs = zip(*size_grid(telling, log_evidence, finer=_FINER), strict=True)
-    squares = np.array([marginal_at(gram, ratio).squares for ratio in ratios])
+    ratios, _, logs = zip(*size_grid(gram, log_evidence, finer=_FINER), strict=True)
     log_weights = np.array(logs) - logsumexp(logs)
-    variances = [noise_variance(marginal_at(telling, ratio).squares, telling.dof) for ratio in ratios]
-    noise = float(np.sqrt(np.exp(log_weights) @ variances))
-    return Components(tuple(ratios), log_weights, squares, noise, gram.dof)
+    variances = noise_variance(np.array([left[ratio] for ratio in ratios]), gram.dof)
+    return Components(tuple(ratios), log_weights, float(np.sqrt(np.exp(log_weights) @ variances)))
 
 
 Functions = tuple[IntArray, Array]

@@ -19,7 +19,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, marginal_at, noise_variance
+from machine_tool_calibration.estimation.marginal import Gram, left_at, marginal_at, noise_variance
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
@@ -198,15 +198,14 @@ def _averaged(
     observed = [model.observations for model in solved.assembly.models]
     left = [solved.normalised(k) for k in range(len(observed))]
     repeated = of_repeats(observed, left, families) if len(runs) else None
-    found = components(
-        Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof),
-        None if repeated is None else repeated.outside(~seen[runs], own),
-    )
+    outside = Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof)
+    # Readings of the same thing tell the sizes where there are such.
+    found = components(outside if repeated is None else repeated.outside(~seen[runs], own))
     chosen = np.argsort(-found.log_weights)
     most = _MOST_SIZES if solved.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
-    squares_left = float(weights @ found.squares[chosen])
+    squares_left = float(weights @ [left_at(outside, found.ratios[k])[1] for k in chosen])
     scatter = _scatter(squares_left, dof)
     ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
     tau = np.zeros((len(chosen), u))
@@ -386,7 +385,7 @@ def _scatter(chi_square: float, dof: int) -> float:
 
     Less scatter makes nothing better: an instrument may be off by the same amount everywhere.
     """
-    return float(np.sqrt(max(noise_variance(chi_square, dof), 1.0)))
+    return float(np.sqrt(np.maximum(noise_variance(chi_square, dof), 1.0)))
 
 
 def _sizes(
