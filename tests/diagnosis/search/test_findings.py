@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes that occur: what is tried for is twice the limits of a coefficient."""
+"""Sizes that occur: what is tried for is twice the limits of a coefficient; and what an effect's law leaves."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -7,10 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.findings import Size, _detectable
+from machine_tool_calibration.diagnosis.search.candidates import Shaped, effect_candidates
+from machine_tool_calibration.diagnosis.search.findings import Size, _detectable, without_laws
+from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.effect_sizes import smallest_signal
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.imperfection import scaled_values
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 WAVE = Coefficient("s", "m", -5e-5, 5e-5)
 
@@ -45,3 +51,17 @@ def test_of_more_shapes_a_larger_size_is_needed_and_of_the_more_probable_a_small
         signal = smallest_signal(np.array([strength]), strength, np.log(count) - log_odds)
         assert told[count, log_odds] == pytest.approx(signal * 1.5 / 2e6)
     assert told[1, -3.0] < told[12, -1.0] < told[12, -3.0]
+
+
+@pytest.mark.parametrize(("other", "kept"), [("linear_drift", False), ("backlash_y", True)])
+def test_what_comes_with_the_direction_of_approach_is_not_what_a_warm_up_differs_from_its_law_by(
+    other: str, kept: bool
+) -> None:
+    """The same signal is that of a slow effect, or not."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
+    pool = Pool(fit_models([build_model(session)[0]]))
+    found = {c.name: c for c in effect_candidates(pool, find_effects(["warmup_y", other]))[0]}
+    warm = 1e-5 * found["warmup_y"].shapes[0].columns[0]
+    late = 0.3 * warm * scaled_values(pool.observations[0].clock)
+    names = without_laws([found["warmup_y"], found[other]], pool, [warm, late])
+    assert names == (("warmup_y", other) if kept else ("warmup_y",))

@@ -84,6 +84,12 @@ class Candidate:
         return any(shape.unit == "s" for shape in self.nonlinear)
 
     @property
+    def reverses(self) -> bool:
+        """Whether it is an effect of the direction of approach."""
+        effect = self.effect
+        return effect is not None and any(name.startswith("dir_") for name in (*effect.needs, *effect.covariates))
+
+    @property
     def count(self) -> int:
         """Sets of nonlinear coefficients over which the prior is spread."""
         return max(self.equally, len(self.shapes))

@@ -246,12 +246,15 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     gram, k = gram_of(pool, projected), len(columns)
     # What does not vary within the runs has rounding there.
     before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
-    blocks, first = list[Block](), 0
+    blocks, plain, first = list[Block](), list[tuple[slice, Array]](), 0
     for c, candidate in enumerate(every):
+        if c == len(candidates):
+            own_places = (block.own for block in blocks if not block.shaped.shape)
+            plain = [(place, basis_of(gram.inner[place, place])) for place in own_places]
         few = _few(candidate, candidates)
         for shaped in candidate.shapes:
             past = first + len(shaped.every)
-            if c >= len(candidates) and _is_an_effect(blocks, gram.inner, first, shaped, len(candidates)):
+            if c >= len(candidates) and _is_an_effect(plain, gram.inner, first, shaped):
                 shaped, first = replace(shaped, columns=shaped.columns[1:]), first + 1
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
             # their share of the probability, and nothing shows them.
@@ -293,25 +296,21 @@ def _few(candidate: Candidate, others: Sequence[Candidate]) -> list[int]:
     return [count for count in _LEADING if count >= least]
 
 
-def _is_an_effect(blocks: Sequence[Block], inner: Array, first: int, shaped: Shaped, effects: int) -> bool:
+def _is_an_effect(plain: Sequence[tuple[slice, Array]], inner: Array, first: int, shaped: Shaped) -> bool:
     """Whether the first function of a structure, a straight line, is what an effect does: then it is that effect.
 
     Beside a structure that holds it the effect would only have what is left, and the structure is in no model.
 
     Args:
-        blocks: of the effects, and of structures before this one.
+        plain: places and bases of the columns of the effects without nonlinear coefficients.
         inner: (K, K) inner products of all columns.
         first: place of the structure's first column.
         shaped: the structure's columns.
-        effects: how many of the candidates are effects: the first ones.
     """
     if shaped.shape or len(shaped.columns) < 2:
         return False
-    for place in (b.own for b in blocks if b.candidate < effects and not b.shaped.shape):
-        explained = np.sum((basis_of(inner[place, place]).T @ inner[place, first]) ** 2)
-        if explained > (1.0 - priors.ABSORBED) * inner[first, first] > 0.0:
-            return True
-    return False
+    least = (1.0 - priors.ABSORBED) * inner[first, first]
+    return least > 0.0 and any(np.sum((basis.T @ inner[place, first]) ** 2) > least for place, basis in plain)
 
 
 def _without_repeated(blocks: list[Block], inner: Array, effects: int) -> list[Block]:

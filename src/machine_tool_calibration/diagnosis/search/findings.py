@@ -232,20 +232,22 @@ def alias_groups(
 
 
 def without_laws(effects: Sequence[Candidate], pool: Pool, signals: Sequence[Array]) -> tuple[str, ...]:
-    """Names of the effects, the surest first, without those by which another one differs from its law."""
+    """Names of the effects, the surest first, without those by which another one differs from its law.
+
+    What comes with the direction of approach is no other effect's smooth function of time.
+    """
+
+    def of_law(k: int, j: int, most: float) -> bool:
+        same = effects[k].reverses == effects[j].reverses
+        return same and _of_law(pool, signals[k], signals[j], most)
 
     def slow(k: int, j: int) -> bool:
         """Whether one without a time constant is the slow part of one that has such."""
-        pair = effects[j].decays and not effects[k].decays
-        return pair and _of_law(pool, signals[k], signals[j], priors.SECOND_TIME_CONSTANT)
+        return effects[j].decays and not effects[k].decays and of_law(k, j, priors.SECOND_TIME_CONSTANT)
 
-    every = range(len(effects))
-    left = [k for k in every if not any(slow(k, j) for j in every)]
-    return tuple(
-        effects[k].name
-        for i, k in enumerate(left)
-        if not any(_of_law(pool, signals[k], signals[j], priors.LAW) for j in left[:i])
-    )
+    left = [k for k in range(len(effects)) if not any(slow(k, j) for j in range(len(effects)))]
+    kept = (k for i, k in enumerate(left) if not any(of_law(k, j, priors.LAW) for j in left[:i]))
+    return tuple(effects[k].name for k in kept)
 
 
 def _of_law(pool: Pool, signal: Array, other: Array, most: float) -> bool:
