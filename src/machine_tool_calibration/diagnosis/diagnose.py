@@ -31,9 +31,9 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions, refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.model import Kind, MethodModel
 from machine_tool_calibration.model.refits import changed, declared
-from machine_tool_calibration.model.result import ErrorMap, effect_estimates, effect_signal, map_change, map_rms
+from machine_tool_calibration.model.result import ErrorMap, effect_signal, map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise, noise_of
@@ -432,12 +432,16 @@ def _not_themselves(
 
 
 def _sized(fit: JointFit, name: str) -> bool:
-    """Whether a size of an effect with a time constant stands out of its uncertainty.
+    """Whether the sizes of an effect with a time constant, taken together, stand out of their uncertainty.
 
-    Where none does, its freedom describes something else, in one place or at one moment.
+    Where they do not, its freedom describes something else, in one place or at one moment.
     """
-    sizes = [e for e in effect_estimates(fit, [name]) if e.unit != "s"]
-    return not sizes or any(abs(e.value) >= priors.STANDS_OUT * e.standard_uncertainty for e in sizes)
+    published, every = fit.published, enumerate(fit.assembly.parameters)
+    own = [k for k, p in every if p.kind is Kind.EFFECT and p.owner == name and p.unit != "s"]
+    own = [k for k in own if published.determined[k]]
+    size, covariance = published.theta[own], published.covariance[np.ix_(own, own)]
+    squares = size @ np.linalg.pinv(covariance, hermitian=True) @ size
+    return not own or bool(special.chdtrc(len(own), squares) <= special.chdtrc(1, priors.STANDS_OUT**2))
 
 
 def _hold(before: ErrorMap, after: ErrorMap) -> None:

@@ -194,8 +194,8 @@ SIZE_MARGIN = 2.0
 """Standard uncertainties by which a size may lie outside of what is tried for before it is called implausible."""
 
 STANDS_OUT = 2.0
-"""Standard uncertainties of a size beside the other effects, below which an effect with a time constant is not added:
-what decays resembles much else."""
+"""Standard uncertainties of a size beside the other effects, or the chance of that for several together, below which an
+effect with a time constant is not added: what decays resembles much else."""
 
 TAKEN_BACK = 2.0
 """What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others
