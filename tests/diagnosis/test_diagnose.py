@@ -2,18 +2,21 @@
 """The verdict on simulated sessions: nothing missing, one effect, two, one that nobody knows, chips."""
 
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _explains, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _explains, _sized, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.model.fit import JointFit, fit_models, screen
+from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 
@@ -139,3 +142,19 @@ def test_an_effect_must_lower_the_sum_of_squares() -> None:
     for before, after in ((without, without), (with_it, without)):
         with pytest.raises(ModelError, match="explains the readings as well without it"):
             _explains(before, after)
+
+
+@pytest.mark.parametrize(
+    ("size", "correlation", "sized"),
+    [((1.5, 0.1), 0.0, False), ((2.5, 0.0), 0.0, True), ((1.5, 0.1), 0.99, True), ((1.5, 1.5), 0.99, False)],
+)
+def test_sizes_that_go_together_stand_out_together(size: tuple[float, float], correlation: float, sized: bool) -> None:
+    """In standard uncertainties; a time constant that is known well says nothing of the size."""
+    parameters = [
+        Parameter(name, unit, kind=Kind.EFFECT, owner="e") for name, unit in (("s", "1"), ("q", "1"), ("tau", "s"))
+    ]
+    covariance = np.eye(3)
+    covariance[0, 1] = covariance[1, 0] = correlation
+    published = SimpleNamespace(theta=np.array([*size, 50.0]), covariance=covariance, determined=np.ones(3, dtype=bool))
+    fit = SimpleNamespace(published=published, assembly=SimpleNamespace(parameters=parameters))
+    assert _sized(cast(JointFit, fit), "e") is sized
