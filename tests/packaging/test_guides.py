@@ -20,6 +20,8 @@ def test_a_guide_runs_from_top_to_bottom(guide: Path, tmp_path: Path, monkeypatc
         shutil.copy(procedure, tmp_path)
     monkeypatch.chdir(tmp_path)
     text = guide.read_text(encoding="utf-8")
+    for name, content in re.findall(r"^```\w+ (\S+\.\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        Path(name).write_text(content, encoding="utf-8")
     lines = [
         line
         for block in re.findall(r"^```bash\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
