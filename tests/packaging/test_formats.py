@@ -31,7 +31,7 @@ def test_every_example_is_a_session(text: str) -> None:
 
 def test_every_method_has_an_example() -> None:
     shown = {parse_description(text, "docs/sessions.md").method for text in EXAMPLES}
-    assert shown == {"step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct"}
+    assert shown == {"step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct", "ball_bar"}
 
 
 def test_every_key_and_column_is_named() -> None:
