@@ -89,7 +89,7 @@ def test_a_table_becomes_a_recording_or_a_table(verb: Verb, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
-        ([], 1, "say what this table holds, with --table points, ranges, iso230-2 or readings, or with --mapping"),
+        ([], 1, "with --table points, ranges, iso230-2, circles or readings, or with --mapping"),
         (["--unit", "mm"], 2, "need --table or --mapping"),
         (["--table", "points"], 1, "no column is named for x"),
         (["--table", "points", "--column", "x"], 2, "--column 'x' is not of the form NAME=…"),

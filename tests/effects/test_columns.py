@@ -42,7 +42,9 @@ PLANS: dict[str, AnyPlan] = {
     "rotary_c": RotaryPlan(),
     "probing": ProbingPlan(grid=tuple(np.linspace(-0.13, 0.13, 11))),
     "probing_pins": ProbingPlan(part="pins", sign=1),
-    "ball_bar": CirclePlan(planes=("XY", "YZ", "ZX"), count=60, arc="whole"),
+    "ball_bar": CirclePlan(
+        planes=("XY", "YZ", "ZX"), centre=(0.21, 0.21, 0.21), radius=0.2, count=60, arc="whole", pause=60.0
+    ),
     "iso230_2": DirectPlan(repeats=2),
     "straightness": DirectPlan(kind="straightness", axis="y", sense="z"),
     "oblique": DirectPlan(

@@ -265,6 +265,6 @@ def test_the_head_states_the_largest_uncertainty_of_what_the_file_holds(tables: 
     said = {
         absent: "\n".join(head(replace(tables, tables=made), "here", "", "", absent)) for absent in ((), ("EYX", "ECX"))
     }
-    assert "U (k = 2) of an entry: 8.00 um, 18.00 urad" in said[()] and "not in this format" not in said[()]
-    assert "U (k = 2) of an entry: 2.00 um\n" in said["EYX", "ECX"]
+    assert "U (95 %) of an entry: 8.00 um, 18.00 urad" in said[()] and "not in this format" not in said[()]
+    assert "U (95 %) of an entry: 2.00 um\n" in said["EYX", "ECX"]
     assert "not in this format: EYX, ECX" in said["EYX", "ECX"]

@@ -22,7 +22,7 @@ from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.provenance import data_hash
 
 LABELS = ["lathe/2026-01-05", "mill/2026-01-06", "mill/x"]
-FIT = partial(fit_one, wanted=Wanted((), (), "free", ()))
+FIT = partial(fit_one, wanted=Wanted((), (), "rigid_body", ()))
 
 
 def test_sessions_are_found_in_and_below_folders(measurements: Path, tmp_path: Path) -> None:
@@ -39,7 +39,7 @@ def test_sessions_are_found_in_and_below_folders(measurements: Path, tmp_path: P
 
 
 def test_each_is_identified_as_it_is_alone_with_dask_and_without(measurements: Path, tmp_path: Path) -> None:
-    """The variant of the model counts where the method has it; the one that is broken has its line."""
+    """In the variant of the model that is wanted; the one that is broken has its line."""
     pytest.importorskip("distributed")
     tables = []
     for workers in (0, 2):
@@ -50,8 +50,8 @@ def test_each_is_identified_as_it_is_alone_with_dask_and_without(measurements: P
     sessions, values = tables[0]["sessions"].set_index("session"), tables[0]["values"]
     assert [bool(problem) for problem in sessions["problem"]] == [False, False, True]
     assert "observations.csv" in sessions["problem"][LABELS[2]]
-    assert list(sessions["model"])[:2] == ["rigid_body", "free"]
-    alone = tidy(identify(measurements / LABELS[1], model="free").result)
+    assert list(sessions["model"])[:2] == ["rigid_body", "rigid_body"]
+    alone = tidy(identify(measurements / LABELS[1], model="rigid_body").result)
     own = values[values["session"] == LABELS[1]].reset_index(drop=True)[list(alone)]
     np.testing.assert_array_equal(own["value"], alone["value"])
     write_tables(tables[1], tmp_path)

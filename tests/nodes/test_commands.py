@@ -100,7 +100,7 @@ def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
         (["run", "tracking_2d", "--until", "U=0um"], "mtcal: until U: '0um' must be positive"),
         (
             ["run", "nothing"],
-            "mtcal: nothing: no such file, and no procedure of that name; known are direct_iso230_2, pointer_centre, ",
+            "mtcal: nothing: no such file, and no procedure of that name; known are ball_bar, direct_iso230_2, ",
         ),
         (["run", "nothing.yaml"], "mtcal: nothing.yaml: no such file"),
         (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: no such file"),

@@ -24,10 +24,10 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
+    duration_message,
     from_message,
     joint_state,
     positions,
-    seconds,
     trajectory,
 )
 from machine_tool_calibration.procedure.events import Aim
@@ -150,4 +150,8 @@ class Executions:
 
 def executed_message(command: int, points: Sequence[tuple[int, Mapping[str, float]]]) -> JointTrajectory:
     """The message of `axes/executed`: when, ns, and where a command began, and each of its points that was reached."""
-    return trajectory(command, ((place, seconds(time - command)) for time, place in points))
+    message = trajectory(command, ((place, 0.0) for _, place in points))
+    # To the nanosecond, which seconds as a number do not keep where a command's identity is no time.
+    for point, (time, _) in zip(message.points, points, strict=True):
+        point.time_from_start = duration_message(time - command)
+    return message

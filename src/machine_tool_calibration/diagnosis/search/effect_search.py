@@ -368,7 +368,7 @@ def _accepted(
     accepted: list[int] = []
     while left:
         chances = [round(found.of(*group, given=accepted), 2) for group in left]
-        heads = [_head(group, found, accepted) for group in left]
+        heads = [_head(columns, group, found, accepted) for group in left]
         best = max(range(len(left)), key=lambda j: (chances[j], found.log_factor(heads[j])))
         if chances[best] <= (further if accepted else priors.ACCEPTED):
             break
@@ -379,10 +379,12 @@ def _accepted(
     return without_laws([columns.candidates[k] for k in accepted], columns.pool, signals)
 
 
-def _head(group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
-    """Of look-alikes the likeliest, or one nearly as likely that comes before it in the catalogue: a commoner cause."""
+def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
+    """Of look-alikes the likeliest, or one of as many coefficients, nearly as likely, that the catalogue has first."""
     chance = {k: found.of(k, given=accepted) for k in group}
-    return min(k for k in group if chance[k] >= priors.AS_LIKELY * max(chance.values()))
+    size = {k: len(columns.candidates[k].shapes[0].columns) for k in group}
+    best = max(group, key=lambda k: chance[k])
+    return min(k for k in group if size[k] == size[best] and chance[k] >= priors.AS_LIKELY * chance[best])
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
