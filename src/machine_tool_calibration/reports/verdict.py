@@ -105,6 +105,11 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     residual = say("diagnosis.residual", found=found, declared=declared)
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
+        chances = [look.of(name).probability for name in diagnosis.accepted]
+        names = [
+            say("diagnosis.or_alike", what=name) if chance < priors.ACCEPTED else name
+            for name, chance in zip(names, chances, strict=True)
+        ]
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
         return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
