@@ -49,21 +49,13 @@ _PART = [
 
 @dataclass(frozen=True)
 class Overall:
-    """The whole fit.
+    """The whole fit."""
 
-    Attributes:
-        readings: number of readings.
-        rms_residual: root mean square of measured minus predicted, m.
-        reduced_chi_square: weighted sum of squares over the degrees of freedom.
-        degrees_of_freedom: readings minus unknowns.
-        p_value: chance of so large a sum of squares if the model is right and the declared uncertainty too.
-    """
-
-    readings: int
-    rms_residual: float
-    reduced_chi_square: float
-    degrees_of_freedom: int
-    p_value: float
+    readings: int  # number of readings
+    rms_residual: float  # root mean square of measured minus predicted, m
+    reduced_chi_square: float  # weighted sum of squares over the degrees of freedom
+    degrees_of_freedom: int  # readings minus unknowns
+    p_value: float  # chance of so large a sum of squares if the model is right and the declared uncertainty too
 
     @property
     def ratio(self) -> float:
@@ -78,40 +70,27 @@ class Comparison:
     The columns of its tables are described where people ask for them, at the attributes of the public `Comparison`.
     Uncertainties are those of the declared noise, or of the scatter about the model where that is larger; they allow
     for what the model took up. NaN stands where the model takes a figure up.
-
-    Attributes:
-        fit: the fitted model.
-        effects: ids of effects that are in it.
-        variant: of the method's model.
-        outliers: rows of readings that do not belong to the rest, which the model still contains.
-        overall: the whole fit.
-        noise: declared, and from repeats.
-        residuals: the readings, as `residual_table` gives them.
-        covariates: what varies from reading to reading, by name.
-        ranked: covariates with the share of the residuals' variance that a running mean over them follows.
-        setups: worst first; reduced chi-squares are sums of squares over what the model leaves of these readings.
-        runs: each repeat of each setup, likewise.
-        regions: bins of each axis position.
-        texts: by text column (target, point), its values as setups are.
-        approaches: axes that were approached from both sides; without a displacement the p-value is of the difference.
-        trends: straight lines over covariates, the most significant first; the slope that the model would find is
-            larger than that of the residuals, as its other unknowns took their part.
     """
 
-    fit: Fit
-    effects: tuple[str, ...]
-    variant: str
-    outliers: tuple[int, ...]
-    overall: Overall
-    noise: Noise
-    residuals: pd.DataFrame
-    covariates: Mapping[str, Array]
+    fit: Fit  # the fitted model
+    effects: tuple[str, ...]  # ids of effects that are in it
+    variant: str  # of the method's model
+    outliers: tuple[int, ...]  # rows of readings that do not belong to the rest, which the model still contains
+    overall: Overall  # the whole fit
+    noise: Noise  # declared, and from repeats
+    residuals: pd.DataFrame  # the readings, as `residual_table` gives them
+    covariates: Mapping[str, Array]  # what varies from reading to reading, by name
+    # covariates with the share of the residuals' variance that a running mean over them follows
     ranked: Sequence[tuple[str, float]]
+    # worst first; reduced chi-squares are sums of squares over what the model leaves of these readings
     setups: pd.DataFrame
-    runs: pd.DataFrame
-    regions: pd.DataFrame
-    texts: Mapping[str, pd.DataFrame]
+    runs: pd.DataFrame  # each repeat of each setup, likewise
+    regions: pd.DataFrame  # bins of each axis position
+    texts: Mapping[str, pd.DataFrame]  # by text column (target, point), its values as setups are
+    # axes that were approached from both sides; without a displacement the p-value is of the difference
     approaches: pd.DataFrame
+    # straight lines over covariates, the most significant first; the slope that the model would find is larger than
+    # that of the residuals, as its other unknowns took their part
     trends: pd.DataFrame
 
     labels = None
@@ -156,17 +135,12 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class JointComparison:
-    """The model of several sessions of one machine against the readings of each.
+    """The model of several sessions of one machine against the readings of each."""
 
-    Attributes:
-        joint: the fit.
-        labels: names of the sessions.
-        sessions: for each its readings against the common model; its own reduced chi-square is its sum of squares over
-            what is left of its readings, and its shares are of its own sum of squares.
-    """
-
-    joint: JointFit
-    labels: tuple[str, ...]
+    joint: JointFit  # the fit
+    labels: tuple[str, ...]  # names of the sessions
+    # for each its readings against the common model; its own reduced chi-square is its sum of squares over what is left
+    # of its readings, and its shares are of its own sum of squares
     sessions: tuple[Comparison, ...]
 
     @property

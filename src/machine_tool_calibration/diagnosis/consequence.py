@@ -27,25 +27,18 @@ _MOST_RELATIVE_U = 0.3
 
 @dataclass(frozen=True)
 class Consequence:
-    """An effect added to the model.
+    """An effect added to the model."""
 
-    Attributes:
-        parameters: its coefficients, with the names under which an identification publishes them.
-        signal: (n,) what it changes in the readings, m; None where the data tell only a part of that from the model's
-            own unknowns.
-        rms_before: RMS residual without it, m.
-        rms_after: RMS residual with it, m.
-        map_change_rms: RMS length by which the position errors of the map's points change, m; None where the method's
-            map has none in common.
-        explained: (n,) what it takes out of the residual of each reading, m.
-    """
-
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[Estimate, ...]  # its coefficients, with the names under which an identification publishes them
+    # (n,) what it changes in the readings, m; None where the data tell only a part of that from the model's own
+    # unknowns
     signal: Array | None
-    rms_before: float
-    rms_after: float
+    rms_before: float  # RMS residual without it, m
+    rms_after: float  # RMS residual with it, m
+    # RMS length by which the position errors of the map's points change, m; None where the method's map has none in
+    # common
     map_change_rms: float | None
-    explained: Array
+    explained: Array  # (n,) what it takes out of the residual of each reading, m
 
 
 @single_blas()

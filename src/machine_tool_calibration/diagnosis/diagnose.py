@@ -50,33 +50,20 @@ _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is missing, what cannot be distinguished and what could not have been seen.
+    """What is missing, what cannot be distinguished and what could not have been seen."""
 
-    Attributes:
-        chosen: the measurements, without outliers, and the first model.
-        searched: the same as they were searched: places that were measured repeatedly may have their means.
-        verdict: adequate, missing_effect, unexplained or outliers.
-        accepted: effects found, the surest first.
-        search: what was found beside the model without them.
-        noise: what is known of the readings' noise, with the first model.
-        fitted: of the first model and after every effect found.
-        predicted: for every effect that was probable enough, how it does on readings that were left out.
-        refused: effects that are probable and yet not added, with the reason.
-        excluded: effects that could not be looked for, with the reason.
-        set_aside: readings of each session that were set aside.
-    """
-
-    chosen: FitRequest
-    searched: FitRequest
-    verdict: str
-    accepted: tuple[str, ...]
-    search: EffectSearch
-    noise: Noise
-    fitted: tuple[FittedSessions, ...]
+    chosen: FitRequest  # the measurements, without outliers, and the first model
+    searched: FitRequest  # the same as they were searched: places that were measured repeatedly may have their means
+    verdict: str  # adequate, missing_effect, unexplained or outliers
+    accepted: tuple[str, ...]  # effects found, the surest first
+    search: EffectSearch  # what was found beside the model without them
+    noise: Noise  # what is known of the readings' noise, with the first model
+    fitted: tuple[FittedSessions, ...]  # of the first model and after every effect found
+    # for every effect that was probable enough, how it does on readings that were left out
     predicted: dict[str, tuple[Prediction, ...]]
-    refused: dict[str, str]
-    excluded: dict[str, str]
-    set_aside: tuple[tuple[Outlier, ...], ...]
+    refused: dict[str, str]  # effects that are probable and yet not added, with the reason
+    excluded: dict[str, str]  # effects that could not be looked for, with the reason
+    set_aside: tuple[tuple[Outlier, ...], ...]  # readings of each session that were set aside
 
     @property
     def fits(self) -> tuple[JointFit, ...]:

@@ -33,71 +33,39 @@ class Coefficient(Record):
 
 
 class Part(Record):
-    """One of several sessions that were fitted together.
+    """One of several sessions that were fitted together."""
 
-    Attributes:
-        label: name of the session.
-        model: its method's variant.
-        data: fingerprint of its readings.
-        set_aside: rows of its readings that were taken for outliers.
-        kept: rows that were said to be sound, however far they stand out.
-    """
-
-    label: str
-    model: str
-    data: str
-    set_aside: tuple[int, ...] = ()
-    kept: tuple[int, ...] = ()
+    label: str  # name of the session
+    model: str  # its method's variant
+    data: str  # fingerprint of its readings
+    set_aside: tuple[int, ...] = ()  # rows of its readings that were taken for outliers
+    kept: tuple[int, ...] = ()  # rows that were said to be sound, however far they stand out
 
 
 class Entry(Record):
-    """A model that was fitted.
+    """A model that was fitted."""
 
-    Attributes:
-        number: from 1, in the order in which models were tried; never given twice.
-        parent: number of the model that it was made from; None for a first one.
-        made: date and time, ISO 8601.
-        by: the command that made it.
-        model: the method's variant; of several sessions `joint`, as each has its own.
-        sessions: those that were fitted together; empty for one session.
-        effects: ids of the effects that were added to it.
-        own: definitions of those of them that are the user's own by formula.
-        change: what it has and its parent has not, in a few words.
-        data: fingerprint of the readings; another one means other readings.
-        used: number of readings in the fit.
-        set_aside: rows of readings that were taken for outliers, of one session.
-        kept: rows that were said to be sound, however far they stand out, of one session.
-        rms_residual: m.
-        reduced_chi_square: weighted sum of squared residuals over the degrees of freedom.
-        degrees_of_freedom: of the fit.
-        p_value: chance of so large a sum of squares if model and declared uncertainty are right.
-        map_rms: RMS length of the position errors of the map's points, m.
-        map_uncertainty_rms: RMS length of their standard uncertainty, m.
-        map_change_rms: RMS length by which they moved against the parent, m.
-        parameters: coefficients of the effects.
-    """
-
-    number: Annotated[int, Field(ge=1)]
-    parent: int | None = None
-    made: str
-    by: str
-    model: str
-    sessions: tuple[Part, ...] = ()
-    effects: tuple[str, ...] = ()
-    own: tuple[dict[str, Any], ...] = ()
-    change: str = ""
-    data: str
-    used: int
-    set_aside: tuple[int, ...] = ()
-    kept: tuple[int, ...] = ()
-    rms_residual: Finite
-    reduced_chi_square: Finite | None = None
-    degrees_of_freedom: int
-    p_value: Finite | None = None
-    map_rms: Finite | None = None
-    map_uncertainty_rms: Finite | None = None
-    map_change_rms: Finite | None = None
-    parameters: tuple[Coefficient, ...] = ()
+    number: Annotated[int, Field(ge=1)]  # from 1, in the order in which models were tried; never given twice
+    parent: int | None = None  # number of the model that it was made from; None for a first one
+    made: str  # date and time, ISO 8601
+    by: str  # the command that made it
+    model: str  # the method's variant; of several sessions `joint`, as each has its own
+    sessions: tuple[Part, ...] = ()  # those that were fitted together; empty for one session
+    effects: tuple[str, ...] = ()  # ids of the effects that were added to it
+    own: tuple[dict[str, Any], ...] = ()  # definitions of those of them that are the user's own by formula
+    change: str = ""  # what it has and its parent has not, in a few words
+    data: str  # fingerprint of the readings; another one means other readings
+    used: int  # number of readings in the fit
+    set_aside: tuple[int, ...] = ()  # rows of readings that were taken for outliers, of one session
+    kept: tuple[int, ...] = ()  # rows that were said to be sound, however far they stand out, of one session
+    rms_residual: Finite  # m
+    reduced_chi_square: Finite | None = None  # weighted sum of squared residuals over the degrees of freedom
+    degrees_of_freedom: int  # of the fit
+    p_value: Finite | None = None  # chance of so large a sum of squares if model and declared uncertainty are right
+    map_rms: Finite | None = None  # RMS length of the position errors of the map's points, m
+    map_uncertainty_rms: Finite | None = None  # RMS length of their standard uncertainty, m
+    map_change_rms: Finite | None = None  # RMS length by which they moved against the parent, m
+    parameters: tuple[Coefficient, ...] = ()  # coefficients of the effects
 
     def changed(self, parent: Entry | None) -> str:
         """What it has and its parent has not, for people: by keys where effects or readings say it."""
@@ -206,16 +174,11 @@ class Entry(Record):
 
 
 class History(Record):
-    """All models that were tried; nothing is ever removed.
-
-    Attributes:
-        current: number of the model in use; None while there is none.
-        models: in the order in which they were tried.
-    """
+    """All models that were tried; nothing is ever removed."""
 
     format: Literal["mtcal-history/1"] = "mtcal-history/1"
-    current: int | None = None
-    models: tuple[Entry, ...] = ()
+    current: int | None = None  # number of the model in use; None while there is none
+    models: tuple[Entry, ...] = ()  # in the order in which they were tried
 
     @model_validator(mode="after")
     def _check(self) -> History:

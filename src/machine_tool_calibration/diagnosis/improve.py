@@ -22,25 +22,16 @@ from machine_tool_calibration.words import say
 
 @dataclass(frozen=True)
 class Step:
-    """A model on the way.
+    """A model on the way."""
 
-    Attributes:
-        change: what it has and the one before has not: an effect's id, or words.
-        chosen: it, and the readings.
-        result: of its identification.
-        map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
-        map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
-        map_change: RMS length by which those of the model alone moved against the step before, as in a diagnosis, m.
-        set_aside: rows of the readings of each session that were left out.
-    """
-
-    change: str
-    chosen: FitRequest
-    result: Result | JointResult
-    map_rms: float | None
-    map_uncertainty: float | None
+    change: str  # what it has and the one before has not: an effect's id, or words
+    chosen: FitRequest  # it, and the readings
+    result: Result | JointResult  # of its identification
+    map_rms: float | None  # RMS length of the position errors at the map's points, m; None where the method maps none
+    map_uncertainty: float | None  # RMS length of their standard uncertainty, as it is published, m
+    # RMS length by which those of the model alone moved against the step before, as in a diagnosis, m
     map_change: float | None
-    set_aside: tuple[tuple[int, ...], ...]
+    set_aside: tuple[tuple[int, ...], ...]  # rows of the readings of each session that were left out
 
     @property
     def label(self) -> str:
@@ -105,15 +96,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Improvement:
-    """A model made better.
+    """A model made better."""
 
-    Attributes:
-        diagnosis: of the first model.
-        steps: the first model, then one for every change.
-    """
-
-    diagnosis: Diagnosis
-    steps: tuple[Step, ...]
+    diagnosis: Diagnosis  # of the first model
+    steps: tuple[Step, ...]  # the first model, then one for every change
 
     @property
     def provenance(self) -> Provenance:

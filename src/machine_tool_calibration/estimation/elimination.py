@@ -72,19 +72,12 @@ _LEAST_POINTS = 1024
 
 @dataclass(frozen=True)
 class Rows:
-    """The linearised readings of one chunk of points; S slots, n points. All weighted by 1/sigma.
+    """The linearised readings of one chunk of points; S slots, n points. All weighted by 1/sigma."""
 
-    Attributes:
-        residual: (S, n) measured minus predicted.
-        local: (d, S, n) derivatives by the point's own unknowns.
-        block: (p, S, n) derivatives by the unknowns of the slot's block.
-        dense: (K, S, n) derivatives by the unknowns that all readings share.
-    """
-
-    residual: Array
-    local: Array
-    block: Array
-    dense: Array
+    residual: Array  # (S, n) measured minus predicted
+    local: Array  # (d, S, n) derivatives by the point's own unknowns
+    block: Array  # (p, S, n) derivatives by the unknowns of the slot's block
+    dense: Array  # (K, S, n) derivatives by the unknowns that all readings share
 
     def left(self, block: Array, dense: Array) -> Array:
         """(S, n) residual that is left by a change of each slot's block (S, p) and of the dense unknowns (K,)."""

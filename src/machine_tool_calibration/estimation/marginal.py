@@ -40,24 +40,16 @@ def _log_prior(lattice: Array) -> Array:
 
 @dataclass(frozen=True)
 class Gram:
-    """Inner products outside the model, weighted by the declared uncertainty.
+    """Inner products outside the model, weighted by the declared uncertainty."""
 
-    Attributes:
-        inner: (K, K) of all columns, the last u of which are those of what does not reproduce (the spread).
-        data: (K,) of these with the data.
-        squares: squared norm of the data.
-        family: (u,) family of each spread column.
-        dof: degrees of freedom of the readings beside the model's unknowns.
-        sizes: of the last families, where they are known in their own unit: with their prior probabilities.
-        prior_dof: readings that what is known of the noise is worth; infinite where it is known.
-    """
-
-    inner: Array
-    data: Array
-    squares: float
-    family: IntArray
-    dof: int
+    inner: Array  # (K, K) of all columns, the last u of which are those of what does not reproduce (the spread)
+    data: Array  # (K,) of these with the data
+    squares: float  # squared norm of the data
+    family: IntArray  # (u,) family of each spread column
+    dof: int  # degrees of freedom of the readings beside the model's unknowns
+    # of the last families, where they are known in their own unit: with their prior probabilities
     sizes: tuple[dict[float, float], ...] = ()
+    # readings that what is known of the noise is worth; infinite where it is known
     prior_dof: float = priors.DECLARED_DOF
 
     @property
@@ -94,21 +86,14 @@ class Gram:
 
 @dataclass(frozen=True)
 class Marginal:
-    """Inner products for one size of what does not reproduce.
+    """Inner products for one size of what does not reproduce."""
 
-    Attributes:
-        gram: those where all reproduces.
-        ratio: these sizes, in units of the noise; of the last families, whose sizes are given, in their own.
-        log_prior: of these sizes, and the determinant that they cost.
-        half: (u', K) and half_data (u',): X^T V^-1 Y = X^T Y - half_X^T half_Y.
-        half_data: see there.
-    """
-
-    gram: Gram
+    gram: Gram  # those where all reproduces
+    # these sizes, in units of the noise; of the last families, whose sizes are given, in their own
     ratio: tuple[float, ...]
-    log_prior: float
-    half: Array
-    half_data: Array
+    log_prior: float  # of these sizes, and the determinant that they cost
+    half: Array  # (u', K) and half_data (u',): X^T V^-1 Y = X^T Y - half_X^T half_Y
+    half_data: Array  # see there
 
     @property
     def tau(self) -> Array:

@@ -33,21 +33,13 @@ Motion = Callable[[slice | IntArray], Array]
 
 @dataclass(frozen=True)
 class PointResult:
-    """Points in their own datum.
+    """Points in their own datum."""
 
-    Attributes:
-        value: (d, n) the points' unknowns.
-        covariance: (d, d, n).
-        determined: (n,) whether the readings and the datum fix all unknowns of the point.
-        theta: (m,) shared unknowns in the same datum.
-        theta_covariance: (m, m).
-    """
-
-    value: Array
-    covariance: Array
-    determined: BoolArray
-    theta: Array
-    theta_covariance: Array
+    value: Array  # (d, n) the points' unknowns
+    covariance: Array  # (d, d, n)
+    determined: BoolArray  # (n,) whether the readings and the datum fix all unknowns of the point
+    theta: Array  # (m,) shared unknowns in the same datum
+    theta_covariance: Array  # (m, m)
 
 
 @single_blas()

@@ -26,17 +26,11 @@ _MOST_LAYERS = 4
 
 @dataclass(frozen=True)
 class Group:
-    """Points that were read in the same slots.
+    """Points that were read in the same slots."""
 
-    Attributes:
-        block: (S,) which block of unknowns (setup) each slot belongs to.
-        rows: (S, n) index of the reading; -1 where the reading is missing.
-        points: (n,) index of the point; empty where the model has no points of its own.
-    """
-
-    block: IntArray
-    rows: IntArray
-    points: IntArray
+    block: IntArray  # (S,) which block of unknowns (setup) each slot belongs to
+    rows: IntArray  # (S, n) index of the reading; -1 where the reading is missing
+    points: IntArray  # (n,) index of the point; empty where the model has no points of its own
 
     def pick(self, chunk: slice) -> slice | IntArray:
         """The points of a chunk as an index; a slice, which copies nothing, where they are consecutive."""
@@ -131,25 +125,15 @@ _FEWEST = 1024
 
 
 class Part(ABC):
-    """The readings of one session.
+    """The readings of one session."""
 
-    Attributes:
-        groups: how the readings lie in memory.
-        block_index: (blocks, p) place of each block's unknowns in the shared vector.
-        dense_index: (K,) place of the dense unknowns in the shared vector.
-        dimension: d, unknowns of a point of its own; 0 without points.
-        n_points: number of points.
-        n_readings: number of readings.
-        linear: whether one step reaches the minimum.
-    """
-
-    groups: Sequence[Group]
-    block_index: IntArray
-    dense_index: IntArray
-    dimension: int
-    n_points: int
-    n_readings: int
-    linear: bool
+    groups: Sequence[Group]  # how the readings lie in memory
+    block_index: IntArray  # (blocks, p) place of each block's unknowns in the shared vector
+    dense_index: IntArray  # (K,) place of the dense unknowns in the shared vector
+    dimension: int  # d, unknowns of a point of its own; 0 without points
+    n_points: int  # number of points
+    n_readings: int  # number of readings
+    linear: bool  # whether one step reaches the minimum
 
     @abstractmethod
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
@@ -313,36 +297,22 @@ class FunctionPart(Part):
 
 @dataclass(frozen=True)
 class PriorRows:
-    """What is known of the shared unknowns besides the readings, as readings of their own.
+    """What is known of the shared unknowns besides the readings, as readings of their own."""
 
-    Attributes:
-        columns: (q, m).
-        value: (q,).
-        sigma: (q,) standard uncertainty.
-    """
-
-    columns: Array
-    value: Array
-    sigma: Array
+    columns: Array  # (q, m)
+    value: Array  # (q,)
+    sigma: Array  # (q,) standard uncertainty
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Parts that share a vector of unknowns.
+    """Parts that share a vector of unknowns."""
 
-    Attributes:
-        parts: the sessions.
-        size: m, the number of shared unknowns.
-        constraints: (c, m) datum: constraints @ theta = constraint_values.
-        constraint_values: (c,).
-        priors: further knowledge.
-    """
-
-    parts: Sequence[Part]
-    size: int
-    constraints: Array
-    constraint_values: Array
-    priors: PriorRows | None = None
+    parts: Sequence[Part]  # the sessions
+    size: int  # m, the number of shared unknowns
+    constraints: Array  # (c, m) datum: constraints @ theta = constraint_values
+    constraint_values: Array  # (c,)
+    priors: PriorRows | None = None  # further knowledge
 
     @property
     def zero(self) -> tuple[Array, list[Array]]:

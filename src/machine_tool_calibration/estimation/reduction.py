@@ -20,21 +20,13 @@ from machine_tool_calibration.estimation.problem import Part, Problem
 
 @dataclass(frozen=True)
 class Projected:
-    """Further columns and the residual, with the model projected off; weighted by the declared uncertainty.
+    """Further columns and the residual, with the model projected off; weighted by the declared uncertainty."""
 
-    Attributes:
-        gram: (k + 1, k + 1) inner products of the k columns and, last, the residual.
-        squares: (k + 1,) squared norms before anything was projected off.
-        after_points: (k + 1,) squared norms once the points' own unknowns have taken their share.
-        response: (m, k) change of the model's shared unknowns per unit of each column that it absorbs.
-        names: (k,) of the columns, where they have names.
-    """
-
-    gram: Array
-    squares: Array
-    after_points: Array
-    response: Array
-    names: tuple[str, ...] = ()
+    gram: Array  # (k + 1, k + 1) inner products of the k columns and, last, the residual
+    squares: Array  # (k + 1,) squared norms before anything was projected off
+    after_points: Array  # (k + 1,) squared norms once the points' own unknowns have taken their share
+    response: Array  # (m, k) change of the model's shared unknowns per unit of each column that it absorbs
+    names: tuple[str, ...] = ()  # (k,) of the columns, where they have names
 
 
 def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str, ...] = ()) -> Projected:

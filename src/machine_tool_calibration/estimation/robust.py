@@ -102,17 +102,11 @@ def scaled_residuals(part: Part, theta: Array, local: Array) -> Array:
 
 
 class RobustStart(NamedTuple):
-    """Where gross errors have little say.
+    """Where gross errors have little say."""
 
-    Attributes:
-        theta: shared unknowns.
-        local: for each part of the problem, its points.
-        residuals: for each part, over the declared uncertainty.
-    """
-
-    theta: Array
-    local: list[Array]
-    residuals: list[Array]
+    theta: Array  # shared unknowns
+    local: list[Array]  # for each part of the problem, its points
+    residuals: list[Array]  # for each part, over the declared uncertainty
 
 
 @single_blas()

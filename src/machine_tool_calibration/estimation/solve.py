@@ -32,29 +32,17 @@ _OFTEN = 3
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the sum of weighted squared residuals is least.
+    """Where the sum of weighted squared residuals is least."""
 
-    Attributes:
-        theta: (m,) shared unknowns.
-        covariance: (m, m) their covariance from the declared uncertainty; 0 in what is not determined.
-        undetermined: (m, k) orthonormal directions that neither readings nor datum fix.
-        determined: (m,) whether each shared unknown is fixed by readings and datum.
-        local: per part, (d, n_points) the points' own unknowns.
-        local_determined: per part, (d, n_points).
-        chi_square: weighted sum of squared residuals, with priors.
-        degrees_of_freedom: readings and priors minus unknowns that they fix.
-        steps: Gauss-Newton steps taken.
-    """
-
-    theta: Array
-    covariance: Array
-    undetermined: Array
-    determined: BoolArray
-    local: tuple[Array, ...]
-    local_determined: tuple[BoolArray, ...]
-    chi_square: float
-    degrees_of_freedom: int
-    steps: int
+    theta: Array  # (m,) shared unknowns
+    covariance: Array  # (m, m) their covariance from the declared uncertainty; 0 in what is not determined
+    undetermined: Array  # (m, k) orthonormal directions that neither readings nor datum fix
+    determined: BoolArray  # (m,) whether each shared unknown is fixed by readings and datum
+    local: tuple[Array, ...]  # per part, (d, n_points) the points' own unknowns
+    local_determined: tuple[BoolArray, ...]  # per part, (d, n_points)
+    chi_square: float  # weighted sum of squared residuals, with priors
+    degrees_of_freedom: int  # readings and priors minus unknowns that they fix
+    steps: int  # Gauss-Newton steps taken
 
     def loose_directions(self) -> Array:
         """(m, k) the undetermined directions, exactly zero in what is determined."""
@@ -63,21 +51,13 @@ class Solution:
 
 @dataclass(frozen=True)
 class Linearised:
-    """A problem with its readings linearised at some place.
+    """A problem with its readings linearised at some place."""
 
-    Attributes:
-        problem: readings, datum and priors.
-        theta: (m,) the shared unknowns there.
-        local: per part, (d, n_points) the points' own.
-        total: (m + 1, m + 1) reduced Gram matrix of the shared unknowns and the residual.
-        squares: (m,) squared norms of the unknowns' columns before the points were eliminated.
-    """
-
-    problem: Problem
-    theta: Array
-    local: Sequence[Array]
-    total: Array
-    squares: Array
+    problem: Problem  # readings, datum and priors
+    theta: Array  # (m,) the shared unknowns there
+    local: Sequence[Array]  # per part, (d, n_points) the points' own
+    total: Array  # (m + 1, m + 1) reduced Gram matrix of the shared unknowns and the residual
+    squares: Array  # (m,) squared norms of the unknowns' columns before the points were eliminated
 
     @classmethod
     def at(cls, problem: Problem, theta: Array, local: Sequence[Array]) -> Linearised:

@@ -29,17 +29,11 @@ _FINER, _STEP = 2, 0.9
 
 @dataclass(frozen=True)
 class Components:
-    """Posterior of the sizes.
+    """Posterior of the sizes."""
 
-    Attributes:
-        ratios: combinations of sizes, in units of the noise.
-        log_weights: (t,) logarithm of the posterior probability of each, summing to 1.
-        noise: standard deviation of the noise that the sizes are units of, over that declared.
-    """
-
-    ratios: tuple[tuple[float, ...], ...]
-    log_weights: Array
-    noise: float
+    ratios: tuple[tuple[float, ...], ...]  # combinations of sizes, in units of the noise
+    log_weights: Array  # (t,) logarithm of the posterior probability of each, summing to 1
+    noise: float  # standard deviation of the noise that the sizes are units of, over that declared
 
     @property
     def weights(self) -> Array:

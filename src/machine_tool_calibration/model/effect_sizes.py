@@ -26,17 +26,12 @@ _STEPS = 60
 
 @dataclass(frozen=True)
 class EffectSize:
-    """What is known of an effect's unknowns.
+    """What is known of an effect's unknowns."""
 
-    Attributes:
-        place: (k,) of the unknowns in the shared vector.
-        unit: (k,) standard deviation of each at the largest scale; infinite where nothing is known.
-        scaled: (k,) whether the scales apply to it: not to a nonlinear coefficient, which counts from its best value
-            and is no further from there than its own size.
-    """
-
-    place: IntArray
-    unit: Array
+    place: IntArray  # (k,) of the unknowns in the shared vector
+    unit: Array  # (k,) standard deviation of each at the largest scale; infinite where nothing is known
+    # (k,) whether the scales apply to it: not to a nonlinear coefficient, which counts from its best value and is no
+    # further from there than its own size
     scaled: BoolArray
 
 

@@ -27,12 +27,9 @@ _FURTHER = "\0further "
 
 @dataclass(frozen=True)
 class JointFit(Solved):
-    """Several sessions in one fit; for a single session it has one member.
+    """Several sessions in one fit; for a single session it has one member."""
 
-    Attributes:
-        given: what is published in place of what follows from the readings (`model.refits`); None usually.
-    """
-
+    # what is published in place of what follows from the readings (`model.refits`); None usually
     given: MarginalFit | None = None
 
     @cached_property

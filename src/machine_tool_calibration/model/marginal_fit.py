@@ -43,21 +43,13 @@ _LEAST_SHARE_LEFT = 1e-3
 
 @dataclass(frozen=True)
 class FamilySize:
-    """How much of a family does not reproduce.
+    """How much of a family does not reproduce."""
 
-    Attributes:
-        name: run, mounting, …
-        size: root mean square over the readings, m: the posterior's median.
-        low: end of the interval of 95 %, m.
-        high: its other end, m.
-        probability: that it is not zero.
-    """
-
-    name: str
-    size: float
-    low: float
-    high: float
-    probability: float
+    name: str  # run, mounting, …
+    size: float  # root mean square over the readings, m: the posterior's median
+    low: float  # end of the interval of 95 %, m
+    high: float  # its other end, m
+    probability: float  # that it is not zero
 
     def document(self) -> dict[str, Any]:
         """For JSON."""
@@ -67,27 +59,18 @@ class FamilySize:
 
 @dataclass(frozen=True)
 class MarginalFit:
-    """A fit as it is published.
+    """A fit as it is published."""
 
-    Attributes:
-        parts: of the problem, with the coefficients of what does not reproduce.
-        solution: mean of all unknowns and their covariance over the square of `scatter`; the coefficients of what does
-            not reproduce come last.
-        scatter: standard uncertainties over those from the declared uncertainty, at least 1.
-        sizes: of what does not reproduce.
-        random: of unknowns that are random functions; None without any.
-        functions: per session, (k, n) columns of the coefficients of what does not reproduce.
-        squares: weighted sum of squared residuals that is left beside what does not reproduce.
-        ratios: (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`.
-    """
-
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # of the problem, with the coefficients of what does not reproduce
+    # mean of all unknowns and their covariance over the square of `scatter`; the coefficients of what does not
+    # reproduce come last
     solution: Solution
-    scatter: float
-    sizes: tuple[FamilySize, ...]
-    random: RandomPosterior | None
-    functions: tuple[Array, ...]
-    squares: float
+    scatter: float  # standard uncertainties over those from the declared uncertainty, at least 1
+    sizes: tuple[FamilySize, ...]  # of what does not reproduce
+    random: RandomPosterior | None  # of unknowns that are random functions; None without any
+    functions: tuple[Array, ...]  # per session, (k, n) columns of the coefficients of what does not reproduce
+    squares: float  # weighted sum of squared residuals that is left beside what does not reproduce
+    # (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`
     ratios: Array
 
     def coefficients(self, index: int) -> IntArray:

@@ -33,19 +33,12 @@ _MOST_ROWS, _IN_A_ROW = 60, 6
 
 @dataclass(frozen=True)
 class Family:
-    """Groups of readings that have a random function each, all of one size.
+    """Groups of readings that have a random function each, all of one size."""
 
-    Attributes:
-        name: run, mounting, pass, or rows of equal x.
-        group: (n,) index of the group of each reading, from 0; -1 for a reading of none.
-        shapes: (d, n) values of the group's d functions, of a size of about 1.
-        offset: whether the first function is one.
-    """
-
-    name: str
-    group: IntArray
-    shapes: Array
-    offset: bool = True
+    name: str  # run, mounting, pass, or rows of equal x
+    group: IntArray  # (n,) index of the group of each reading, from 0; -1 for a reading of none
+    shapes: Array  # (d, n) values of the group's d functions, of a size of about 1
+    offset: bool = True  # whether the first function is one
 
     @property
     def of_runs(self) -> bool:
@@ -99,15 +92,11 @@ class PureError:
     """Readings of the same thing (setup, place, direction of approach) without their mean.
 
     What a model lacks of the machine does not enter them: pure error, as against lack of fit.
-
-    Attributes:
-        gram: (u + 1, u + 1) inner products of [functions that do not reproduce, residual] there, over the declared
-            uncertainty.
-        dof: degrees of freedom.
     """
 
+    # (u + 1, u + 1) inner products of [functions that do not reproduce, residual] there, over the declared uncertainty
     gram: Array
-    dof: int
+    dof: int  # degrees of freedom
 
     def outside(self, own: BoolArray, family: IntArray) -> Gram:
         """Without functions that the model has as unknowns of its own, such as the constants of runs.

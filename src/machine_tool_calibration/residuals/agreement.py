@@ -41,18 +41,12 @@ HELD_OUT = 1e-8
 
 @dataclass(frozen=True)
 class Noise:
-    """What predicted residuals are compared with.
+    """What predicted residuals are compared with."""
 
-    Attributes:
-        scale: standard deviation of the bulk over the declared uncertainty.
-        width: of gross errors, in these.
-        limit: predicted residual beyond which a reading is rather gross than noise.
-        odds: logarithm of the prior odds and of the width: what a gross error costs whatever the tails of the noise.
-    """
-
-    scale: float
-    width: float
-    limit: float
+    scale: float  # standard deviation of the bulk over the declared uncertainty
+    width: float  # of gross errors, in these
+    limit: float  # predicted residual beyond which a reading is rather gross than noise
+    # logarithm of the prior odds and of the width: what a gross error costs whatever the tails of the noise
     odds: float
 
 

@@ -57,21 +57,13 @@ _COURSE = 3e-4
 
 @dataclass(frozen=True)
 class Outlier:
-    """A reading that was set aside.
+    """A reading that was set aside."""
 
-    Attributes:
-        row: its number in the recording.
-        studentized: its predicted residual: deviation from what all others predict, over its standard deviation.
-        deviation: that deviation, m.
-        reason: in words.
-        ambiguous: whether it, or another one that was set aside with it, is wrong.
-    """
-
-    row: int
-    studentized: float
-    deviation: float
-    reason: str = "it does not belong to the rest"
-    ambiguous: bool = False
+    row: int  # its number in the recording
+    studentized: float  # its predicted residual: deviation from what all others predict, over its standard deviation
+    deviation: float  # that deviation, m
+    reason: str = "it does not belong to the rest"  # in words
+    ambiguous: bool = False  # whether it, or another one that was set aside with it, is wrong
 
 
 @single_blas()
@@ -128,23 +120,14 @@ def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) ->
 
 @dataclass(frozen=True)
 class _Fit:
-    """A fit in which some readings are held out, and the noise by it.
+    """A fit in which some readings are held out, and the noise by it."""
 
-    Attributes:
-        part: the readings as they were linearised for it, without weights.
-        solution: of it.
-        weight: (n,) of the readings.
-        residual: (n,) over the declared uncertainty; of a reading held out, from what all others predict.
-        spread: (n,) its standard deviation over that of the noise; infinite where it says nothing.
-        noise: see there.
-    """
-
-    part: Part
-    solution: Solution
-    weight: Array
-    residual: Array
-    spread: Array
-    noise: Noise
+    part: Part  # the readings as they were linearised for it, without weights
+    solution: Solution  # of it
+    weight: Array  # (n,) of the readings
+    residual: Array  # (n,) over the declared uncertainty; of a reading held out, from what all others predict
+    spread: Array  # (n,) its standard deviation over that of the noise; infinite where it says nothing
+    noise: Noise  # see there
 
     @property
     def predicted(self) -> Array:

@@ -28,16 +28,11 @@ class PredictionJacobian:
 
     The covariance of two predictions is `shared @ covariance @ shared.T`, plus the product of their `own` where both
     are of one point.
-
-    Attributes:
-        shared: (k, m) by the shared unknowns, with what the point's own unknowns do about it.
-        own: (k, d) by the point's own unknowns, in units of their uncertainty.
-        point: (k,) which point; -1 without points.
     """
 
-    shared: Array
-    own: Array
-    point: IntArray
+    shared: Array  # (k, m) by the shared unknowns, with what the point's own unknowns do about it
+    own: Array  # (k, d) by the point's own unknowns, in units of their uncertainty
+    point: IntArray  # (k,) which point; -1 without points
 
     def products(self, other: PredictionJacobian, covariance: Array) -> Array:
         """(k, l) covariances of the predictions of these readings with those of others."""
@@ -120,19 +115,12 @@ def prediction_jacobian(
 
 @dataclass(frozen=True)
 class _Seen:
-    """One chunk: its rows without weights, and the points' own unknowns eliminated with them.
+    """One chunk: its rows without weights, and the points' own unknowns eliminated with them."""
 
-    Attributes:
-        rows: without weights.
-        response: (c, d, n) change of the points' unknowns with each shared one.
-        half: (S, d, n) columns of the points' unknowns in units of their uncertainty.
-        determined: (n,) whether the readings fix all unknowns of the point.
-    """
-
-    rows: Rows
-    response: Array
-    half: Array
-    determined: BoolArray
+    rows: Rows  # without weights
+    response: Array  # (c, d, n) change of the points' unknowns with each shared one
+    half: Array  # (S, d, n) columns of the points' unknowns in units of their uncertainty
+    determined: BoolArray  # (n,) whether the readings fix all unknowns of the point
 
     def columns(self, slot: int, at: slice | IntArray, first: int) -> Array:
         """(c, n) columns of a slot's readings by the group's shared unknowns; its block begins at the first."""

@@ -22,25 +22,19 @@ _SAME_READING = 1e-9
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one reading, standard uncertainty in m.
+    """Noise of one reading, standard uncertainty in m."""
 
-    Attributes:
-        declared: what the session says.
-        from_repeats: from readings repeated at the same place in the same setup, not less than what rounding them to
-            the last digit comes to; None without such.
-        repeats: degrees of freedom of the latter.
-        chi_square_p: chance of so large residuals if the model is right and the declared uncertainty too.
-        lack_of_fit_p: chance that places differ so much more than repeats at one place do (F test, with the spread
-            between runs taken out of both); None without repeats.
-        as_read: what repeats of one place differ by as they were read, with all that differs from run to run; None
-            without repeats, and where each run counts from a zero of its own.
-    """
-
-    declared: float
+    declared: float  # what the session says
+    # from readings repeated at the same place in the same setup, not less than what rounding them to the last digit
+    # comes to; None without such
     from_repeats: float | None
-    repeats: int
-    chi_square_p: float
+    repeats: int  # degrees of freedom of the latter
+    chi_square_p: float  # chance of so large residuals if the model is right and the declared uncertainty too
+    # chance that places differ so much more than repeats at one place do (F test, with the spread between runs taken
+    # out of both); None without repeats
     lack_of_fit_p: float | None
+    # what repeats of one place differ by as they were read, with all that differs from run to run; None without
+    # repeats, and where each run counts from a zero of its own
     as_read: float | None = None
 
 

@@ -28,13 +28,9 @@ RANDOM = "random functions"
 
 @dataclass(frozen=True)
 class Pool:
-    """All readings of a fit.
+    """All readings of a fit."""
 
-    Attributes:
-        fit: of one or several sessions.
-    """
-
-    fit: JointFit
+    fit: JointFit  # of one or several sessions
 
     @cached_property
     def observations(self) -> tuple[Observations, ...]:

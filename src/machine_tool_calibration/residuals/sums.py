@@ -18,19 +18,12 @@ _LEFT = 1e-6
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums w.r of the residuals r.
+    """Sums w.r of the residuals r."""
 
-    Attributes:
-        value: (k,) the sums; NaN where the model takes everything up, so that they are zero whatever was read.
-        uncertainty: (k,) their standard uncertainties if the readings have the declared one.
-        added: (k,) coefficient of w that the model would find if w were added to it, per unit of w.
-        added_uncertainty: (k,) its standard uncertainty.
-    """
-
-    value: Array
-    uncertainty: Array
-    added: Array
-    added_uncertainty: Array
+    value: Array  # (k,) the sums; NaN where the model takes everything up, so that they are zero whatever was read
+    uncertainty: Array  # (k,) their standard uncertainties if the readings have the declared one
+    added: Array  # (k,) coefficient of w that the model would find if w were added to it, per unit of w
+    added_uncertainty: Array  # (k,) its standard uncertainty
 
 
 def residual_sums(fit: Fit, weights: Array) -> Sums:

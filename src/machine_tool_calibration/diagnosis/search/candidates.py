@@ -26,21 +26,13 @@ _BETWEEN = 2.0
 
 @dataclass(frozen=True)
 class Shaped:
-    """A candidate at one set of nonlinear coefficients.
+    """A candidate at one set of nonlinear coefficients."""
 
-    Attributes:
-        shape: these coefficients.
-        columns: (k, n) change of each reading of all sessions per unit of each linear coefficient.
-        coefficients: the linear ones; empty for a structure of any size.
-        law: (j, n) by what it may differ from its law, m per standard deviation.
-        law_unit: one over the scale of its coefficients for which that is so.
-    """
-
-    shape: tuple[float, ...]
-    columns: Array
-    coefficients: tuple[Coefficient, ...] = ()
-    law: Array | None = None
-    law_unit: float = 1.0
+    shape: tuple[float, ...]  # these coefficients
+    columns: Array  # (k, n) change of each reading of all sessions per unit of each linear coefficient
+    coefficients: tuple[Coefficient, ...] = ()  # the linear ones; empty for a structure of any size
+    law: Array | None = None  # (j, n) by what it may differ from its law, m per standard deviation
+    law_unit: float = 1.0  # one over the scale of its coefficients for which that is so
 
     @property
     def every(self) -> Array:
@@ -54,23 +46,16 @@ class Shaped:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something that may be missing.
+    """Something that may be missing."""
 
-    Attributes:
-        name: an effect's id, or the name of a structure.
-        shapes: one for each set of nonlinear coefficients that is tried.
-        effect: the effect; None for a structure without a cause.
-        nonlinear: its nonlinear coefficients.
-        equally: number of sets of nonlinear coefficients that are equally probable; more than are tried where the
-            others were ruled out beforehand.
-        dependence: of a structure, on what the residuals depend and how; a wave or a step has its place put in.
-    """
-
-    name: str
-    shapes: tuple[Shaped, ...]
-    effect: Effect | None = None
-    nonlinear: tuple[Shape, ...] = ()
+    name: str  # an effect's id, or the name of a structure
+    shapes: tuple[Shaped, ...]  # one for each set of nonlinear coefficients that is tried
+    effect: Effect | None = None  # the effect; None for a structure without a cause
+    nonlinear: tuple[Shape, ...] = ()  # its nonlinear coefficients
+    # number of sets of nonlinear coefficients that are equally probable; more than are tried where the others were
+    # ruled out beforehand
     equally: int = 0
+    # of a structure, on what the residuals depend and how; a wave or a step has its place put in
     dependence: tuple[str, Said] | None = None
 
     @property

@@ -56,62 +56,37 @@ class Absorbed:
 
 @dataclass(frozen=True)
 class Structure:
-    """How the residuals depend on a covariate.
+    """How the residuals depend on a covariate."""
 
-    Attributes:
-        covariate: its name.
-        shape: of the dependence.
-        p_value: largest chance of it, or of any other, if nothing is there.
-        share: of the weighted sum of squares that it takes up.
-    """
-
-    covariate: str
-    shape: str
-    p_value: float
-    share: float
+    covariate: str  # its name
+    shape: str  # of the dependence
+    p_value: float  # largest chance of it, or of any other, if nothing is there
+    share: float  # of the weighted sum of squares that it takes up
 
 
 @dataclass(frozen=True)
 class EffectSearch:
-    """What was found in what a fitted model leaves.
+    """What was found in what a fitted model leaves."""
 
-    Attributes:
-        fit: of the model.
-        noise: what is known of each session's noise.
-        findings: effects that are not in the model, the most probable first; absorbed ones last.
-        groups: effects that this data cannot distinguish, the most probable first.
-        absorbed: effects that would not show.
-        structure: what the residuals depend on, the most significant first.
-        unknown: probability that a structure without a cause is in them.
-        accepted: ids of the effects that are missing more likely than not, the surest first.
-        left: structure that is left beside these.
-        nothing: probability that nothing is missing.
-        sets: ids of the effects of every set that matters, with its probability; structures without a cause are
-            `unknown`.
-        spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise;
-            of unknowns that are random functions in theirs.
-        variance: of the noise beside them, over that declared.
-        signals: of every member of the most probable set, (n,) what it changes in the readings, m.
-        without_cause: (k, n) columns of the structures in the most probable set, and of what its laws leave open.
-        expected: (k,) standard deviation of their coefficients.
-    """
-
-    fit: JointFit
-    noise: tuple[Noise, ...]
-    findings: tuple[Finding, ...]
-    groups: tuple[tuple[str, ...], ...]
-    absorbed: tuple[Absorbed, ...]
-    structure: tuple[Structure, ...]
-    unknown: float
-    accepted: tuple[str, ...]
-    left: tuple[Structure, ...]
-    nothing: float
+    fit: JointFit  # of the model
+    noise: tuple[Noise, ...]  # what is known of each session's noise
+    findings: tuple[Finding, ...]  # effects that are not in the model, the most probable first; absorbed ones last
+    groups: tuple[tuple[str, ...], ...]  # effects that this data cannot distinguish, the most probable first
+    absorbed: tuple[Absorbed, ...]  # effects that would not show
+    structure: tuple[Structure, ...]  # what the residuals depend on, the most significant first
+    unknown: float  # probability that a structure without a cause is in them
+    accepted: tuple[str, ...]  # ids of the effects that are missing more likely than not, the surest first
+    left: tuple[Structure, ...]  # structure that is left beside these
+    nothing: float  # probability that nothing is missing
+    # ids of the effects of every set that matters, with its probability; structures without a cause are `unknown`
     sets: tuple[tuple[tuple[str, ...], float], ...]
+    # size of every family of what does not reproduce beside the most probable effects, in units of the noise; of
+    # unknowns that are random functions in theirs
     spread: dict[str, float]
-    variance: float
-    signals: Mapping[str, Array]
-    without_cause: Array
-    expected: Array
+    variance: float  # of the noise beside them, over that declared
+    signals: Mapping[str, Array]  # of every member of the most probable set, (n,) what it changes in the readings, m
+    without_cause: Array  # (k, n) columns of the structures in the most probable set, and of what its laws leave open
+    expected: Array  # (k,) standard deviation of their coefficients
 
     def of(self, effect: str) -> Finding:
         """What was found of the effect of an id."""
@@ -210,23 +185,15 @@ def _without_cause(columns: _Columns, found: Posterior, k: int) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Everything that is looked for, outside the model.
+    """Everything that is looked for, outside the model."""
 
-    Attributes:
-        pool: the readings.
-        candidates: effects, then what has no cause.
-        effects: how many effects there are.
-        projected: what the model leaves of all columns of all candidates, and of those of what does not reproduce.
-        gram: inner products.
-        blocks: of what the model does not absorb.
-    """
-
-    pool: Pool
-    candidates: list[Candidate]
-    effects: int
+    pool: Pool  # the readings
+    candidates: list[Candidate]  # effects, then what has no cause
+    effects: int  # how many effects there are
+    # what the model leaves of all columns of all candidates, and of those of what does not reproduce
     projected: Projected
-    gram: Gram
-    blocks: list[Block]
+    gram: Gram  # inner products
+    blocks: list[Block]  # of what the model does not absorb
 
     @property
     def place(self) -> dict[str, int]:

@@ -38,33 +38,20 @@ _ROUNDED = 1e-7
 
 @dataclass(frozen=True)
 class Block:
-    """A candidate's columns at one set of nonlinear coefficients.
+    """A candidate's columns at one set of nonlinear coefficients."""
 
-    Attributes:
-        candidate: index of the candidate.
-        place: where its columns are among all: its own, and below them those by which it may differ from its law.
-        shaped: these columns.
-        unit: (k,) largest plausible size of each coefficient over two: what scales count from.
-        low: (k,) smallest plausible value of each.
-        high: (k,) largest.
-        positive: (k,) whether it is expected to be positive.
-        log_share: logarithm of the probability of these nonlinear coefficients among the candidate's.
-        largest: scale of its coefficients up to which it is tried: what differs from its law grows with it.
-        usual: scale of its coefficients beyond which they are seldom.
-        floor: squared norm, per unit, below which a combination of the columns is rounding of what the model takes up.
-    """
-
-    candidate: int
-    place: slice
-    shaped: Shaped
-    unit: Array
-    low: Array
-    high: Array
-    positive: BoolArray
-    log_share: float
+    candidate: int  # index of the candidate
+    place: slice  # where its columns are among all: its own, and below them those by which it may differ from its law
+    shaped: Shaped  # these columns
+    unit: Array  # (k,) largest plausible size of each coefficient over two: what scales count from
+    low: Array  # (k,) smallest plausible value of each
+    high: Array  # (k,) largest
+    positive: BoolArray  # (k,) whether it is expected to be positive
+    log_share: float  # logarithm of the probability of these nonlinear coefficients among the candidate's
+    # squared norm, per unit, below which a combination of the columns is rounding of what the model takes up
     floor: float = 0.0
-    largest: float = 1.0
-    usual: float = 1.0
+    largest: float = 1.0  # scale of its coefficients up to which it is tried: what differs from its law grows with it
+    usual: float = 1.0  # scale of its coefficients beyond which they are seldom
 
     @property
     def own(self) -> slice:
@@ -123,34 +110,24 @@ def gram_of(pool: Pool, projected: Projected) -> Gram:
 
 @dataclass(frozen=True)
 class Point:
-    """A candidate at one set of nonlinear coefficients and one scale.
+    """A candidate at one set of nonlinear coefficients and one scale."""
 
-    Attributes:
-        block: index of the block.
-        scale: of its coefficients, over their units.
-        log_rest: logarithm of the candidate's evidence over that at this point, if signs and sizes that do not occur
-            were not cut off there: as columns that are folded into the marginal are not.
-    """
-
-    block: int
-    scale: float
+    block: int  # index of the block
+    scale: float  # of its coefficients, over their units
+    # logarithm of the candidate's evidence over that at this point, if signs and sizes that do not occur were not cut
+    # off there: as columns that are folded into the marginal are not
     log_rest: float = field(compare=False)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Evidence of every candidate, beside what is folded into the marginal.
+    """Evidence of every candidate, beside what is folded into the marginal."""
 
-    Attributes:
-        log_evidence: (candidates,) logarithm of each candidate's evidence, over all its nonlinear coefficients and
-            scales; -inf for one that the model absorbs.
-        log_null: without any.
-        best: the point of each candidate that has most of it; without absorbed ones.
-    """
-
+    # (candidates,) logarithm of each candidate's evidence, over all its nonlinear coefficients and scales; -inf for one
+    # that the model absorbs
     log_evidence: Array
-    log_null: float
-    best: dict[int, Point]
+    log_null: float  # without any
+    best: dict[int, Point]  # the point of each candidate that has most of it; without absorbed ones
 
     @property
     def log_factors(self) -> Array:

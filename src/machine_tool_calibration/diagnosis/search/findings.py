@@ -41,33 +41,22 @@ class Size:
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect after the search.
+    """An effect after the search."""
 
-    Attributes:
-        candidate: what it is.
-        shape: its best nonlinear coefficients.
-        rms_after: root mean square of the residuals with it, m, as screened.
-        place: where its columns are among all that were screened; None if the model absorbs it.
-        sizes: its linear coefficients, fitted to what the model leaves; without those that the model takes up.
-        signal: (k,) the same as numbers; zero in what the model takes up.
-        rank: unknowns that it adds; 0 if the model absorbs it.
-        probability: that it is missing.
-        p_value: largest chance of so large a Bayes factor of any candidate if nothing is missing.
-        bic_gain: by how much the Bayesian information criterion falls when it is added.
-        detectable: smallest size of each coefficient that would have been accepted with a power of 80 %, the effect's
-            others being zero.
-    """
-
-    candidate: Candidate
-    shape: tuple[float, ...]
-    rms_after: float
-    place: slice | None = None
+    candidate: Candidate  # what it is
+    shape: tuple[float, ...]  # its best nonlinear coefficients
+    rms_after: float  # root mean square of the residuals with it, m, as screened
+    place: slice | None = None  # where its columns are among all that were screened; None if the model absorbs it
+    # its linear coefficients, fitted to what the model leaves; without those that the model takes up
     sizes: tuple[Size, ...] = ()
+    # (k,) the same as numbers; zero in what the model takes up
     signal: Array = field(default_factory=lambda: np.zeros(0))
-    rank: int = 0
-    probability: float = 0.0
-    p_value: float = 1.0
-    bic_gain: float = -np.inf
+    rank: int = 0  # unknowns that it adds; 0 if the model absorbs it
+    probability: float = 0.0  # that it is missing
+    p_value: float = 1.0  # largest chance of so large a Bayes factor of any candidate if nothing is missing
+    bic_gain: float = -np.inf  # by how much the Bayesian information criterion falls when it is added
+    # smallest size of each coefficient that would have been accepted with a power of 80 %, the effect's others being
+    # zero
     detectable: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -43,25 +43,16 @@ Members = dict[int, Point]
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probabilities of sets of candidates.
+    """Probabilities of sets of candidates."""
 
-    Attributes:
-        blocks: of all candidates.
-        log_odds: (candidates,) logarithm of the prior odds.
-        sets: with the members at their best points, the most probable first.
-        log_weights: logarithm of the evidence of each set times its prior odds, in the same order.
-        single: every candidate by itself.
-        marginals: those that matter, the most probable beside the best set first.
-        variance: of the noise beside the best set, over that declared.
-    """
-
-    blocks: Sequence[Block]
-    log_odds: Array
-    sets: tuple[Members, ...]
+    blocks: Sequence[Block]  # of all candidates
+    log_odds: Array  # (candidates,) logarithm of the prior odds
+    sets: tuple[Members, ...]  # with the members at their best points, the most probable first
+    # logarithm of the evidence of each set times its prior odds, in the same order
     log_weights: dict[frozenset[int], float]
-    single: Table
-    marginals: tuple[Marginal, ...]
-    variance: float
+    single: Table  # every candidate by itself
+    marginals: tuple[Marginal, ...]  # those that matter, the most probable beside the best set first
+    variance: float  # of the noise beside the best set, over that declared
 
     @cached_property
     def probability(self) -> Array:

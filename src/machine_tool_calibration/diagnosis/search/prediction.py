@@ -39,20 +39,14 @@ _BY_PLACES = say("part.places")
 
 @dataclass(frozen=True)
 class Prediction:
-    """An effect on readings that were left out.
+    """An effect on readings that were left out."""
 
-    Attributes:
-        what: setups, blocks of places, or cycles.
-        log_gains: for each part, by how much the effect, as determined by the others, raises the logarithm of its
-            likelihood; of the parts that could be left out.
-        readings: in these parts.
-        needed: parts that could not be left out, as the others do not determine the model.
-    """
-
-    what: str
+    what: str  # setups, blocks of places, or cycles
+    # for each part, by how much the effect, as determined by the others, raises the logarithm of its likelihood; of the
+    # parts that could be left out
     log_gains: tuple[float, ...]
-    readings: int
-    needed: int = 0
+    readings: int  # in these parts
+    needed: int = 0  # parts that could not be left out, as the others do not determine the model
 
     @property
     def gain(self) -> float:
