@@ -6,8 +6,8 @@ import pytest
 from scipy.special import logsumexp
 
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.estimation.marginal import Gram, left_at, size_grid
-from machine_tool_calibration.estimation.variance_components import components
+from machine_tool_calibration.estimation.marginal import Gram, left_at, log_noise, size_grid
+from machine_tool_calibration.estimation.variance_components import components, with_unrepeated
 
 GROUPS, EACH = 6, 6
 N = GROUPS * EACH
@@ -152,3 +152,30 @@ def test_the_size_of_two_families_together_is_the_root_of_the_sum_of_their_squar
     both, first, second = (found.quantiles(np.array(weights), [0.5])[0] for weights in ((4, 1), (4, 0), (0, 1)))
     assert max(first, second) < both < 1.1 * np.hypot(first, second)
     assert found.probability([0, 1]) >= max(found.probability([0]), found.probability([1]))
+
+
+def test_what_is_not_repeated_is_told_by_all_readings_beside_what_is() -> None:
+    """By the whole grid: the others' sizes keep their probability, and those in question have that of all readings."""
+    gram = projected(*problem(3, (1.0, 4.0)))
+    blind = np.zeros_like(gram.inner)
+    own = np.flatnonzero(gram.family == 0)
+    blind[np.ix_(own, own)] = gram.inner[np.ix_(own, own)]
+    same = Gram(blind, np.where(gram.family == 0, gram.data, 0.0), gram.squares, gram.family, gram.dof)
+    by_prior = components(same)
+    found = with_unrepeated(by_prior, gram, np.array([False, True]))
+    ratios = np.array(found.ratios)
+    for size in np.unique(ratios[:, 0]):
+        beside = ratios[:, 0] == size
+        assert found.weights[beside].sum() == pytest.approx(by_prior.weights[beside].sum())
+    # What a size gains over the prior is its evidence by all readings, up to a constant for each of the others' sizes.
+    beside = ratios[:, 0] == ratios[int(np.argmax(found.log_weights)), 0]
+    gained = (found.log_weights - by_prior.log_weights)[beside]
+    exact = [log_evidence(gram, tuple(ratio)) for ratio in ratios[beside]]
+    np.testing.assert_allclose(gained - gained[0], np.array(exact) - exact[0], atol=1e-9)
+    assert found.weights @ ratios[:, 1] > 2.0
+
+
+def log_evidence(gram: Gram, ratio: tuple[float, ...]) -> float:
+    """Without the prior of the sizes."""
+    log, squares = left_at(gram, ratio)
+    return log + float(logsumexp(log_noise(squares, gram.dof)))

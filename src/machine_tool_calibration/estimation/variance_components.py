@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.marginal import (
     Gram,
@@ -80,6 +80,26 @@ def components(gram: Gram) -> Components:
     log_weights = np.array(logs) - logsumexp(logs)
     variances = noise_variance(np.array([left[ratio] for ratio in ratios]), gram.dof)
     return Components(tuple(ratios), log_weights, float(np.sqrt(np.exp(log_weights) @ variances)))
+
+
+def with_unrepeated(found: Components, gram: Gram, unrepeated: BoolArray) -> Components:
+    """Sizes of families of which readings of the same thing say nothing, by what the model leaves beside the others.
+
+    A mounting's offset is the same in all repeats within it. Given the sizes of the other families their probability is
+    that by all readings, as if there were no repeats.
+
+    Args:
+        found: by readings of the same thing, in which these families have the weight of their prior.
+        gram: inner products of the spread's columns and the residual, the model's unknowns projected off.
+        unrepeated: (families,) which these are.
+    """
+    beside = np.unique(np.array(found.ratios)[:, ~unrepeated], axis=0, return_inverse=True)[1].reshape(-1)
+    left = [left_at(gram, ratio) for ratio in found.ratios]
+    logs = found.log_weights + [log + float(np.logaddexp(*log_noise(squares, gram.dof))) for log, squares in left]
+    for group in range(int(beside.max()) + 1):
+        own = beside == group
+        logs[own] += logsumexp(found.log_weights[own]) - logsumexp(logs[own])
+    return Components(found.ratios, logs, found.noise)
 
 
 Functions = tuple[IntArray, Array]

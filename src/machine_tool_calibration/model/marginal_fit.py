@@ -24,7 +24,12 @@ from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
-from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
+from machine_tool_calibration.estimation.variance_components import (
+    Components,
+    WidenedPart,
+    components,
+    with_unrepeated,
+)
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.observations import Observations
@@ -183,7 +188,12 @@ def _averaged(
     repeated = of_repeats(observed, left, families) if len(runs) else None
     outside = Gram(inner[:-1, :-1], inner[:-1, -1], float(inner[-1, -1]), own, dof)
     # Readings of the same thing tell the sizes where there are such.
-    found = components(outside if repeated is None else repeated.outside(~seen[runs], own))
+    same = outside if repeated is None else repeated.outside(~seen[runs], own)
+    shown, whole = (np.bincount(own, np.diag(one.inner), len(was)) for one in (same, outside))
+    unrepeated = shown < _LEAST_SHARE_LEFT * whole
+    found = components(outside if unrepeated.all() else same)
+    if unrepeated.any() and not unrepeated.all():
+        found = with_unrepeated(found, outside, unrepeated)
     chosen = np.argsort(-found.log_weights)
     most = _MOST_SIZES if solved.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]

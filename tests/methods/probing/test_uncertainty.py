@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MarginalFit uncertainties: against a brute-force reference, and against the scatter of many noisy runs."""
+"""Uncertainties: against a brute-force reference, and against the scatter of many noisy runs."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from papers.study_probing import forecast, planned_session
 
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.probing_run import cross
 
 GROUPS = {
@@ -131,3 +132,13 @@ def test_a_plan_is_a_session_and_its_uncertainty_in_proportion_to_that_of_a_touc
     twice = once.model_copy(update={"standard_uncertainty": declared})
     before, after = (forecast(d).error_map.content["workpiece_error_u"] for d in (once, twice))
     np.testing.assert_allclose(after, 2 * before, rtol=1e-9)
+
+
+def test_an_angle_that_is_probed_twice_makes_no_u_larger() -> None:
+    """Repeats within a mounting say nothing of how mountings differ: the readings of all angles do, as without them."""
+    plan = PRESETS["probing_cross"]
+    once, twice = (
+        arrays(simulate(SimulationSpec(plan=plan.model_copy(update={"repeats": n}), seed=1)).session)[1] for n in (1, 2)
+    )
+    for key in GROUPS:
+        assert np.nanmax(twice[key]) < 0.85 * np.nanmax(once[key])
