@@ -149,6 +149,15 @@ def test_figures_are_those_of_iso_230_4() -> None:
     assert expanded["D"] == pytest.approx(1e-6)
 
 
+def test_a_cause_has_no_figure_in_a_plane_in_which_it_does_not_act() -> None:
+    circles = Circles("XY", "YZ")
+    square = np.zeros((len(circles.angle), 3))
+    square[:, 0] = -1e-5 * (CENTRE + circles.arm)[:, 1]
+    figures = identify(circles.session(circles.length(square))).error_map.content["figures"]
+    (of_c0y,) = (one for one in figures if one["name"] == "G_b of C0Y")
+    assert (of_c0y["setup"], of_c0y["value"]) == ("XY", pytest.approx(1e-5 * RADIUS, rel=1e-3))
+
+
 def simulated(*effects: str, seed: int = 1) -> Session:
     flaws = tuple(FlawSpec(id=name, amplitude=3e-6) for name in effects)
     return simulate(SimulationSpec(plan=PRESETS["ball_bar"], seed=seed, effects=flaws)).session

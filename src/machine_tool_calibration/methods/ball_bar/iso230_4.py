@@ -20,6 +20,9 @@ from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.description import BallBar
 
+# Change of the radius that is rounding, m: of a cause that does not act in a plane.
+_NOTHING = 1e-12
+
 WAYS: Mapping[str, float] = {"ccw": 1.0, "cw": -1.0}
 """Ways round, and their sense."""
 
@@ -177,6 +180,8 @@ def contributions(fit: Fit, terms: Sequence[Term], first: int) -> list[dict[str,
             left = term.columns[:, own].T
             left = left - base @ np.linalg.lstsq(base, left, rcond=1e-6)[0]
             change = left @ fit.theta[mine]
+            if np.ptp(change) < _NOTHING:
+                continue
             apart = left[int(np.argmax(change))] - left[int(np.argmin(change))]
             u = float(np.sqrt(max(apart @ fit.covariance[np.ix_(mine, mine)] @ apart, 0.0)))
             out.append(_figure(setup.id, f"G_b of {term.name}", float(np.ptp(change)), 2.0 * u))
