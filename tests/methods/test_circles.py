@@ -155,7 +155,8 @@ def test_a_cause_has_no_figure_in_a_plane_in_which_it_does_not_act() -> None:
     square[:, 0] = -1e-5 * (CENTRE + circles.arm)[:, 1]
     figures = identify(circles.session(circles.length(square))).error_map.content["figures"]
     (of_c0y,) = (one for one in figures if one["name"] == "G_b of C0Y")
-    assert (of_c0y["setup"], of_c0y["value"]) == ("XY", pytest.approx(1e-5 * RADIUS, rel=1e-3))
+    ellipse = 0.5e-5 * RADIUS * np.ptp(np.sin(2.0 * circles.angle[circles.setup == "XY"]))
+    assert (of_c0y["setup"], of_c0y["value"]) == ("XY", pytest.approx(ellipse, rel=1e-3))
 
 
 def simulated(*effects: str, seed: int = 1) -> Session:
