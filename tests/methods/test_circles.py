@@ -231,6 +231,30 @@ def test_a_table_of_radii_over_the_angle_is_read(tmp_path: Path) -> None:
     assert readings.columns["dir_x"][-1] == 1.0
 
 
+def test_tables_of_several_planes_are_one_session(tmp_path: Path) -> None:
+    files = [tmp_path / f"{plane}.csv" for plane in ("XY", "YZ")]
+    for file in files:
+        file.write_text("\n".join(["Angle,Deviation", *(f"{4 * k + 1},0.5" for k in range(90))]) + "\n")
+    own = {"centre": CENTRE.tolist(), "radius": RADIUS}
+    content = {
+        "table": "circles",
+        "columns": {"angle": {"column": "Angle", "unit": "deg"}, "deviation": {"column": "Deviation", "unit": "um"}},
+        "session": {
+            "machine": {"chain": "w-Y-X-b-Z-t"},
+            "setups": [{"id": file.stem, "plane": file.stem} | own for file in files],
+            "standard_uncertainty": "0.2um",
+        },
+    }
+    session = import_table(files, parse_mapping(content, "mapping")).session
+    assert session.setup_ids == ("XY", "YZ")
+    of_yz = session.readings.position()[session.readings.setup == 1] - CENTRE
+    np.testing.assert_allclose(np.abs(of_yz[:, 0]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(of_yz, axis=1), RADIUS)
+    content["session"]["setups"] = content["session"]["setups"][:1] * 2
+    with pytest.raises(SessionError, match="must say which circle"):
+        import_table(files, parse_mapping(content, "mapping"))
+
+
 def test_angles_in_disorder_are_refused(tmp_path: Path) -> None:
     angle = np.random.default_rng(1).permutation(90) * 4.0
     with pytest.raises(SessionError, match="neither one way round nor first one and then the other"):

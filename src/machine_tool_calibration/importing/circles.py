@@ -54,13 +54,16 @@ def circle_rows(columns: Columns, name: str) -> Rows:
 
 
 def _setup(columns: Columns, name: str) -> CircleSetup:
+    """The circle of the table: the only one that is described, or that of several whose id is the table's name."""
     setups = columns.mapping.session.get("setups")
-    if not isinstance(setups, list) or len(setups) != 1 or not isinstance(setups[0], dict):
+    entries = [one for one in setups if isinstance(one, dict)] if isinstance(setups, list) else []
+    mine = entries if len(entries) == 1 else [one for one in entries if str(one.get("id")) == name]
+    if len(mine) != 1:
         raise SessionError(
-            f"{columns.table.source}: session.setups must say of the circle which it is, as in "
+            f"{columns.table.source}: session.setups must say which circle {name!r} is, as in "
             "- {id: XY, plane: XY, centre: [0.25, 0.2, 0.1], radius: 0.15}"
         )
-    return validated(CircleSetup, {"id": name, **setups[0]}, f"{columns.table.source}: session.setups[0]")
+    return validated(CircleSetup, {"id": name, **mine[0]}, f"{columns.table.source}: session.setups")
 
 
 def _runs(columns: Columns, angle: Array) -> tuple[Array, IntArray]:
