@@ -79,15 +79,7 @@ def circular_tests(
             continue
         both = _fitted(*paths.values())
         for name, value, expanded in _figures(paths, both, description.length_uncertainty):
-            told = {
-                "standard": "ISO 230-4",
-                "setup": setup.id,
-                "name": name,
-                "value": value,
-                "U": expanded,
-                "unit": "m",
-            }
-            figures.append(told)
+            figures.append(_figure(setup.id, name, value, expanded))
         for way, path in paths.items():
             entry = {"setup": setup.id, "plane": setup.plane, "way": way, "angle": path.angle}
             circles.append({**entry, "deviation": path.about(both)})

@@ -16,12 +16,13 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
+from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane
 from machine_tool_calibration.methods.ball_bar.iso230_4 import circular_tests, contributions
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import (
     OPEN_CHANGE,
     MachineTable,
@@ -33,8 +34,6 @@ from machine_tool_calibration.model.rigid_body import (
 from machine_tool_calibration.session.description import BallBar
 from machine_tool_calibration.session.session import Readings, Session, distinct_places
 from machine_tool_calibration.words import say
-
-_SQUARENESS = {"XY": "C0Y", "ZX": "B0Z", "YZ": "A0Z"}
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,8 @@ def build(session: Session, model: str = "circle") -> CircleModel:
     )
     chain = description.machine.kinematics
     planes = dict.fromkeys(setup.plane for setup in description.setups)
-    tables = tuple(MachineTable(chain, _SQUARENESS[name], np.empty(0)) for name in planes)
+    squareness = {frozenset(axes): name for name, axes in SQUARENESS.items()}
+    tables = tuple(MachineTable(chain, squareness[frozenset(plane)], np.empty(0)) for plane in planes)
     scales = "".join(sorted({axis for name in planes for axis in name}))
     terms = [table.term(observations) for table in tables]
     terms += [
@@ -172,8 +172,7 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
     loose = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > OPEN_CHANGE
     loose |= ~np.isin(np.arange(3), ["XYZ".index(axis) for axis in model.scales])
     error, uncertainty, covariance = determined_part(error, covariance, loose)
-    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
-    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
+    theta, sigma = determined_values(fit)
     content: dict[str, Any] = {
         "points": points,
         "position_error": error,
