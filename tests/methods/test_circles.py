@@ -126,6 +126,8 @@ def test_centre_length_squareness_and_scales_are_found(planes: tuple[str, ...]) 
             assert abs(values[name][0] - square[name]) < 4.0 * values[name][1] < 3e-6
     assert result.fit.joint.reduced_chi_square < 1.4
     assert [entry.name for entry in result.not_determined] == ["mean_scale"]
+    meanings = {p.name: str(p.meaning) for p in result.fit.model.parameters}
+    assert meanings[f"scale_{axes[1].lower()}_less_{axes[0].lower()}"] == f"scale of {axes[1]} less that of {axes[0]}"
 
 
 def test_figures_are_those_of_iso_230_4() -> None:

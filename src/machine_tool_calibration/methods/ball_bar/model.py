@@ -134,7 +134,13 @@ def _mismatches(scales: str) -> tuple[Parameter, ...]:
     """Scale of every other axis less that of the first."""
     first, others = scales[0], scales[1:]
     return tuple(
-        Parameter(f"scale_{axis.lower()}_less_{first.lower()}", "1", shared=True, kind=Kind.SQUARENESS)
+        Parameter(
+            f"scale_{axis.lower()}_less_{first.lower()}",
+            "1",
+            shared=True,
+            kind=Kind.SQUARENESS,
+            meaning=say("unknown.scale_difference", axis=axis, first=first),
+        )
         for axis in others
     )
 
