@@ -9,6 +9,7 @@ from scipy.ndimage import median_filter
 from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
+from machine_tool_calibration.methods.ball_bar.circle import places
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import CircleSetup
 
@@ -35,12 +36,10 @@ def circle_rows(columns: Columns, name: str) -> Rows:
     if columns.mapping.sign == "nominal-minus-actual" and not columns.has("radius"):
         deviation = -deviation
     sense, run = _runs(columns, angle)
-    numbers: dict[str, Array] = dict(zip("xyz", (np.full(len(angle), c) for c in setup.centre), strict=True))
-    for axis, part, slope in zip(
-        setup.plane.lower(), (np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)), strict=True
-    ):
-        numbers[axis] = numbers[axis] + setup.radius * part
-        numbers[f"dir_{axis}"] = np.where(sense * slope < 0.0, -1.0, 1.0)
+    place, tangent = places(setup, angle)
+    numbers: dict[str, Array] = dict(zip("xyz", place.T, strict=True))
+    for axis in setup.plane:
+        numbers[f"dir_{axis.lower()}"] = np.where(sense * tangent[:, "XYZ".index(axis)] < 0.0, -1.0, 1.0)
     # The first run counter-clockwise and the first clockwise are the first repeat.
     number = np.zeros(len(angle))
     for way in (-1.0, 1.0):

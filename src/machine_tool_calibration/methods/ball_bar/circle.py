@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.session.description import BallBar
+from machine_tool_calibration.session.description import BallBar, CircleSetup
 from machine_tool_calibration.session.session import Readings
 
 # Component of a tangent below which an axis stands: it reverses there, and its direction says nothing of the way round.
@@ -29,6 +29,15 @@ def angles(arm: Array, plane: IntArray) -> Array:
     """(n,) from the plane's first axis towards its second, rad."""
     first, second = in_plane(arm, plane).T
     return np.asarray(np.arctan2(second, first))
+
+
+def places(setup: CircleSetup, angle: Array) -> tuple[Array, Array]:
+    """(n, 3) places on a circle, m, and (n, 3) unit vectors of the way counter-clockwise, at angles (n,), rad."""
+    axes = ["XYZ".index(axis) for axis in setup.plane]
+    place, way = np.tile(np.array(setup.centre), (len(angle), 1)), np.zeros((len(angle), 3))
+    place[:, axes] += setup.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    way[:, axes] = np.column_stack([-np.sin(angle), np.cos(angle)])
+    return place, way
 
 
 def travel_sense(arm: Array, plane: IntArray, readings: Readings) -> Array | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.methods.ball_bar.circle import places
 from machine_tool_calibration.procedure.description import Procedure, Spread
 from machine_tool_calibration.procedure.steps import Step
 from machine_tool_calibration.session.description import BallBar, CircleSetup
@@ -57,10 +58,9 @@ def _angles(procedure: Procedure) -> list[float]:
 
 
 def _place(procedure: Procedure, setup: CircleSetup, angle: float) -> Mapping[str, float]:
-    place = dict(zip("xyz", setup.centre, strict=True))
-    for axis, part in zip(setup.plane.lower(), (np.cos(angle), np.sin(angle)), strict=True):
-        # To the picometre, so that an axis that stands has not moved.
-        place[axis] = round(place[axis] + setup.radius * float(part), 12)
+    # To the picometre, so that an axis that stands has not moved.
+    place = dict(zip("xyz", np.round(places(setup, np.array([angle]))[0][0], 12).tolist(), strict=True))
+    for axis in setup.plane.lower():
         low, high = procedure.session.machine.travel.get(axis, (-np.inf, np.inf))
         if not low <= place[axis] <= high:
             raise SessionError(
