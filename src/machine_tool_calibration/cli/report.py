@@ -9,7 +9,7 @@ import click
 
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
-from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written, progress_bar, seed_option
+from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note, note_written, progress_bar, seed_option
 
 
 @click.command("report")
@@ -20,13 +20,20 @@ from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written
     "outputs",
     type=FILE,
     multiple=True,
-    help="The report: a file .html or .pdf; repeatable. By default report.html.",
+    help="The report: a file .html or .pdf; repeatable. By default report.html. Of a certificate also .xml, a DCC.",
 )
 @click.option("--language", default="en", show_default=True, metavar="en|de", help="Of the report.")
 @click.option("--figures", type=FOLDER, help="Folder for the pictures as SVG files.")
 @budget_option("YAML file with contributors to the uncertainty (`mtcal budget`); repeatable.")
 @click.option("--tolerances", type=PATH, help="YAML file with tolerances (`mtcal conformity`).")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
+@click.option(
+    "--certificate",
+    "stated",
+    type=PATH,
+    multiple=True,
+    help="A certificate to sign in the place of the report: YAML file with laboratory, customer, …; repeatable.",
+)
 @model_options
 @seed_option
 def command(
@@ -37,6 +44,7 @@ def command(
     budgets: tuple[Path, ...],
     tolerances: Path | None,
     diagnosis: bool,
+    stated: tuple[Path, ...],
     wanted: Wanted,
     seed: int,
 ) -> None:
@@ -51,26 +59,40 @@ def command(
     mtcal report session -o report.html
     mtcal report session -o report.html -o report.pdf --language de
     mtcal report session --from-history --budget mine.yaml --tolerances tolerances.yaml
+    mtcal report session --certificate laboratory.yaml --certificate order.yaml -o certificate.pdf -o certificate.xml
     """
     from machine_tool_calibration.budget.contributor import contributors_of
     from machine_tool_calibration.budget.tolerances import read_tolerances
+    from machine_tool_calibration.certificate.pages import write_certificate
+    from machine_tool_calibration.certificate.particulars import DecisionRule, read_certificate
+    from machine_tool_calibration.certificate.points import missing
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
     from machine_tool_calibration.words import words
 
-    outputs = outputs or (Path("report.html"),)
-    check_endings(outputs)
+    outputs = outputs or (Path("certificate.pdf" if stated else "report.html"),)
+    check_endings(outputs, certificate=bool(stated))
     spoken = words(language)
     contributors = contributors_of(budgets, ())
     limits = read_tolerances(tolerances) if tolerances else {}
+    measured = wanted.open(measurements)
+    own = read_certificate(stated, measured.recorded) if stated else None
+    agreed = (own and own.decision_rule) or DecisionRule()
     with progress_bar() as progress:
         found = evaluate(
-            wanted.open(measurements),
-            diagnosis=diagnosis,
+            measured,
+            diagnosis=diagnosis and own is None,
             seed=seed,
             contributors=contributors,
             tolerances=limits,
+            rule=agreed.rule,
+            level=agreed.probability,
             progress=progress,
         )
-        written = write_report(found, spoken, outputs, figures, progress)
+        if own is None:
+            written = write_report(found, spoken, outputs, figures, progress)
+        else:
+            written = write_certificate(found, own, spoken, outputs, figures, progress)
     note_written(written)
+    if own is not None and (lacking := missing(own, found)):
+        note(f"draft: ISO/IEC 17025:2017 asks for what is not stated: {lacking}")

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.fleet.machines import Machines
 from machine_tool_calibration.fleet.picture import draw_fleet
 from machine_tool_calibration.fleet.texts import effects_table, fleet_line, machines_table, problems_table, states_table
 from machine_tool_calibration.plots.trend import draw_trend
 from machine_tool_calibration.report.figures import Picture
-from machine_tool_calibration.report.page import rendered
+from machine_tool_calibration.report.page import rendered, save
 from machine_tool_calibration.report.sections import Block, Section, in_language
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import SOFTWARE
@@ -51,12 +50,7 @@ def write_page(fleet: Machines, book: Path, file: Path, words: Words) -> Path:
         drawings="",
         library="",
     )
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{file}: cannot be written: {error.strerror}") from None
-    return file
+    return save(file, text)
 
 
 def _attention(fleet: Machines) -> Iterator[Block]:

@@ -55,6 +55,8 @@ def evaluate(
     seed: int = 1,
     contributors: Sequence[Contributor] = (),
     tolerances: Mapping[str, Any] | None = None,
+    rule: str = "guarded",
+    level: float = 0.95,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Evaluation:
     """Calculate all of it.
@@ -66,6 +68,8 @@ def evaluate(
         contributors: of the uncertainty budget; if there are none those that the sessions state, and for tolerances
             those of their instruments to begin with.
         tolerances: by figure, as `budget.tolerances` reads them.
+        rule: of decision, as for `conformity`.
+        level: its conformance probability.
         progress: called with what is being done and the share that is finished.
 
     Raises:
@@ -91,5 +95,5 @@ def evaluate(
     verdicts = None
     if tolerances:
         progress("conformity", 0.0)
-        verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
+        verdicts = conformity(fitted, tolerances, rule=rule, level=level, budget=budget, seed=seed)
     return Evaluation(measured, result, held.sessions, improved, then, budget, general, verdicts)

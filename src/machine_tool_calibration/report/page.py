@@ -18,8 +18,11 @@ from machine_tool_calibration.words import Words
 if TYPE_CHECKING:
     from machine_tool_calibration.report.evaluation import Evaluation
 
-# Control characters, which no text needs and a terminal obeys, become the sign for one that cannot be shown.
-_UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0)} - {0x09, 0x0A, 0x0D}, "\ufffd")
+# Control characters, which no text needs and a terminal obeys, and what neither UTF-8 nor XML can hold, become the sign
+# for a character that cannot be shown.
+_UNPRINTABLE = dict.fromkeys(
+    {*range(0x20), *range(0x7F, 0xA0), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF} - {0x09, 0x0A, 0x0D}, "\ufffd"
+)
 
 
 def write_report(
@@ -40,27 +43,33 @@ def write_report(
     check_endings(files)
     progress("drawing", 0.0)
     content = sections(found, words)
+    for k, file in enumerate(files, start=1):
+        progress(f"writing {file.name}", k / (len(files) + 1))
+        on_paper = file.suffix.lower() == ".pdf"
+        save(file, pdf(html(found, content, words, for_paper=True)) if on_paper else html(found, content, words))
+    return [*files, *(save_pictures(content, figures) if figures else ())]
+
+
+def save(file: Path, content: str | bytes) -> Path:
+    """Write a file, with the folders that it needs; a CalibrationError if it cannot be written."""
     try:
-        for k, file in enumerate(files, start=1):
-            progress(f"writing {file.name}", k / (len(files) + 1))
-            file.parent.mkdir(parents=True, exist_ok=True)
-            if file.suffix.lower() == ".pdf":
-                file.write_bytes(_pdf(html(found, content, words, for_paper=True)))
-            else:
-                file.write_text(html(found, content, words), encoding="utf-8")
-        return [*files, *(save_pictures(content, figures) if figures else ())]
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as error:
-        raise CalibrationError(f"{error.filename or files[0]}: cannot be written: {error.strerror}") from None
+        raise CalibrationError(f"{error.filename or file}: cannot be written: {error.strerror}") from None
+    return file
 
 
-def check_endings(files: Sequence[Path]) -> None:
+def check_endings(files: Sequence[Path], *, certificate: bool = False) -> None:
     """Refuse what a report cannot be, before it is calculated.
 
     Raises:
-        CalibrationError: a file that is neither .html nor .pdf.
+        CalibrationError: a file that is neither .html nor .pdf, nor .xml of a certificate.
     """
     for file in files:
-        if file.suffix.lower() not in (".html", ".pdf"):
+        if file.suffix.lower() == ".xml" and not certificate:
+            raise CalibrationError(f"{file}: a Digital Calibration Certificate needs --certificate FILE")
+        if file.suffix.lower() not in (".html", ".pdf", ".xml"):
             raise CalibrationError(f"{file}: a report is an .html or a .pdf file")
 
 
@@ -88,18 +97,23 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
     )
 
 
-def rendered(template: str, *packages: str, **values: Any) -> str:
+def rendered(template: str, *packages: str | Path, **values: Any) -> str:
     """A page made of a template.
 
     Args:
         template: its file; it may extend `report.html`.
-        packages: where it is, beside this one.
+        packages: where it is, or what it extends, beside this one; a folder of the user's as a path.
         values: that it takes.
     """
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(package, ".") for package in (str(__package__), *packages)]),
+        loader=ChoiceLoader(
+            [
+                FileSystemLoader(place) if isinstance(place, Path) else PackageLoader(place, ".")
+                for place in (str(__package__), *packages)
+            ]
+        ),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -108,26 +122,38 @@ def rendered(template: str, *packages: str, **values: Any) -> str:
     environment.tests["picture"] = lambda block: isinstance(block, Picture)
     environment.tests["table"] = lambda block: isinstance(block, TextTable)
     environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
-    return environment.get_template(template).render(**values).translate(_UNPRINTABLE)
+    return printable(environment.get_template(template).render(**values))
+
+
+def printable(text: str) -> str:
+    """A text with the sign for what cannot be shown in the place of control characters and halves of characters."""
+    return text.translate(_UNPRINTABLE)
 
 
 def save_pictures(content: Sequence[Section], folder: Path) -> list[Path]:
     """Write the pictures as SVG files of their names."""
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for block in (block for section in content for block in section.blocks):
-        if isinstance(block, Picture):
-            written.append(folder / f"{block.name.replace('/', '-')}.svg")
-            written[-1].write_bytes(block.svg)
-    return written
+    pictures = [block for section in content for block in section.blocks if isinstance(block, Picture)]
+    return [save(folder / f"{picture.name.replace('/', '-')}.svg", picture.svg) for picture in pictures]
 
 
-def _pdf(page: str) -> bytes:
+def pdf(page: str, files: Sequence[tuple[str, bytes, str]] = (), **options: Any) -> bytes:
+    """A page on paper.
+
+    Args:
+        page: HTML that holds all it needs.
+        files: that it holds: name, content, and what each is to the page (`AFRelationship` of ISO 19005-3).
+        options: of WeasyPrint's `write_pdf`.
+
+    Raises:
+        CalibrationError: no Pango.
+    """
     try:
-        from weasyprint import HTML  # type: ignore[import-untyped]
+        from weasyprint import HTML, Attachment  # type: ignore[import-untyped]
         from weasyprint.urls import URLFetcher  # type: ignore[import-untyped]
     except OSError:  # it loads Pango when it is imported
         raise CalibrationError("a PDF needs the library Pango (Debian: libpangoft2-1.0-0); HTML does not") from None
+    attachments = [Attachment(string=content, name=name, relationship=relation) for name, content, relation in files]
     # all of it is in the page
-    made: bytes = HTML(string=page, url_fetcher=URLFetcher(allowed_protocols=["data"])).write_pdf()
+    fetcher = URLFetcher(allowed_protocols=["data"])
+    made: bytes = HTML(string=page, url_fetcher=fetcher).write_pdf(attachments=attachments, **options)
     return made

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice
 from typing import Any
@@ -84,8 +84,14 @@ class Section:
             yield min(beside, len(same)), same
 
 
-def sections(found: Evaluation, words: Words) -> list[Section]:
-    """The report's content in a language, in the order in which it is read; without sections of what there is not."""
+def sections(found: Evaluation, words: Words, only: Container[str] | None = None) -> list[Section]:
+    """The report's content in a language, in the order in which it is read; without sections of what there is not.
+
+    Args:
+        found: what it tells.
+        words: of the language.
+        only: ids of the sections that are made; all if None.
+    """
     parts = {
         "summary": _summary(found),
         "measurement": _measurement(found),
@@ -102,7 +108,7 @@ def sections(found: Evaluation, words: Words) -> list[Section]:
         "provenance": _provenance(found),
     }
     out = []
-    for name, blocks in parts.items():
+    for name, blocks in ((name, blocks) for name, blocks in parts.items() if only is None or name in only):
         section = Section(name, words(f"report.section_{name}"), [in_language(block, words) for block in blocks])
         if section.blocks:
             out.append(section)
@@ -165,7 +171,7 @@ def _measurement(found: Evaluation) -> Iterator[str | TextTable]:
         )
         if about:
             yield TextTable(say("report.about"), ("", ""), about)
-        yield _set_up(session)
+        yield set_up(session)
         yield next(session_tables(session, summarize(session)))  # of setups
 
 
@@ -176,7 +182,8 @@ def _said(name: str) -> str:
     return together((together((text, number)) if number else text for text, number in named_parts), ", ")
 
 
-def _set_up(session: Session) -> TextTable:
+def set_up(session: Session) -> TextTable:
+    """What was measured and how, in figures."""
     summary, description = summarize(session), session.description
     travel = ", ".join(
         f"{axis.upper()} " + " … ".join(f"{np.degrees(v) if axis in 'abc' else 1e3 * v:g}" for v in ends)

@@ -258,7 +258,7 @@ def conformity_parts(found: Conformity) -> Iterator[Part]:
     yield decision_words(found)
     yield from suspicion_words(found.suspicious)
     yield table(
-        say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %"),
+        say("conformity.by", rule=rule_words(found)),
         found.each,
         say("conformity.by_budget" if found.uncertainty == "budget" else "conformity.nothing_decided"),
         figure=lambda one: _figure(one.name),
@@ -268,6 +268,11 @@ def conformity_parts(found: Conformity) -> Iterator[Part]:
         decision=lambda one: named("decision", one.decision),
         why=lambda one: one.why,
     )
+
+
+def rule_words(found: Conformity) -> str:
+    """By what it is decided whether a tolerance is kept."""
+    return say(f"conformity.{found.rule.replace('-', '_')}", level=f"{100 * found.level:g} %")
 
 
 def decision_words(found: Conformity) -> str:

@@ -103,12 +103,16 @@ def data_hash(session: Session) -> str:
     It is that of `session.yaml` followed by `observations.csv` as this package writes them (`mtcal convert`), so a
     folder and a recording of the same measurement agree, and any program for sums can check it.
     """
+    return hashlib.sha256("".join(recorded_texts(session)).encode()).hexdigest()
+
+
+def recorded_texts(session: Session) -> tuple[str, str]:
+    """`session.yaml` and `observations.csv` of a measurement as it was recorded, of which `data_hash` is the sum."""
     from machine_tool_calibration.session.csv_text import write_csv  # here, as it brings pandas
 
     text = io.StringIO(newline="")
-    text.write(description_yaml(session.description))
     write_csv(readings_frame(session.as_recorded), text)
-    return hashlib.sha256(text.getvalue().encode()).hexdigest()
+    return description_yaml(session.description), text.getvalue()
 
 
 def provenance(

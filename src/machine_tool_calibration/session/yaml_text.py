@@ -32,7 +32,7 @@ _SPECIAL = {
 }
 _TEXT_KEYS = frozenset({"id"})
 # Keys below which everything is text as it stands: a serial number 007 or 1e5, a version 3.10, a date.
-_VERBATIM_KEYS = frozenset({"about"})
+_VERBATIM_KEYS = frozenset({"about", "certificate"})
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 Path = tuple[str | int, ...]

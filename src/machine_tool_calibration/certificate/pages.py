@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The certificate as pages: HTML, and PDF/A-3 that holds the result for programs as well."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from machine_tool_calibration.certificate.dcc import dcc_text, lacks_for_dcc
+from machine_tool_calibration.certificate.particulars import Certificate
+from machine_tool_calibration.certificate.points import missing
+from machine_tool_calibration.certificate.texts import facts, instruments, procedure, statements
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.report.evaluation import Evaluation
+from machine_tool_calibration.report.page import pdf, rendered, save, save_pictures
+from machine_tool_calibration.report.sections import Section, Turnable, in_language, sections
+from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.values import STANDARDS
+from machine_tool_calibration.session.provenance import name_of_machine, recorded_texts
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.text import read_bytes
+from machine_tool_calibration.words import Words
+
+TEMPLATE = "certificate.html"
+DCC = "dcc.xml"
+# Sections of the report that belong to a certificate: results, conformity, uncertainty, data. No diagnosis: what may be
+# wrong with a machine is an opinion (ISO/IEC 17025, 7.8.7).
+_RESULTS = (*STANDARDS, "map", "motions", "conformity", "budget", "undetermined", "rejected", "provenance")
+_LARGEST_LOGO = 4 << 20
+_KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"<": "svg+xml"}
+
+
+def write_certificate(
+    found: Evaluation,
+    own: Certificate,
+    words: Words,
+    files: Sequence[Path],
+    figures: Path | None = None,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[Path]:
+    """Write a certificate; by its ending each file is HTML, PDF/A-3 or, .xml, a Digital Calibration Certificate (DCC).
+
+    Returns the files, with those of the pictures in the folder `figures`.
+
+    A CalibrationError: a file that cannot be written, no Pango for PDF, a template or logo that is none, or a DCC that
+    lacks what its schema asks for.
+    """
+    progress("drawing", 0.0)
+    content = _sections(found, own, words)
+    for k, file in enumerate(files, start=1):
+        progress(f"writing {file.name}", k / (len(files) + 1))
+        ending = file.suffix.lower()
+        if ending == ".xml":
+            save(file, dcc_text(found, own, words))
+        elif ending == ".pdf":
+            save(file, paper(found, own, content, words))
+        else:
+            save(file, page(found, own, content, words, for_paper=False))
+    return [*files, *(save_pictures(content, figures) if figures else ())]
+
+
+def page(found: Evaluation, own: Certificate, content: Sequence[Section], words: Words, *, for_paper: bool) -> str:
+    """The certificate as an HTML page that holds all it needs; a CalibrationError for a template that is none."""
+    from jinja2 import TemplateError
+
+    def told(text: str) -> str:
+        return words.numbers(words.told(text))
+
+    origin, lacking = found.result.provenance, missing(own, found)
+    own_file = Path(own.template) if own.template else None
+    if own_file is not None and own_file.name in (TEMPLATE, "report.html"):
+        raise CalibrationError(f"{own_file}: a template that extends {TEMPLATE} needs another name")
+    try:
+        return rendered(
+            own_file.name if own_file else TEMPLATE,
+            str(__package__),
+            *([own_file.parent] if own_file else []),
+            own=own,
+            words=words,
+            facts=[(told(name), [told(line) for line in lines]) for name, lines in facts(own)],
+            statements=[told(text) for text in statements(own, found) if text],
+            draft=words("certificate.draft", points=lacking) if lacking else "",
+            logo=_logo(own.laboratory.logo),
+            sections=content,
+            machine=own.machine.name or name_of_machine(origin.sessions[0].about),
+            measured="",
+            software=origin.software,
+            evaluated=told(origin.evaluated[:10]),
+            footer=told(origin.footer),
+            for_paper=for_paper,
+            drawings="",
+            library="",
+        )
+    except TemplateError as error:
+        raise CalibrationError(f"{own.template}: {' '.join(str(error).split())}") from None
+
+
+def _sections(found: Evaluation, own: Certificate, words: Words) -> list[Section]:
+    mine = {"procedure": procedure(own, found), "instruments": instruments(own)}
+    made = [
+        Section(
+            name, words(f"certificate.section_{name}"), [in_language(table, words) for table in tables if table.rows]
+        )
+        for name, tables in mine.items()
+    ]
+    made += sections(found, words, _RESULTS)
+    for section in made:
+        section.blocks = [block for block in section.blocks if not isinstance(block, Turnable)]
+    made = [section for section in made if section.blocks]
+    del made[-1].blocks[1:]  # columns of the data: conditions stand above, readings in the data
+    names = [name for name, *_ in _enclosed(found, own)] + ([] if lacks_for_dcc(own) else [DCC])
+    made[-1].blocks.append(words("certificate.enclosed", names=", ".join(names)))
+    return made
+
+
+def _enclosed(found: Evaluation, own: Certificate) -> list[tuple[str, Callable[[], str], str]]:
+    """Names of the files that a PDF holds, how each is made, and what it is to the certificate (ISO 19005-3)."""
+    files: list[tuple[str, Callable[[], str], str]] = [("result.json", lambda: to_json(found.document), "Data")]
+    labels = found.measured.chosen.labels or ("",)
+    for label, session in zip(labels, found.measured.recorded, strict=True) if own.raw_data == "annex" else ():
+        before = f"{label}_" if label else ""
+        for k, name in enumerate(("session.yaml", "observations.csv")):
+            files.append((before + name, partial(_recorded, session, k), "Source"))
+    return files
+
+
+def _recorded(session: Session, which: int) -> str:
+    return recorded_texts(session)[which]
+
+
+def paper(found: Evaluation, own: Certificate, content: Sequence[Section], words: Words) -> bytes:
+    """The certificate as PDF/A-3u; in it the result as `mtcal identify --json` has it, and a DCC where it is complete.
+
+    A CalibrationError: as for `page`, or no Pango.
+    """
+    files = [(name, made().encode(), relation) for name, made, relation in _enclosed(found, own)]
+    if not lacks_for_dcc(own):
+        files.append((DCC, dcc_text(found, own, words), "Alternative"))
+    return pdf(page(found, own, content, words, for_paper=True), files, pdf_variant="pdf/a-3u")
+
+
+def _logo(file: str) -> str:
+    """A picture as an address that holds it; empty without one."""
+    if not file:
+        return ""
+    content = read_bytes(Path(file), _LARGEST_LOGO)
+    kind = next((kind for mark, kind in _KINDS.items() if content.lstrip().startswith(mark)), None)
+    if kind is None:
+        raise CalibrationError(f"{file}: a logo is an SVG, PNG or JPEG file")
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
