@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pandas as pd
 
-from machine_tool_calibration.certificate.particulars import Certificate, Instrument, Party
+from machine_tool_calibration.certificate.particulars import Certificate, Item, Party
 from machine_tool_calibration.certificate.texts import recorded_conditions, stated_conditions, statements
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -55,155 +55,133 @@ def dcc_text(found: Evaluation, own: Certificate, words: Words) -> bytes:
     for prefix, space in SPACES.items():
         ElementTree.register_namespace(prefix, space)
     root = _Writer(found, own, words).certificate()
+    if root.find(".//dcc:result", SPACES) is None:
+        raise CalibrationError("the readings determine no value that a DCC could state")
     root.set(f"{_INSTANCE}schemaLocation", _SCHEMA)
     ElementTree.indent(root)
     made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return made
 
 
-def _node(name: str, *content: Element | str | None, **attributes: str) -> Element:
-    """An element `prefix:name` with children and text; of `dcc` where there is no prefix."""
+def _node(name: str, *content: Element | str, **attributes: str) -> Element:
+    """An element `prefix:name`, of `dcc` without a prefix, with text or with those children that hold anything."""
     prefix, _, local = name.rpartition(":")
     node = Element(f"{{{SPACES[prefix or 'dcc']}}}{local}", attributes)
     for part in content:
         if isinstance(part, str):
             node.text = printable(part).strip()
-        elif part is not None:
+        elif part.text or len(part):
             node.append(part)
     return node
 
 
-def _optional(name: str, text: str) -> Element | None:
-    return _node(name, text) if text.strip() else None
-
-
 class _Writer:
-    """The parts of a certificate in one language."""
+    """The parts of a certificate in one language; what is not stated makes no element."""
 
     def __init__(self, found: Evaluation, own: Certificate, words: Words) -> None:
         self.found, self.own, self.words = found, own, words
+        name, _, release = found.result.provenance.software.rpartition(" ")
+        self.software = _node(
+            "software", self.text("name", name), _node("release", release), _node("type", "application")
+        )
 
     def certificate(self) -> Element:
-        return _node(
-            "digitalCalibrationCertificate", self.administration(),
-            _node("measurementResults", self.result()), schemaVersion=VERSION,
-        )  # fmt: skip
+        parts = self.administration(), _node("measurementResults", self.result())
+        return _node("digitalCalibrationCertificate", *parts, schemaVersion=VERSION)
 
     def text(self, name: str, text: str) -> Element:
         return _node(name, _node("content", self.words.told(text), lang=self.words.language))
 
     def administration(self) -> Element:
-        own = self.own
-        signed = [one for one in own.signatures if one.name]
+        own, text = self.own, self.text
         persons = [
-            _node("respPerson", _node("person", self.text("name", one.name)), _optional("role", one.role),
+            _node("respPerson", _node("person", text("name", one.name)), _node("role", one.role),
                   _node("mainSigner", "false" if k else "true"))
-            for k, one in enumerate(signed)
+            for k, one in enumerate(one for one in own.signatures if one.name)
         ]  # fmt: skip
+        code = _node("calibrationLaboratoryCode", own.laboratory.code)
         return _node(
             "administrativeData",
-            _node("dccSoftware", self.software()),
+            _node("dccSoftware", self.software),
             self.core(),
-            _node("items", self.item()),
-            _node("calibrationLaboratory", _optional("calibrationLaboratoryCode", own.laboratory.code),
-                  self.party("contact", own.laboratory)),
+            _node("items", _node("item", *self.described(own.machine, owner=("inventory", own.machine.inventory)))),
+            _node("calibrationLaboratory", code, self.party("contact", own.laboratory)),
             _node("respPersons", *persons),
             self.party("customer", own.customer),
             _node("statements", *self.statements()),
-        )  # fmt: skip
-
-    def software(self) -> Element:
-        name, _, release = self.found.result.provenance.software.rpartition(" ")
-        return _node("software", self.text("name", name), _node("release", release), _node("type", "application"))
+        )
 
     def core(self) -> Element:
-        own = self.own
-        days = {
-            "receiptDate": own.received,
-            "beginPerformanceDate": own.measured[0],
-            "endPerformanceDate": own.measured[-1],
-        }
+        own, language = self.own, self.words.language
         return _node(
             "coreData",
             _node("countryCodeISO3166_1", own.laboratory.country),
-            _node("usedLangCodeISO639_1", self.words.language),
-            _node("mandatoryLangCodeISO639_1", self.words.language),
+            _node("usedLangCodeISO639_1", language),
+            _node("mandatoryLangCodeISO639_1", language),
             _node("uniqueIdentifier", own.number),
-            _node("identifications", self.identification("customer", own.order, "order")) if own.order else None,
-            *(_node(name, day.isoformat()) for name, day in days.items() if day),
+            _node("identifications", *self.identifications(customer=("order", own.order))),
+            _node("receiptDate", str(own.received or "")),
+            _node("beginPerformanceDate", str(own.measured[0])),
+            _node("endPerformanceDate", str(own.measured[-1])),
             _node("performanceLocation", own.location),
-            _node("issueDate", own.issued.isoformat()) if own.issued else None,
+            _node("issueDate", str(own.issued or "")),
         )
 
-    def item(self) -> Element:
-        one = self.own.machine
-        stated = (("manufacturer", one.serial, "serial"), ("owner", one.inventory, "inventory"))
-        known = [self.identification(issuer, value, key) for issuer, value, key in stated if value]
-        return _node(
-            "item", self.text("name", one.name), self.text("description", one.condition) if one.condition else None,
-            self.maker(one.manufacturer), _optional("model", one.model), _node("identifications", *known),
-        )  # fmt: skip
+    def described(self, one: Item, **more: tuple[str, str]) -> Iterator[Element]:
+        """What a machine and an instrument have in common; `more` are numbers by who gave them."""
+        yield self.text("name", one.name)
+        yield self.text("description", getattr(one, "condition", ""))
+        yield _node("manufacturer", self.text("name", one.manufacturer))
+        yield _node("model", one.model)
+        yield _node("identifications", *self.identifications(manufacturer=("serial", one.serial), **more))
 
-    def maker(self, name: str) -> Element | None:
-        return _node("manufacturer", self.text("name", name)) if name else None
+    def identifications(self, **numbers: tuple[str, str]) -> Iterator[Element]:
+        """Numbers, each with what it is, by who gave them."""
+        for issuer, (key, value) in numbers.items():
+            if value:
+                name = self.text("name", self.words(f"certificate.{key}"))
+                yield _node("identification", _node("issuer", issuer), _node("value", value), name)
 
-    def identification(self, issuer: str, value: str, key: str) -> Element:
-        name = self.text("name", self.words(f"certificate.{key}"))
-        return _node("identification", _node("issuer", issuer), _node("value", value), name)
-
-    def party(self, name: str, party: Party) -> Element:
-        places = (("street", party.street), ("postCode", party.post_code), ("city", party.city))
-        where = [*(_optional(key, text) for key, text in places), _optional("countryCode", party.country)]
-        return _node(
-            name, self.text("name", party.name), _optional("eMail", party.email), _optional("phone", party.phone),
-            _node("location", *where),
-        )  # fmt: skip
+    def party(self, name: str, one: Party) -> Element:
+        where = {"street": one.street, "postCode": one.post_code, "city": one.city, "countryCode": one.country}
+        location = _node("location", *(_node(key, text) for key, text in where.items()))
+        return _node(name, self.text("name", one.name), _node("eMail", one.email), _node("phone", one.phone), location)
 
     def statements(self) -> Iterator[Element]:
         for text in statements(self.own, self.found):
-            if text:
-                yield _node("statement", self.text("declaration", text))
+            yield _node("statement", self.text("declaration", text))
         for one in self.found.conformity.each if self.found.conformity else ():
-            decided = _node("conformity", one.decision) if one.decision in ("pass", "fail") else None
             told = self.text("declaration", named("decision", one.decision))
+            decided = _node("conformity", one.decision if one.decision in ("pass", "fail") else "")
             yield _node("statement", self.text("name", one.name), told, decided)
 
     def result(self) -> Element:
-        own, (session, *_) = self.own, self.found.measured.recorded
-        methods = [_node("usedMethod", self.text("name", text)) for text in own.procedure if text]
-        conditions = list(self.conditions())
-        instruments = [self.instrument(one) for one in own.instruments if one.name]
+        own, method = self.own, self.found.measured.recorded[0].method.replace("_", " ")
+        instruments = [
+            _node("measuringEquipment", *self.described(one, calibrationLaboratory=("certificate", one.certificate)))
+            for one in own.instruments if one.name
+        ]  # fmt: skip
         return _node(
             "measurementResult",
-            self.text("name", named("method", session.method.replace("_", " "))),
-            _node("usedMethods", *methods) if methods else None,
-            _node("usedSoftware", self.software()),
-            _node("measuringEquipments", *instruments) if instruments else None,
-            _node("influenceConditions", *conditions) if conditions else None,
+            self.text("name", named("method", method)),
+            _node("usedMethods", *(_node("usedMethod", self.text("name", text)) for text in own.procedure)),
+            _node("usedSoftware", self.software),
+            _node("measuringEquipments", *instruments),
+            _node("influenceConditions", *self.conditions()),
             _node("results", *self.quantities(tidy(self.found.result))),
         )
-
-    def instrument(self, one: Instrument) -> Element:
-        stated = (("manufacturer", one.serial, "serial"), ("calibrationLaboratory", one.certificate, "certificate"))
-        known = [self.identification(issuer, value, key) for issuer, value, key in stated if value]
-        return _node(
-            "measuringEquipment", self.text("name", one.name), self.maker(one.manufacturer),
-            _optional("model", one.model), _node("identifications", *known) if known else None,
-        )  # fmt: skip
 
     def conditions(self) -> Iterator[Element]:
         for name, text in stated_conditions(self.own):
             yield _node("influenceCondition", self.text("name", name), _node("data", self.text("text", text)))
-        for session in self.found.measured.recorded:
-            for column in recorded_conditions(session):
-                unit = _UNITS[_CONDITION_UNITS.get(column.name, "°C")]
-                ends = [
-                    _node("quantity", self.text("name", self.words(f"head.{end}")), _real([value], unit))
-                    for end, value in (("from", column.low), ("to", column.high)) if value is not None
-                ]  # fmt: skip
-                if ends:
-                    called = self.text("name", named("column", column.name))
-                    yield _node("influenceCondition", called, _node("data", *ends))
+        for column in (one for session in self.found.measured.recorded for one in recorded_conditions(session)):
+            unit = _UNITS[_CONDITION_UNITS.get(column.name, "°C")]
+            ends = [
+                _node("quantity", self.text("name", self.words(f"head.{end}")), _real([value], unit))
+                for end, value in (("from", column.low), ("to", column.high)) if value is not None
+            ]  # fmt: skip
+            if ends:
+                yield _node("influenceCondition", self.text("name", named("column", column.name)), _node("data", *ends))
 
     def quantities(self, table: pd.DataFrame) -> Iterator[Element]:
         """Every value that is determined: a quantity by itself, or a list over the places that it depends on."""
@@ -226,18 +204,13 @@ class _Writer:
         return _node("list", *places, _node("quantity", values, refType="basic_measurementError"))
 
 
-def _real(values: Sequence[float] | pd.Series[float], unit: str, expanded: pd.Series[float] | None = None) -> Element:
+def _real(
+    values: Sequence[float] | pd.Series[float], unit: str, expanded: Sequence[float] | pd.Series[float] = ()
+) -> Element:
     """One number in D-SI, or several in one list, with expanded uncertainties if there are any."""
     many = "XMLList" if len(values) > 1 else ""
-    unc = None
-    if expanded is not None:
-        unc = _node(
-            f"si:expandedUnc{many}", _node(f"si:uncertainty{many}", _numbers(expanded)),
-            _node(f"si:coverageFactor{many}", _COVERAGE_FACTOR), _node(f"si:coverageProbability{many}", _COVERAGE),
-        )  # fmt: skip
+    numbers, sizes = (" ".join(f"{float(value):.9g}" for value in some) for some in (values, expanded))
+    parts = {"uncertainty": sizes, "coverageFactor": _COVERAGE_FACTOR, "coverageProbability": _COVERAGE}
+    u = _node(f"si:expandedUnc{many}", *(_node(f"si:{key}{many}", text) for key, text in parts.items() if sizes))
     kind = "si:realListXMLList" if many else "si:real"
-    return _node(kind, _node(f"si:value{many}", _numbers(values)), _node(f"si:unit{many}", unit), unc)
-
-
-def _numbers(values: Sequence[float] | pd.Series[float]) -> str:
-    return " ".join(f"{float(value):.9g}" for value in values)
+    return _node(kind, _node(f"si:value{many}", numbers), _node(f"si:unit{many}", unit), u)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 from machine_tool_calibration.certificate.dcc import dcc_text, lacks_for_dcc
@@ -15,16 +14,14 @@ from machine_tool_calibration.certificate.texts import facts, instruments, proce
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import pdf, rendered, save, save_pictures
-from machine_tool_calibration.report.sections import Section, Turnable, in_language, sections
+from machine_tool_calibration.report.sections import Block, Section, Turnable, in_language, sections
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.values import STANDARDS
 from machine_tool_calibration.session.provenance import name_of_machine, recorded_texts
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import read_bytes
 from machine_tool_calibration.words import Words
 
 TEMPLATE = "certificate.html"
-DCC = "dcc.xml"
 # Sections of the report that belong to a certificate: results, conformity, uncertainty, data. No diagnosis: what may be
 # wrong with a machine is an opinion (ISO/IEC 17025, 7.8.7).
 _RESULTS = (*STANDARDS, "map", "motions", "conformity", "budget", "undetermined", "rejected", "provenance")
@@ -48,14 +45,16 @@ def write_certificate(
     lacks what its schema asks for.
     """
     progress("drawing", 0.0)
-    content = _sections(found, own, words)
+    enclosed = _enclosed(found, own, words)
+    content = _sections(found, own, words, [name for name, *_ in enclosed])
     for k, file in enumerate(files, start=1):
         progress(f"writing {file.name}", k / (len(files) + 1))
         ending = file.suffix.lower()
         if ending == ".xml":
             save(file, dcc_text(found, own, words))
         elif ending == ".pdf":
-            save(file, paper(found, own, content, words))
+            text = page(found, own, content, words, for_paper=True)
+            save(file, pdf(text, enclosed, pdf_variant="pdf/a-3u"))
         else:
             save(file, page(found, own, content, words, for_paper=False))
     return [*files, *(save_pictures(content, figures) if figures else ())]
@@ -94,51 +93,34 @@ def page(found: Evaluation, own: Certificate, content: Sequence[Section], words:
             library="",
         )
     except TemplateError as error:
-        raise CalibrationError(f"{own.template}: {' '.join(str(error).split())}") from None
+        what = " ".join(str(error).split())
+        raise CalibrationError(f"{own.template or TEMPLATE}: {type(error).__name__}: {what}") from None
 
 
-def _sections(found: Evaluation, own: Certificate, words: Words) -> list[Section]:
-    mine = {"procedure": procedure(own, found), "instruments": instruments(own)}
-    made = [
-        Section(
-            name, words(f"certificate.section_{name}"), [in_language(table, words) for table in tables if table.rows]
-        )
-        for name, tables in mine.items()
-    ]
+def _sections(found: Evaluation, own: Certificate, words: Words, names: Sequence[str]) -> list[Section]:
+    """What follows the first page; `names` are those of the files that a PDF holds."""
+    made = []
+    for name, tables in (("procedure", procedure(own, found)), ("instruments", instruments(own))):
+        blocks: list[Block] = [in_language(table, words) for table in tables if table.rows]
+        made.append(Section(name, words(f"certificate.section_{name}"), blocks))
     made += sections(found, words, _RESULTS)
     for section in made:
         section.blocks = [block for block in section.blocks if not isinstance(block, Turnable)]
-    made = [section for section in made if section.blocks]
-    del made[-1].blocks[1:]  # columns of the data: conditions stand above, readings in the data
-    names = [name for name, *_ in _enclosed(found, own)] + ([] if lacks_for_dcc(own) else [DCC])
-    made[-1].blocks.append(words("certificate.enclosed", names=", ".join(names)))
-    return made
+    # of the data its sum: conditions stand above, and columns are those of the data
+    made[-1].blocks[1:] = [words("certificate.enclosed", names=", ".join(names))]
+    return [section for section in made if section.blocks]
 
 
-def _enclosed(found: Evaluation, own: Certificate) -> list[tuple[str, Callable[[], str], str]]:
-    """Names of the files that a PDF holds, how each is made, and what it is to the certificate (ISO 19005-3)."""
-    files: list[tuple[str, Callable[[], str], str]] = [("result.json", lambda: to_json(found.document), "Data")]
+def _enclosed(found: Evaluation, own: Certificate, words: Words) -> list[tuple[str, bytes, str]]:
+    """Files that a PDF holds, and what each is to it: the result as `mtcal identify --json` has it, a DCC, the data."""
+    files = [("result.json", to_json(found.document).encode(), "Data")]
+    if not lacks_for_dcc(own):
+        files.append(("dcc.xml", dcc_text(found, own, words), "Alternative"))
     labels = found.measured.chosen.labels or ("",)
     for label, session in zip(labels, found.measured.recorded, strict=True) if own.raw_data == "annex" else ():
-        before = f"{label}_" if label else ""
-        for k, name in enumerate(("session.yaml", "observations.csv")):
-            files.append((before + name, partial(_recorded, session, k), "Source"))
+        for name, text in zip(("session.yaml", "observations.csv"), recorded_texts(session), strict=True):
+            files.append((f"{label}_{name}".lstrip("_"), text.encode(), "Source"))
     return files
-
-
-def _recorded(session: Session, which: int) -> str:
-    return recorded_texts(session)[which]
-
-
-def paper(found: Evaluation, own: Certificate, content: Sequence[Section], words: Words) -> bytes:
-    """The certificate as PDF/A-3u; in it the result as `mtcal identify --json` has it, and a DCC where it is complete.
-
-    A CalibrationError: as for `page`, or no Pango.
-    """
-    files = [(name, made().encode(), relation) for name, made, relation in _enclosed(found, own)]
-    if not lacks_for_dcc(own):
-        files.append((DCC, dcc_text(found, own, words), "Alternative"))
-    return pdf(page(found, own, content, words, for_paper=True), files, pdf_variant="pdf/a-3u")
 
 
 def _logo(file: str) -> str:

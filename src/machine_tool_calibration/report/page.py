@@ -18,11 +18,9 @@ from machine_tool_calibration.words import Words
 if TYPE_CHECKING:
     from machine_tool_calibration.report.evaluation import Evaluation
 
-# Control characters, which no text needs and a terminal obeys, and what neither UTF-8 nor XML can hold, become the sign
-# for a character that cannot be shown.
-_UNPRINTABLE = dict.fromkeys(
-    {*range(0x20), *range(0x7F, 0xA0), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF} - {0x09, 0x0A, 0x0D}, "\ufffd"
-)
+# Control characters, which no text needs and a terminal obeys, and what XML cannot hold become the sign for a
+# character that cannot be shown.
+_UNPRINTABLE = dict.fromkeys({*range(0x20), *range(0x7F, 0xA0), 0xFFFE, 0xFFFF} - {0x09, 0x0A, 0x0D}, "\ufffd")
 
 
 def write_report(
@@ -105,9 +103,10 @@ def rendered(template: str, *packages: str | Path, **values: Any) -> str:
         packages: where it is, or what it extends, beside this one; a folder of the user's as a path.
         values: that it takes.
     """
-    from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, FileSystemLoader, PackageLoader, StrictUndefined
+    from jinja2.sandbox import SandboxedEnvironment
 
-    environment = Environment(
+    environment = SandboxedEnvironment(
         loader=ChoiceLoader(
             [
                 FileSystemLoader(place) if isinstance(place, Path) else PackageLoader(place, ".")
@@ -126,7 +125,7 @@ def rendered(template: str, *packages: str | Path, **values: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """A text with the sign for what cannot be shown in the place of control characters and halves of characters."""
+    """A text with the sign for what cannot be shown in the place of control characters."""
     return text.translate(_UNPRINTABLE)
 
 
