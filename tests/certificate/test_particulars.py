@@ -83,6 +83,11 @@ def test_a_file_counts_before_the_session_and_a_later_before_an_earlier(tmp_path
     own = read_certificate([LABORATORY, ORDER, later], [described(ABOUT)])
     assert own.machine.model_dump() == {**stated().machine.model_dump(), "serial": "1e5"}
     assert (own.issued, own.place, own.number) == (None, "3.10", "MM-2026-0117")
+    text = "{measured: [2026-03-02, 2026-03-01], signatures: [{name: , role: x}], procedure: [''], issued: 2026-03-05}"
+    later.write_text(f"format: mtcal-certificate/1\ncertificate: {text}\n")
+    own = read_certificate([later], [])
+    assert own.measured == (date(2026, 3, 1), date(2026, 3, 2)) and own.issued == date(2026, 3, 5)
+    assert (own.signatures, own.procedure) == ((), ())
     assert Item(name="VMC", model="850").title == "VMC, 850" and Item(model="850").title == "850"
 
 

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import pandas as pd
 
 from machine_tool_calibration.certificate.particulars import Certificate, Item, Party
+from machine_tool_calibration.certificate.points import unstated
 from machine_tool_calibration.certificate.texts import recorded_conditions, stated_conditions, statements
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -28,24 +29,24 @@ _CONDITION_UNITS = {"air_pressure": "Pa", "relative_humidity": "1"}
 # Coordinates of a value in a result's table, and the unit of each where the table does not say it.
 _COORDINATES = {"position": "", "x": "m", "y": "m", "z": "m", "a": "rad", "b": "rad", "c": "rad"}
 _COVERAGE_FACTOR, _COVERAGE = "2", "0.95"
+_NEEDED = (
+    "laboratory.name",
+    "laboratory.city",
+    "laboratory.country",
+    "customer.name",
+    "customer.city",
+    "number",
+    "measured",
+    "location",
+    "machine.name",
+    "machine.serial",
+    "signatures",
+)
 
 
 def lacks_for_dcc(own: Certificate) -> list[str]:
-    """Keys without which the schema takes no DCC."""
-    needed = {
-        "laboratory.name": own.laboratory.name,
-        "laboratory.city": own.laboratory.city,
-        "laboratory.country": own.laboratory.country,
-        "customer.name": own.customer.name,
-        "customer.city": own.customer.city,
-        "number": own.number,
-        "measured": own.measured,
-        "location": own.location,
-        "machine.name": own.machine.name,
-        "machine.serial": own.machine.serial,
-        "signatures": any(one.name for one in own.signatures),
-    }
-    return [key for key, value in needed.items() if not value]
+    """Keys under which nothing is stated and without which the schema takes no DCC."""
+    return unstated(own, _NEEDED)
 
 
 def dcc_text(found: Evaluation, own: Certificate, words: Words) -> bytes:
@@ -97,7 +98,7 @@ class _Writer:
         persons = [
             _node("respPerson", _node("person", text("name", one.name)), _node("role", one.role),
                   _node("mainSigner", "false" if k else "true"))
-            for k, one in enumerate(one for one in own.signatures if one.name)
+            for k, one in enumerate(own.signatures)
         ]  # fmt: skip
         code = _node("calibrationLaboratoryCode", own.laboratory.code)
         return _node(

@@ -17,7 +17,7 @@ from machine_tool_calibration.report.page import pdf, rendered, save, save_pictu
 from machine_tool_calibration.report.sections import Block, Section, Turnable, in_language, sections
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.values import STANDARDS
-from machine_tool_calibration.session.provenance import name_of_machine, recorded_texts
+from machine_tool_calibration.session.provenance import recorded_texts
 from machine_tool_calibration.session.text import read_bytes
 from machine_tool_calibration.words import Words
 
@@ -83,10 +83,7 @@ def page(found: Evaluation, own: Certificate, content: Sequence[Section], words:
             draft=words("certificate.draft", points=lacking) if lacking else "",
             logo=_logo(own.laboratory.logo),
             sections=content,
-            machine=own.machine.name or name_of_machine(origin.sessions[0].about),
-            measured="",
             software=origin.software,
-            evaluated=told(origin.evaluated[:10]),
             footer=told(origin.footer),
             for_paper=for_paper,
             drawings="",

@@ -32,6 +32,11 @@ def _days(value: Any) -> Any:
     return ([value] if value else []) if isinstance(value, str | date) else value
 
 
+def _told(entries: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Entries of a list that are filled in."""
+    return tuple(one for one in entries if getattr(one, "name", one))
+
+
 def _known_rule(value: str) -> str:
     if value not in RULES:
         raise ValueError(f"no decision rule {value!r}{did_you_mean(value, RULES)}; there are {', '.join(RULES)}")
@@ -129,21 +134,21 @@ class Certificate(Record):
     location: Literal["", "laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = ""
     place: Text = ""
     received: Day = None
-    measured: Annotated[tuple[date, ...], BeforeValidator(_days)] = ()
+    measured: Annotated[tuple[date, ...], BeforeValidator(_days), AfterValidator(lambda days: tuple(sorted(days)))] = ()
     issued: Day = None
-    procedure: tuple[Text, ...] = ()
+    procedure: Annotated[tuple[Text, ...], AfterValidator(_told)] = ()
     deviations: Text = ""
     adjustment: Text = ""
     conditions: Conditions = Conditions()
     instruments: tuple[Instrument, ...] = ()
     traceability: Text = ""
     specification: Text = ""
-    decision_rule: DecisionRule | None = None
+    decision_rule: DecisionRule = DecisionRule()
     from_customer: Text = ""
     external: Text = ""
     statement: Text = ""
     remarks: Text = ""
-    signatures: tuple[Signature, ...] = ()
+    signatures: Annotated[tuple[Signature, ...], AfterValidator(_told)] = ()
     raw_data: Literal["hash", "annex"] = "hash"
     template: Text = ""  # file that extends certificate.html
 

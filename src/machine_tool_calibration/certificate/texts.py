@@ -49,7 +49,7 @@ def statements(own: Certificate, found: Evaluation) -> Iterator[str]:
         yield say("certificate.conformity", decision=decision_words(found.conformity))
         yield say("certificate.specification", what=Verbatim(own.specification)) if own.specification else ""
         yield say("certificate.rule", rule=rule_words(found.conformity))
-        agreed = own.decision_rule.agreed if own.decision_rule else ""
+        agreed = own.decision_rule.agreed
         yield say("certificate.agreed", what=Verbatim(agreed)) if agreed else ""
     yield say("report.u_is_incomplete" if found.budget is None else "certificate.coverage")
     yield say("report.u_is_general") if found.budget is not None and found.general else ""

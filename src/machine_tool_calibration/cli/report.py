@@ -75,10 +75,10 @@ def command(
     spoken = words(language)
     contributors = contributors_of(budgets, ())
     limits = read_tolerances(tolerances) if tolerances else {}
-    measured = wanted.open(measurements)
-    own = read_certificate(stated, measured.recorded) if stated else None
-    agreed = (own and own.decision_rule) or DecisionRule()
     with progress_bar() as progress:
+        measured = wanted.open(measurements)
+        own = read_certificate(stated, measured.recorded) if stated else None
+        agreed = own.decision_rule if own else DecisionRule()
         found = evaluate(
             measured,
             diagnosis=diagnosis and own is None,
