@@ -125,7 +125,7 @@ def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
     of_positions = np.loadtxt(linuxcnc.write(made, "cell 1")["x.comp"].splitlines())
     of_trims = np.loadtxt(files["x.comp"].splitlines())
     assert np.abs(of_positions[:, :1] - of_positions[:, 1:] - of_trims[:, 1:]).max() < 1e-9
-    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read(files, made, kind=1)
+    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read(files, made)
     assert one.tables[0].value == pytest.approx(other.tables[0].value, abs=1e-12)
     assert one.backlash["X"][0] == pytest.approx(other.backlash["X"][0], abs=1e-12)
 
