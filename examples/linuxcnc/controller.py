@@ -71,6 +71,7 @@ def drive(
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("machine.tcl", "bridge.py"):
         shutil.copy(HERE / name, folder)
+    (folder / "bridge.py").chmod(0o755)
     screws = [f"{axis} = {(half_play or {}).get(axis, 0.0)!r}" for axis in AXES]
     text = with_entries((HERE / "machine.ini").read_text() + "\n[SCREW]\n", {"SCREW": screws, **(entries or {})})
     (folder / "machine.ini").write_text(text)
