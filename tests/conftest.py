@@ -81,6 +81,7 @@ _FIRST = (
     "nodes/test_commands.py",
     "planning/test_what_to_measure.py",
     "nodes/test_probe.py",
+    "controller/test_linuxcnc.py",
     "nodes/test_hostile.py",
     "methods/joint/test_spread.py",
     "nodes/test_whole.py",

@@ -25,7 +25,7 @@ def test_json_names_files_and_preview(tmp_path: Path, verb: Verb) -> None:
 def test_people_see_before_and_after(tmp_path: Path, verb: Verb) -> None:
     shown = verb("export", SESSION, "--format", "linuxcnc", "-o", tmp_path)
     assert "RMS left" in shown.out and "x.comp" in shown.out
-    assert "not determined: EZX" in shown.err
+    assert "not determined: EZX" in shown.err and "into the sections [JOINT_n]" in shown.err
     reasons = [line.split(": ", 2)[2] for line in shown.err.splitlines() if line.startswith("not determined")]
     assert len(set(reasons)) == len(reasons)
 

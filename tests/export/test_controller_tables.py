@@ -5,6 +5,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
     of_positions = np.loadtxt(linuxcnc.write(made, "cell 1")["x.comp"].splitlines())
     of_trims = np.loadtxt(files["x.comp"].splitlines())
     assert np.abs(of_positions[:, :1] - of_positions[:, 1:] - of_trims[:, 1:]).max() < 1e-9
-    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read(files, made, kind=1)
+    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read(files, made)
     assert one.tables[0].value == pytest.approx(other.tables[0].value, abs=1e-12)
     assert one.backlash["X"][0] == pytest.approx(other.backlash["X"][0], abs=1e-12)
 
@@ -136,6 +137,18 @@ def test_linuxcnc_has_256_lines_at_most(tables: AxisTables) -> None:
     lines = linuxcnc.write(made, "cell 1")["x.comp"].splitlines()
     assert len(lines) == 256
     assert lines[0].startswith("0.000000 ") and lines[-1].startswith("1000.000000 1000.0100000")
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_linuxcnc_holds_end_values_and_takes_backlash_without_a_table(tables: AxisTables, kind: Literal[0, 1]) -> None:
+    made = one_axis(tables, np.array([0.1, 0.3]), np.array([0.0, -7e-6]), half=1e-6)
+    made = replace(made, backlash={**made.backlash, "Z": (2e-6, 1e-8)})
+    files = linuxcnc.write(made, "cell 1", kind)
+    assert set(files) == {"x.comp", "compensation.ini"}
+    assert "[JOINT_2]\n# no table: the reversal error\nBACKLASH = 0.0040000\n" in files["compensation.ini"]
+    points, down = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]]), -np.ones((2, 3))
+    error = linuxcnc.read(files, made).field(points, down)
+    assert error == pytest.approx(np.array([[1e-6, 0.0, 2e-6], [-6e-6, 0.0, 2e-6]]), abs=1e-12)
 
 
 def test_linuxcnc_needs_a_positioning_error(tables: AxisTables) -> None:

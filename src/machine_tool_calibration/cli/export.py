@@ -124,6 +124,8 @@ def command(
     tell_either(document, [*map(str, written), left_table(made), *absent, *suspicion_words(suspicious)], as_json)
     for why, names in () if as_json else group_by_reason((one.name, one.why) for one in found.tables.left_out):
         note(f"not determined: {names}: {why}")
+    for remark in () if as_json else made.remarks:
+        note(remark)
     if bad := bad_fit(result.joint, result.error_map.content):
         note(bad)
     asked.note_unused(fit, measurements)
@@ -146,6 +148,7 @@ def _document(result: Result | JointResult, found: Compensation, made: Exported)
         "squareness": list(found.tables.squareness),
         "not_determined": found.tables.left_out,
         "not_in_tables": made.absent,
+        "remarks": made.remarks,
         "preview": made.left,
         "worse": made.worse,
         "worse_along": [one.name for one in made.worse_along],

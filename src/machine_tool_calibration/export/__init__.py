@@ -10,14 +10,14 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.export import fanuc, linuxcnc, si_tables, siemens, twincat
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
-__all__ = ["FORMATS", "read_tables", "write_tables"]
+__all__ = ["FORMATS", "read_tables", "remarks", "write_tables"]
 
 _Writer = Callable[[AxisTables, str], dict[str, str]]
 _Reader = Callable[[Mapping[str, str], AxisTables], AxisTables]
 
 _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "linuxcnc": (linuxcnc.write, linuxcnc.read),
-    "linuxcnc-trims": (partial(linuxcnc.write, kind=1), partial(linuxcnc.read, kind=1)),
+    "linuxcnc-trims": (partial(linuxcnc.write, kind=1), linuxcnc.read),
     "siemens": (siemens.write, siemens.read),
     "fanuc": (fanuc.write, fanuc.read),
     "isg": (twincat.write_isg, twincat.read_isg),
@@ -44,6 +44,11 @@ def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> Axis
     `tables` give the chain and the words, which no controller reads. A CalibrationError if there is no such format.
     """
     return _format(form)[1](files, tables)
+
+
+def remarks(form: str, tables: AxisTables) -> list[str]:
+    """What whoever loads the files would find otherwise; none where a format has no such traps."""
+    return linuxcnc.remarks(tables) if form.startswith("linuxcnc") else []
 
 
 def _format(form: str) -> tuple[_Writer, _Reader]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.export import read_tables, write_tables
+from machine_tool_calibration.export import read_tables, remarks, write_tables
 from machine_tool_calibration.export.error_states import ErrorStates, error_states
 from machine_tool_calibration.export.preview import ResidualError, ResidualErrors, residual_errors, summary
 from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTables, axis_tables
@@ -27,6 +27,7 @@ class Exported:
     # what is in the model, displaces the tool, and is not in the files: effects first, then error motions
     absent: list[str]
     complete: bool = False  # whether the uncertainties are those of a budget
+    remarks: tuple[str, ...] = ()  # what whoever loads the files would find otherwise
 
     @property
     def worse(self) -> bool:
@@ -55,7 +56,8 @@ class Compensation:
         files = write_tables(form, self.tables, "\n".join([self.source, *told]))
         held = read_tables(form, files, self.tables)
         errors = residual_errors(self.states.error_map, held, self.states.directions)
-        return Exported(files, errors, summary(errors), _absent(self.tables, held, self.states.effects), self.complete)
+        absent = _absent(self.tables, held, self.states.effects)
+        return Exported(files, errors, summary(errors), absent, self.complete, tuple(remarks(form, self.tables)))
 
 
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:

@@ -2,26 +2,28 @@
 """LinuxCNC's screw compensation: a `.comp` file for each joint, and the lines of the INI file that name them.
 
 Format: LinuxCNC's integrator documentation, INI Configuration, section [JOINT_<num>], COMP_FILE and COMP_FILE_TYPE. At
-most 256 lines a joint, in ascending order, machine units (here millimetres). A `.comp` file has no place for remarks,
-so they stand in the INI lines.
+most 256 lines a joint, in ascending order, machine units (here millimetres). Reading ends at the first line without
+three numbers, so remarks stand in the INI lines.
 
 Type 0 has the nominal position and the actual positions reached with the joint moving forward and in reverse, so that
 there is no sign to mistake. The manual's words and example of type 1 do not agree with each other, but the program is
 clear (usrmotLoadComp in emc/motion/usrmotintf.cc): of type 0 it takes nominal minus actual, forward and reverse, and of
 type 1 the two numbers as they stand, into the same trims. compute_screw_comp (emc/motion/control.c) then adds the trim
 of the direction of motion to the commanded position, with straight lines between the positions, and beyond the first
-and the last one their trims. A line of type 1 is thus the compensation itself: minus the deviation.
+and the last one their trims. A line of type 1 is thus the compensation itself: minus the deviation. Of a joint without
+a file it adds half the BACKLASH in the direction of motion. tests/controller holds all this against the program.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from configparser import ConfigParser
 from typing import Literal
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.export.head import as_read, head, middle_line, positioning, rebuilt
+from machine_tool_calibration.export.head import head, held_beyond, middle_line, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
 MOST_LINES = 256
@@ -39,10 +41,10 @@ def write(tables: AxisTables, source: str, kind: Literal[0, 1] = 0) -> dict[str,
     """One `.comp` of that type for each positioning error, and the INI lines; a ModelError if none is determined."""
     own = positioning(tables, source)
     absent = [t.name for t in tables.tables if not t.is_positioning] + list(tables.squareness)
-    lines = head(tables, source, _SIGN[kind], "mm: [TRAJ]LINEAR_UNITS or [JOINT_n]UNITS must be mm", absent)
+    lines = head(tables, source, _SIGN[kind], "mm: [TRAJ]LINEAR_UNITS must be mm", absent)
     lines.append(middle_line(tables))
-    lines.append("joints: as trivkins has them, X = 0, Y = 1, Z = 2; change the sections if yours differ")
-    lines.append("BACKLASH of a joint with a COMP_FILE is not used by LinuxCNC")
+    lines.append("joints: X = 0, Y = 1, Z = 2 (trivkins coordinates=XYZ); change the sections if yours differ")
+    lines += remarks(tables)
     ini = [f"# {line}" for line in lines]
     files = {}
     for table in own:
@@ -62,7 +64,27 @@ def write(tables: AxisTables, source: str, kind: Literal[0, 1] = 0) -> dict[str,
             f"COMP_FILE = {name}",
             f"COMP_FILE_TYPE = {kind}",
         ]
+    for axis in sorted(tables.backlash.keys() - {table.axis for table in own}):
+        half = tables.backlash[axis][0]
+        ini += ["", f"[JOINT_{_JOINTS[axis]}]", "# no table: the reversal error", f"BACKLASH = {2e3 * half:.7f}"]
     return {**files, _INI: "\n".join(ini) + "\n"}
+
+
+def remarks(tables: AxisTables) -> list[str]:
+    """What whoever loads the files would find otherwise."""
+    return [
+        f"LinuxCNC holds {MOST_LINES} positions a joint, {table.name} has {len(table.nodes)}: its file has "
+        f"{MOST_LINES} evenly spaced ones"
+        for table in tables.tables
+        if table.is_positioning and len(table.nodes) > MOST_LINES
+    ] + [
+        "LinuxCNC corrects a joint by its own position alone: straightness, angles and squareness stay as they are",
+        f"put the lines of {_INI} into the sections [JOINT_n] that your INI file has: of two sections of one name "
+        "LinuxCNC reads the first, without a word about the other; it reads the files when it starts",
+        "the files take the place of the COMP_FILE and the BACKLASH that these joints had (beside a COMP_FILE LinuxCNC "
+        "does not use a BACKLASH): the machine must have been measured without them",
+        "homing takes the correction at the home switch into the machine's zero: set the workpiece's zero again",
+    ]
 
 
 def _thinned(table: AxisTable) -> tuple[Array, Array]:
@@ -73,15 +95,19 @@ def _thinned(table: AxisTable) -> tuple[Array, Array]:
     return nodes, np.interp(nodes, table.nodes, table.value)
 
 
-def read(files: Mapping[str, str], tables: AxisTables, kind: Literal[0, 1] = 0) -> AxisTables:
-    """Deviations as LinuxCNC takes them from such files of that type."""
+def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
+    """Deviations as LinuxCNC takes them from such files."""
+    ini = ConfigParser()
+    ini.read_string(files[_INI])
     found, backlash = [], {}
-    for file, text in files.items():
-        if not file.endswith(".comp"):
-            continue
-        axis = file[0].upper()
-        nominal, *columns = 1e-3 * np.loadtxt(text.splitlines()).T
-        forward, reverse = (column - nominal if kind == 0 else -column for column in columns)
-        found.append(as_read(f"E{axis}{axis}", nominal, (forward + reverse) / 2))
-        backlash[axis] = float(np.mean(reverse - forward)) / 2
+    for axis, joint in _JOINTS.items():
+        entries = ini[f"JOINT_{joint}"] if ini.has_section(f"JOINT_{joint}") else {}
+        if "COMP_FILE" in entries:
+            nominal, *columns = 1e-3 * np.loadtxt(files[entries["COMP_FILE"]].splitlines()).T
+            trims = entries["COMP_FILE_TYPE"] == "1"
+            forward, reverse = (-column if trims else column - nominal for column in columns)
+            found.append(held_beyond(f"E{axis}{axis}", nominal, (forward + reverse) / 2))
+            backlash[axis] = float(np.mean(reverse - forward)) / 2
+        elif "BACKLASH" in entries:
+            backlash[axis] = 1e-3 * float(entries["BACKLASH"]) / 2
     return rebuilt(tables, found, backlash=backlash)

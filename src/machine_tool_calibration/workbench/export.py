@@ -107,7 +107,7 @@ class ExportPage:
             files = f"<p>Files: {escape(', '.join(exported.files))}</p>"
             self._preview.object = (
                 f"{worse}<p>{escape(self._whose(name))}</p>{files}{tables([left_table(exported)])}"
-                f"<p>{escape(absent_words(exported))}</p>"
+                f"{''.join(f'<p>{escape(words)}</p>' for words in (absent_words(exported), *exported.remarks))}"
             )
             self._picture.object = picture
 
