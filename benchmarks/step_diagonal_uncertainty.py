@@ -94,7 +94,7 @@ def figures(item: tuple[Case, float, int]) -> tuple[float, float, float]:
         for seed in range(_FIRST_SEED, _FIRST_SEED + sessions):
             one = simulated(case, angular, seed)
             profiles = _fitted(build(one.session))
-            judged = one.truth.judged["axis_errors"]
+            judged = one.truth.expected["axis_errors"]
             true = eq17(profiles.blocks, np.concatenate([np.ravel(judged[letter]) for letter in "xyz"]))
             error = free @ (profiles.value - true)
             variance = np.diag(free @ profiles.covariance @ free.T)

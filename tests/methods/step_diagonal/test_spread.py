@@ -11,7 +11,14 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal import small_angles as module
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
-from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, shape_covariance
+from machine_tool_calibration.methods.step_diagonal.small_angles import (
+    LARGEST,
+    NONE,
+    SMALLEST,
+    mean_shape,
+    own_sizes,
+    shape_covariance,
+)
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.simulation import TableSpec
 
@@ -44,16 +51,19 @@ def _by_hand(model):
     angles = np.concatenate([term.columns for term in model.spread.terms])
     logs, means, covariances = [np.log(NONE)], [], []
     sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES_TRIED)
-    each = [(s, shape) for shape in module._SHAPES for s in sizes]
+    none = (1.0,) * len(model.spread.tables)
+    likely = model.spread.posterior.ratios
+    each = [(s, shape, *one) for one in likely for shape in module._SHAPES for s in sizes]
     errors, index = model._map_rows()
     mapping = eq17(model.blocks, errors).T
-    for size, shape in [(0.0, module._SHAPES[0]), *each]:
-        prior = size**2 * block_diag(*[shape_covariance(table.nodes, *shape) for table in model.spread.tables])
+    for size, shape, factors, weight in [(0.0, module._SHAPES[0], none, 1.0), *each]:
+        own = zip(factors, model.spread.tables, strict=True)
+        prior = size**2 * block_diag(*[f**2 * shape_covariance(table.nodes, *shape) for f, table in own])
         readings = np.diag(model.sigma**2) + angles.T @ prior @ angles
         seen = outside.T @ readings @ outside
         told = outside.T @ residual
         if size:
-            logs.append(np.log((1 - NONE) / len(each)))
+            logs.append(np.log((1 - NONE) * weight * len(likely) / len(each)))
         logs[-1] += -0.5 * (np.linalg.slogdet(seen)[1] + told @ np.linalg.solve(seen, told))
         # Generalised least squares for the others, regression for the angles.
         inverse = np.linalg.inv(readings)
@@ -140,3 +150,18 @@ def test_the_map_holds_the_arms_of_the_angles_along_its_own_edges(exact, worst):
     simulated = exact(2, motions={"EAX": bow}, tilt=0.0, orders=ORDERS, corner=corner)
     model = build(simulated.session, "angular_one_mirror")
     assert worst(simulated, model.profiles(fit_models([model]).fits[0])) < 5e-9
+
+
+def test_an_angular_error_that_stands_out_has_a_size_of_its_own() -> None:
+    rng = np.random.default_rng(8)
+    roots = [np.linalg.cholesky(mean_shape(np.linspace(0.0, 0.5, 9), 0) + 1e-9 * np.eye(9)) for _ in range(4)]
+    columns = rng.normal(size=(36, 400)) / 1e-6  # readings in their uncertainties, of 1 urad each
+    sizes = np.array([2e-6, 2e-6, 2e-5, 2e-6])
+    angles = np.concatenate([size * root @ rng.normal(size=9) for size, root in zip(sizes, roots, strict=True)])
+    alike = np.concatenate([2e-6 * root @ rng.normal(size=9) for root in roots])
+    found, none = (
+        own_sizes(roots, columns @ columns.T, columns @ (columns.T @ true + rng.normal(size=400)))
+        for true in (angles, alike)
+    )
+    assert all(factors[2] > 1.0 and factors[:2] == (1.0, 1.0) and factors[3] == 1.0 for factors, _ in found)
+    assert dict(none)[1.0, 1.0, 1.0, 1.0] > 0.5

@@ -116,7 +116,7 @@ class StepDiagonalModel(MethodModel):
         if self.spread is None or self.spread.posterior is None:
             return None
         names = tuple(label for labels in self.spread.names for label in labels)
-        return SmallAngles(names, self.spread.nodes)
+        return SmallAngles(names, self.spread.nodes, self.spread.posterior.ratios)
 
     @property
     def edges(self) -> Array:

@@ -4,7 +4,7 @@
 Four of the nine angular errors look like straightness to every order of the moves, and five can only be determined with
 large uncertainty. To leave them out makes the map wrong by the lever arm times the angle, with an uncertainty that does
 not say so; to fit them freely makes it useless. So each is given a smooth random function of its axis's position, zero
-at the first one, all nine of one size and shape.
+at the first one, all nine of one size and shape, but for those that stand out (`own_sizes`).
 
 Size and shape are not known beforehand. Each pair of them has a restricted likelihood (Patterson and Thompson 1971: of
 what the readings hold beside all other unknowns), which together with what is expected of a machine tool gives its
@@ -20,6 +20,9 @@ What is expected before any reading:
   errors) and shorter ones, of a correlation length of 0.1, 0.2 or 0.4 of the travel; a tenth, half or all of the
   variance is of the long ones. The seven shapes are equally probable. Three diagonals hardly distinguish them, four
   do: a narrower choice made the uncertainties from four diagonals a tenth too large.
+- With a probability of 0.3 one of them has three or eight times the size of the others, and with that of 0.3 again a
+  further one. Taken for alike, one guideway that is worse than the others was called lost motion, as in a diagonal
+  every axis moves one way.
 
 The numbers were chosen with the virtual machine alone, over angular errors of 0 to 10 urad, short and long travels, and
 smooth and rough guideways, so that the stated uncertainties are right on the whole. They cannot be right for every size
@@ -38,6 +41,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import log
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -63,6 +67,13 @@ _SIZES_TRIED = 25
 # reproduce.
 _COARSE_SIZES = 5
 _FLOOR = 1e-6
+# How many times the size of the others one of them may have, and the probability before any reading that one has.
+_FACTORS, _STANDS_OUT = (3.0, 8.0), 0.3
+# Sets of such sizes over which the mean is taken, and the probability of one beside the likeliest's that counts.
+_MOST_RATIOS, _LEAST_RATIO = 6, 0.05
+
+Ratios = tuple[tuple[tuple[float, ...], float], ...]
+"""Sizes of the errors over the common one that are probable, and how probable they are beside each other."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +82,7 @@ class AngularPosterior(RandomPosterior):
 
     # for each error (k, k): the covariance of the random function, its mean over all that is possible, rad^2
     priors: tuple[Array, ...]
+    ratios: Ratios  # of the errors' sizes over the common one
 
 
 @dataclass(frozen=True)
@@ -79,11 +91,16 @@ class SmallAngles:
 
     names: tuple[str, ...]  # of their unknowns, error after error
     nodes: tuple[tuple[Array, int], ...]  # for each error its nodes, m, and the index of the one at which it is zero
+    ratios: Ratios | None = None  # of the errors' sizes over the common one; None while nobody has looked
 
     @property
     def root(self) -> Array:
         """(q, r) angles per unit of r independent coefficients whose standard deviation is the size: of mean shape."""
-        return np.asarray(block_diag(*(_root(mean_shape(nodes, zero)) for nodes, zero in self.nodes)))
+        factors = np.ones(len(self.nodes))
+        if self.ratios is not None:
+            factors = np.sqrt(sum(weight * np.square(own) for own, weight in self.ratios))
+        roots = [_mean_root(*_key(*where)) for where in self.nodes]
+        return np.asarray(block_diag(*(f * root for f, root in zip(factors, roots, strict=True))))
 
     @property
     def sizes(self) -> dict[float, float]:
@@ -95,7 +112,7 @@ class SmallAngles:
         self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
     ) -> AngularPosterior:
         """The mean over all sizes and shapes; see `normal_posterior`."""
-        return normal_posterior(self.nodes, matrix, right, constraints, values, squares)
+        return normal_posterior(self.nodes, matrix, right, constraints, values, squares, self.ratios)
 
 
 def shape_covariance(nodes: Array, length: float, share: float, zero: int = 0) -> Array:
@@ -130,9 +147,14 @@ def _shapes(nodes: tuple[float, ...], zero: int) -> tuple[tuple[Array, Array], .
     return tuple((covariance, _root(covariance)) for covariance in every)
 
 
-@lru_cache(maxsize=16)
-def _roots(places: tuple[tuple[tuple[float, ...], int], ...]) -> tuple[Array, ...]:
-    return tuple(block_diag(*(_shapes(*place)[j][1] for place in places)) for j in range(len(_SHAPES)))
+def _key(nodes: Array, zero: int) -> tuple[tuple[float, ...], int]:
+    return tuple(nodes.tolist()), zero
+
+
+@lru_cache(maxsize=64)
+def _mean_root(nodes: tuple[float, ...], zero: int) -> Array:
+    """A root of the covariance of the mean shape."""
+    return _root(mean_shape(np.array(nodes), zero))
 
 
 @dataclass(frozen=True)
@@ -172,12 +194,14 @@ def normal_posterior(
     constraints: Array,
     values: Array | None = None,
     squares: Array | None = None,
+    ratios: Ratios | None = None,
 ) -> AngularPosterior:
     """Angular errors and all other unknowns over all sizes and shapes, from normal equations N x = b.
 
     The q unknowns of the angular errors are the last, count from zero, and nothing is expected of them in N;
     `nodes` has for each error its nodes, m, and the index of the one at which it is zero. `constraints` (c, K) with
-    their values (zero if absent) are the datum of the K others; `squares` (K,) as in `solve_normal`.
+    their values (zero if absent) are the datum of the K others; `squares` (K,) as in `solve_normal`; `ratios` are
+    as of `own_sizes`, which gives them if they are absent.
     """
     k = constraints.shape[1]
     cross = matrix[:k, k:]
@@ -186,14 +210,19 @@ def normal_posterior(
     without = solve_normal(matrix[:k, :k], right[:k], constraints, goal, squares)
     shared = without.covariance @ cross
     gram = matrix[k:, k:] - cross.T @ shared
-    right = right[k:] - without.step @ cross
+    gram, right = (gram + gram.T) / 2, right[k:] - without.step @ cross
 
-    sizes = np.geomspace(SMALLEST, LARGEST, _SIZES_TRIED)
-    variance = sizes**2
-    places = tuple((tuple(at.tolist()), zero) for at, zero in nodes)
-    covariances = [[_shapes(*place)[j][0] for place in places] for j in range(len(_SHAPES))]
-    shapes = [_shaped(root, (gram + gram.T) / 2, right, variance) for root in _roots(places)]
-    logs = np.array([shape.log_likelihood for shape in shapes]) + np.log((1.0 - NONE) / (len(shapes) * _SIZES_TRIED))
+    variance = np.geomspace(SMALLEST, LARGEST, _SIZES_TRIED) ** 2
+    places = [_key(*where) for where in nodes]
+    ratios = own_sizes([_mean_root(*place) for place in places], gram, right) if ratios is None else ratios
+    tried = [(factors, j, log(weight)) for factors, weight in ratios for j in range(len(_SHAPES))]
+    each = [[f**2 * _shapes(*place)[j][0] for f, place in zip(factors, places, strict=True)] for factors, j, _ in tried]
+    roots = [[f * _shapes(*place)[j][1] for f, place in zip(factors, places, strict=True)] for factors, j, _ in tried]
+    shapes = [_shaped(block_diag(*own), gram, right, variance) for own in roots]
+    prior = np.log((1.0 - NONE) / (len(_SHAPES) * _SIZES_TRIED)) + np.array(
+        [[log_weight] for _, _, log_weight in tried]
+    )
+    logs = np.array([shape.log_likelihood for shape in shapes]) + prior
     weights = np.exp(logs - logsumexp(np.append(logs, np.log(NONE))))
 
     means, second = zip(*(s.moments(variance, w) for s, w in zip(shapes, weights, strict=True)), strict=True)
@@ -202,14 +231,52 @@ def normal_posterior(
     # Once the angles are known, the others follow: their covariance is that without angles, and their share of these.
     carried = shared @ spread
     return AngularPosterior(
-        size=float(np.sqrt((weights @ variance).sum())),
+        size=float(np.sqrt(weights @ variance @ [np.mean(np.square(factors)) for factors, _, _ in tried])),
         probability=float(weights.sum()),
-        priors=tuple(
-            np.tensordot(weights @ variance, np.array(each), axes=1) for each in zip(*covariances, strict=True)
-        ),
+        priors=tuple(np.tensordot(weights @ variance, np.array(own), axes=1) for own in zip(*each, strict=True)),
+        ratios=ratios,
         theta=np.concatenate([without.step - shared @ mean, mean]),
         covariance=np.block([[without.covariance + carried @ shared.T, -carried], [-carried.T, spread]]),
     )
+
+
+def own_sizes(roots: Sequence[Array], gram: Array, right: Array) -> Ratios:
+    """Sizes of errors over the common one: 1 but for those that stand out from the others.
+
+    One after the other is looked for, the likeliest first, while the evidence (over all common sizes, with the mean
+    shape) is for it.
+
+    Args:
+        roots: (k, r) of the covariance of each error of size 1.
+        gram: (q, q) inner products of the errors' columns, one error below the other, outside all other unknowns.
+        right: (q,) of these with the data.
+
+    Returns:
+        What is probable, and how probable it is beside the others of these.
+    """
+    root = block_diag(*roots)
+    inner, along = root.T @ gram @ root, root.T @ right
+    of = np.repeat(np.arange(len(roots)), [one.shape[1] for one in roots])
+    variance = np.geomspace(SMALLEST, LARGEST, _COARSE_SIZES) ** 2
+    cost = log((1.0 - _STANDS_OUT) / _STANDS_OUT * len(roots) * len(_FACTORS))
+    found: dict[tuple[float, ...], float] = {}
+
+    def evidence(factors: tuple[float, ...]) -> float:
+        if factors not in found:
+            each = _shaped(np.diag(np.array(factors)[of]), inner, along, variance).log_likelihood
+            alike = logsumexp(np.append(each - log(_COARSE_SIZES / (1.0 - NONE)), log(NONE)))
+            found[factors] = float(alike) - cost * sum(f != 1.0 for f in factors)
+        return found[factors]
+
+    best, last = (1.0,) * len(roots), None
+    while best != last:
+        last = best
+        beside = [(*best[:k], f, *best[k + 1 :]) for k in range(len(best)) if best[k] == 1.0 for f in _FACTORS]
+        best = max((best, *beside), key=evidence)
+    likeliest = sorted(found, key=lambda one: -found[one])[:_MOST_RATIOS]
+    likeliest = [one for one in likeliest if found[one] > found[best] + log(_LEAST_RATIO)]
+    weights = np.exp(np.array([found[one] for one in likeliest]) - found[best])
+    return tuple(zip(likeliest, (weights / weights.sum()).tolist(), strict=True))
 
 
 def angular_priors(names: Sequence[Sequence[str]], covariances: Sequence[Array]) -> tuple[Prior, ...]:
