@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, _explains, _sized, diagnose
+from machine_tool_calibration.diagnosis.adding import _explains, _sized
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError

@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from types import MappingProxyType
 
 import numpy as np
 import threadpoolctl
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.diagnosis.adding import with_probable
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
@@ -31,21 +30,18 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions, refuse_impossible
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.model import Kind, MethodModel
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.refits import changed, declared
-from machine_tool_calibration.model.result import ErrorMap, effect_signal, map_change, map_rms
+from machine_tool_calibration.model.result import map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.words import say, together
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
-# Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
-_OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
 
 @dataclass(frozen=True)
@@ -245,7 +241,7 @@ def _search(
     if repeated is not None:
         said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
         noise = replace(noise, **said)
-    fitted, refused = _added(search, predicted, first, fit_with)
+    fitted, refused = with_probable(search, predicted, first, fit_with)
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
@@ -297,41 +293,6 @@ def _resolved(
     return between_the_grid(pool, candidates, used, fit)
 
 
-def _added(
-    search: EffectSearch,
-    predicted: Mapping[str, Sequence[Prediction]],
-    first: FittedSessions,
-    fit_with: Callable[[tuple[str, ...]], FittedSessions],
-    unsized: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
-    """The first model and one after every effect that can be added, and why the other probable ones cannot.
-
-    What has a time constant, and no size of its own any more beside a further effect, was that one: it is in `unsized`.
-    """
-    fitted, accepted, refused = [first], list[str](), dict(unsized)
-    for name in (name for name in search.accepted if name not in unsized):
-        against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
-        if not search.of(name).plausible:
-            refused[name] = say("undetermined.no_such_size")
-        elif against:
-            refused[name] = say("undetermined.not_predicted", what=against[0])
-        else:
-            try:
-                wider = fit_with((*accepted, name))
-                _settled(wider.joint)
-                _explains(fitted[-1].joint, wider.joint)
-                _hold(fitted[-1].error_map, wider.error_map)
-                late = _not_themselves(search, first.joint, (*accepted, name), fit_with)
-            except ModelError as error:
-                refused[name] = str(error)
-                continue
-            if late:
-                return _added(search, predicted, first, fit_with, {**unsized, **late})
-            fitted.append(wider)
-            accepted.append(name)
-    return tuple(fitted), refused
-
-
 def _verdict(found: Diagnosis) -> str:
     """From the probabilities and the absolute misfit alone."""
     search, first, last = found.search, found.fits[0].solution, found.fits[-1].solution
@@ -364,92 +325,3 @@ def _good_enough(found: Diagnosis) -> bool:
     without = fitted.map_of(changed(joint, [left[piece] for piece in pool.pieces]))
     moved, uncertainty = map_change(fitted.map_of(declared(joint)), without), map_rms(fitted.error_map.uncertainty)
     return moved is not None and uncertainty is not None and moved < priors.GOOD_ENOUGH * 2.0 * uncertainty
-
-
-def _settled(fit: JointFit) -> None:
-    """Nothing, if the iteration came to rest.
-
-    Raises:
-        ModelError: it did not: the unknowns are so nearly interchangeable that no step is small.
-    """
-    squares = sum(float(np.sum((own.residuals / own.model.sigma) ** 2)) for own in fit.fits)
-    expected = fit.solution.chi_square
-    if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.assembly.problem.priors is None:
-        raise ModelError("together with the model's own unknowns the data does not determine it")
-
-
-def _explains(before: JointFit, after: JointFit) -> None:
-    """Nothing, if an effect lowers the sum of squares.
-
-    Raises:
-        ModelError: the model without it explains the readings as well, unknowns that are random functions aside.
-    """
-    gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
-    if gain < priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0):
-        raise ModelError("the model explains the readings as well without it")
-
-
-def _not_themselves(
-    search: EffectSearch,
-    before: JointFit,
-    names: tuple[str, ...],
-    fit_with: Callable[[tuple[str, ...]], FittedSessions],
-) -> dict[str, str]:
-    """Why some of the effects with a time constant are not what is missing, by name: without those that are.
-
-    Args:
-        search: what was found.
-        before: fit without any of the effects.
-        names: ids of effects that are all in the model.
-        fit_with: the fit with effects.
-    """
-    after, out, known = fit_with(names).joint, dict[str, str](), {f.name for f in search.findings if f.rank}
-    for name in (name for name in names if search.of(name).candidate.decays):
-        # What it changes that the model does not take up, and the residual.
-        squares = np.diag(Pool(before).screen(effect_signal(after, name)[0][None]).gram)
-        special_cases = known.intersection(search.of(name).candidate.contains)
-        instead = [tuple(case if n == name else n for n in names) for case in special_cases]
-        if not _sized(after, name):
-            out[name] = say("undetermined.no_size_beside")
-        elif squares[0] > priors.TAKEN_BACK**2 * squares[-1]:
-            out[name] = say("undetermined.taken_back")
-        elif any(fit_with(ids).joint.solution.chi_square < after.solution.chi_square for ids in instead):
-            out[name] = say("undetermined.less_than_simpler", names=together(sorted(special_cases), say("text.and")))
-    return out
-
-
-def _sized(fit: JointFit, name: str) -> bool:
-    """Whether the sizes of an effect with a time constant, taken together, stand out of their uncertainty.
-
-    Where they do not, its freedom describes something else, in one place or at one moment.
-    """
-    published, every = fit.published, enumerate(fit.assembly.parameters)
-    own = [k for k, p in every if p.kind is Kind.EFFECT and p.owner == name and p.unit != "s"]
-    own = [k for k in own if published.determined[k]]
-    size, covariance = published.theta[own], published.covariance[np.ix_(own, own)]
-    squares = size @ np.linalg.pinv(covariance, hermitian=True) @ size
-    return not own or bool(special.chdtrc(len(own), squares) <= special.chdtrc(1, priors.STANDS_OUT**2))
-
-
-def _hold(before: ErrorMap, after: ErrorMap) -> None:
-    """Nothing, if all that was determined still is with another effect in the model.
-
-    Raises:
-        ModelError: some of the map is no longer determined, or its uncertainty has grown beyond all use.
-    """
-    lost, growth = 0, 1.0
-    for name in filter(_OF_THE_MACHINE.fullmatch, before.content):
-        old = np.asarray(before.content[name], dtype=float)
-        new = np.asarray(after.content.get(name, np.full(old.shape, np.nan)), dtype=float)
-        if new.shape == old.shape:
-            lost += int((np.isfinite(old) & ~np.isfinite(new)).sum())
-            both = np.isfinite(old) & np.isfinite(new)
-            old, new = old[both], new[both]
-        # Otherwise places are there once for every state of the effect, such as either direction of approach.
-        old, new = old[old > 0], new[new > 0]
-        if old.size and new.size:
-            growth = max(growth, rms(new) / rms(old))
-    if lost:
-        raise ModelError(f"together with it {lost} values of the map would no longer be determined")
-    if growth > priors.SPOILT:
-        raise ModelError(f"together with it the data would determine the machine's errors {growth:.0f} times worse")
