@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -61,12 +61,10 @@ _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
 )  # fmt: skip
 
 
-def _built_in() -> Iterator[Effect]:
-    for entry in _BUILT_IN:
-        if isinstance(entry, tuple):
-            yield from map(*entry)
-        else:
-            yield entry()
+@cache
+def _built_in() -> tuple[Effect, ...]:
+    each = (map(*entry) if isinstance(entry, tuple) else (entry(),) for entry in _BUILT_IN)
+    return tuple(effect for own in each for effect in own)
 
 
 @cache

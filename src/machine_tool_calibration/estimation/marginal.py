@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -153,10 +153,15 @@ def log_noise(squares: Array | float, dof: int) -> Array:
     Either it holds, as knowledge worth a number of readings, or it says next to nothing (inverse-gamma priors of the
     variance): what differs by more than was declared is not for that alone what does not reproduce.
     """
+    prior, half, logs = _noise_terms(dof)
+    return np.asarray(logs - half * np.log(prior + np.asarray(squares)[..., None]))
+
+
+@cache
+def _noise_terms(dof: int) -> tuple[Array, Array, Array]:
     prior = np.array(priors.NOISE_DOF)
     half = 0.5 * (dof + prior)
-    logs = gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior)
-    return np.asarray(logs - half * np.log(prior + np.expand_dims(squares, -1)))
+    return prior, half, np.asarray(gammaln(half) - gammaln(0.5 * prior) + 0.5 * prior * np.log(prior))
 
 
 def noise_variance(squares: Array | float, dof: int) -> Array:
@@ -285,9 +290,9 @@ def _below(lower: Array, right: Array) -> Array:
 
 def _factor_of_sum(matrix: Array) -> Array:
     """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
-    try:
-        return np.asarray(np.linalg.cholesky(np.eye(len(matrix)) + matrix), dtype=np.float64)
-    except np.linalg.LinAlgError:
+    unit = np.eye(len(matrix))
+    factor, failed = lapack.dpotrf(unit + matrix, lower=1)
+    if failed:
         values, vectors = np.linalg.eigh(matrix)
-        clean = np.eye(len(matrix)) + (vectors * np.maximum(values, 0.0)) @ vectors.T
-        return np.asarray(np.linalg.cholesky(clean), dtype=np.float64)
+        factor = np.linalg.cholesky(unit + (vectors * np.maximum(values, 0.0)) @ vectors.T)
+    return np.asarray(factor, dtype=np.float64)
