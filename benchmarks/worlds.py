@@ -44,6 +44,8 @@ from machine_tool_calibration.simulation.plan import since_first
 _TRIED, _LARGEST_SEEN = 3e-6, 1.5e-5
 # Share of a signal that an effect at its largest usual size may leave.
 _OFF = 0.1
+# Share of a signal's squares in one reading from which no other shows it.
+_ALONE = 0.9
 # Cosine from which signals outside the model count as the same, and up to which two are told apart.
 ALIKE, _APART = 0.9, 0.5
 # Slopes and bows between setups, and gross errors, in standard uncertainties of a reading; their share.
@@ -194,7 +196,9 @@ def hidden_signals(
     def occurs(name: str, signal: Array) -> bool:
         if name not in catalogue():
             return not any(reproduced(known, signal) for known in catalogue())
-        return plausible(fit.joint, name, signal) and reproduced(name, signal)
+        # What one reading alone shows is a gross error, by whatever law.
+        alone = np.max(signal**2) > _ALONE * np.sum(signal**2)
+        return not alone and plausible(fit.joint, name, signal) and reproduced(name, signal)
 
     for name in (name for name in names if name not in taken):
         try:
