@@ -8,17 +8,20 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.adding import _explains, _sized
+from machine_tool_calibration.diagnosis.adding import _explains, _not_themselves, _sized
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
-from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
+from machine_tool_calibration.diagnosis.search.effect_search import search_effects
+from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import JointFit, fit_models, screen
 from machine_tool_calibration.model.model import Kind, Parameter
 from machine_tool_calibration.residuals.leverage import leverage
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 
 from ..diagnosed import diagnosed
@@ -166,3 +169,25 @@ def test_sizes_that_go_together_stand_out_together(size: tuple[float, float], co
     published = SimpleNamespace(theta=np.array([*size, 50.0]), covariance=covariance, determined=np.ones(3, dtype=bool))
     fit = SimpleNamespace(published=published, assembly=SimpleNamespace(parameters=parameters))
     assert _sized(cast(JointFit, fit), "e") is sized
+
+
+def test_what_explains_less_than_its_special_case_is_not_itself() -> None:
+    """A sensor that is late: the axis is ahead of it, and to lag behind it makes what expansion explains worse."""
+    clock = 15.0 * np.arange(300)
+    swing = np.sin(2.0 * np.pi * clock / 3000.0)
+    late = np.sin(2.0 * np.pi * (clock - 300.0) / 3000.0)
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=8)).session
+    readings = session.readings
+    n = len(readings)
+    columns = {"x": np.full(n, 0.4), "time": clock[:n], "temperature_x": 20.0 + late[:n]}
+    columns |= {name: readings.columns[name] for name in ("gx", "gy", "gz")}
+    noise = 1e-7 * np.random.default_rng(3).normal(size=n)
+    session = session.with_readings(replace(readings, displacement=8e-6 * swing[:n] + noise, columns=columns))
+    request = FitRequest.of(session)
+    first = fit_sessions(request).joint
+    pool = Pool(first)
+    candidates, _ = effect_candidates(pool, find_effects(["thermal_expansion_x", "thermal_lag_x"]))
+    search = search_effects(first, candidates, [], side_by_side=True)
+    found = _not_themselves(search, first, ("thermal_lag_x",), lambda ids: fit_sessions(request.adding(ids)))
+    assert "thermal_expansion_x" in found["thermal_lag_x"]
+    assert not _not_themselves(search, first, ("thermal_expansion_x",), lambda ids: fit_sessions(request.adding(ids)))
