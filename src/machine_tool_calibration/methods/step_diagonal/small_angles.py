@@ -161,17 +161,17 @@ def _mean_root(nodes: tuple[float, ...], zero: int) -> Array:
 class _Shape:
     """Random functions of one shape in directions (q, r) whose coefficients the readings determine one by one.
 
-    `told` (r,) is the information on each, `right` its right-hand side; `log_likelihood` is of each size over none.
+    `information` (r,) is that on each, `right` its right-hand side; `log_likelihood` is of each size over none.
     """
 
     directions: Array
-    told: Array
+    information: Array
     right: Array
     log_likelihood: Array
 
     def moments(self, variance: Array, weight: Array) -> tuple[Array, Array]:
         """(q,) weighted sum over the sizes of the mean, and (q, q) of the mean square of the angles."""
-        each = variance[:, None] / (1.0 + variance[:, None] * self.told)
+        each = variance[:, None] / (1.0 + variance[:, None] * self.information)
         mean = each * self.right
         square = np.diag(weight @ each) + (mean * weight[:, None]).T @ mean
         return self.directions @ (weight @ mean), np.asarray(self.directions @ square @ self.directions.T)
@@ -179,12 +179,12 @@ class _Shape:
 
 def _shaped(root: Array, gram: Array, right: Array, variance: Array) -> _Shape:
     values, vectors = np.linalg.eigh(root.T @ gram @ root)
-    told = np.maximum(values, 0.0)
+    information = np.maximum(values, 0.0)
     directions = root @ vectors
     along = directions.T @ right
-    grown = 1.0 + variance[:, None] * told
+    grown = 1.0 + variance[:, None] * information
     likelihood = 0.5 * (variance[:, None] * along**2 / grown - np.log(grown)).sum(axis=1)
-    return _Shape(directions, told, along, likelihood)
+    return _Shape(directions, information, along, likelihood)
 
 
 def normal_posterior(
