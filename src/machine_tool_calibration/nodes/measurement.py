@@ -108,7 +108,7 @@ class _Listeners:
         for name, why in self._graph.ended().items():
             if name not in LISTENERS or self.client is None:
                 raise CalibrationError(why)
-            again = sum(name in remark for remark in self.remarks) + 2
+            again = sum(remark.startswith(name) for remark in self.remarks) + 2
             if again > LISTENER_STARTS:
                 self.remarks.append(f"{why}; it is not started again")
                 self._graph.kill(name)
