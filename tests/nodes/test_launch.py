@@ -119,6 +119,12 @@ def test_an_argument_that_there_is_not_is_refused(launch, monkeypatch):
         started(found, recrod="1")
 
 
+def test_a_file_of_parameters_that_is_not_there_is_refused(launch):
+    for file in ("identify.launch.py", "graph.launch.py"):
+        with pytest.raises(CalibrationError, match=r"^params_file: none\.yaml: no such file$"):
+            started(launch(file), params_file="none.yaml")
+
+
 def test_who_has_no_axes_and_no_clock_is_told(launch):
     first, *_ = started(launch("graph.launch.py"), axes="false")
     assert first.named["msg"].startswith("axes:=false with use_sim_time:=true: the nodes wait for a /clock of yours")

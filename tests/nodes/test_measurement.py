@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Graphs beside each other, and in real time."""
+"""Graphs beside each other, in real time, and with listeners that end."""
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.measurement import _Listeners
 
 from .conftest import PROCEDURE, SITE
 from .reference import reference
@@ -50,3 +55,25 @@ def test_real_time_gives_the_same_readings(bench, finish):
     assert np.abs(displacement - reference(procedure, SITE)).max() < 1e-10
     # each reading was taken while the axes stood: later than the move and the averaging take
     assert np.diff(readings(operator)["time"]).min() > 0.2
+
+
+def test_a_listener_that_ends_is_started_again_and_what_it_missed_is_said(tmp_path):
+    why, done = "recorder ended with status -9: gone", []
+    graph = SimpleNamespace(
+        ended=lambda: {"recorder": why}, start=lambda name, folder: done.append((name, folder)), kill=done.append
+    )
+    listeners, before = _Listeners(graph, tmp_path), tmp_path / "bag"
+    with pytest.raises(CalibrationError, match=rf"^{why}$"):  # nothing is being measured yet
+        listeners.watch()
+    listeners.client = SimpleNamespace(heard=SimpleNamespace(count=(1, 40)))
+    for number in (2, 3, 4):
+        listeners.watch()
+        assert listeners.bag == tmp_path / f"bag_{number}" and done[-1] == ("recorder", str(listeners.bag))
+        assert listeners.remarks[-1].startswith(f"{why} after 40 readings; {listeners.bag} has all readings")
+        assert f"`mtcal recover {before}`" in listeners.remarks[-1]
+        before = listeners.bag
+    listeners.watch()
+    assert done[-1] == "recorder" and listeners.remarks[-1] == f"{why}; it is not started again"
+    graph.ended = lambda: {"procedure": "procedure ended"}
+    with pytest.raises(CalibrationError, match=r"^procedure ended$"):
+        listeners.watch()

@@ -22,7 +22,7 @@ from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.commanded import executed_message
-from machine_tool_calibration.nodes.ros.messages import COMMAND, LATCHED, STATE, joint_state
+from machine_tool_calibration.nodes.ros.messages import COMMAND, LATCHED, STATE, from_message, joint_state
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
@@ -234,6 +234,7 @@ def test_a_command_that_the_axes_did_not_hear_is_sent_again(bench):
     operator, axes, _ = played(bench)
     assert operator.wait(lambda: len(axes.commands) > 1, PATIENCE)
     assert axes.commands[0] == axes.commands[1]
+    assert from_message(axes.commands[0].header.stamp) % 2 == 1  # no command of a procedure has it
 
 
 def test_axes_that_were_started_anew_end_the_touch(bench):

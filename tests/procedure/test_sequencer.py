@@ -15,6 +15,7 @@ from machine_tool_calibration.procedure.events import (
     Refused,
     SetDatum,
     State,
+    Stop,
     Timing,
 )
 
@@ -197,6 +198,15 @@ def test_a_start_after_an_abort_commands_something_new_where_the_clock_still_sta
     (stop,) = world.sequencer.abort(world.clock)
     (motion,) = (a for a in world.sequencer.start(world.clock, 0.0) if isinstance(a, Motion))
     assert world.clock < stop.stamp < motion.stamp
+
+
+def test_no_command_has_the_identity_of_one_of_a_probe():
+    """Both may command the axes at the same moment: the procedure's stamps are even, a probe's odd."""
+    world = World(small())
+    for clock in (world.clock, world.clock + 1):
+        stop_and_go = [*world.sequencer.start(clock, 0.0), *world.sequencer.abort(clock)]
+        stamps = [action.stamp for action in stop_and_go if isinstance(action, Motion | Stop)]
+        assert len(stamps) == 2 and all(stamp % 2 == 0 for stamp in stamps)
 
 
 def test_a_refused_command_is_an_error_with_its_reason():

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
 from machine_tool_calibration.errors import UnfinishedError
-from machine_tool_calibration.recording.cdr import NUMBERS, JointStateReader, decode, text
+from machine_tool_calibration.recording.cdr import NUMBERS, decode, joint_state, text
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.recover import recover
 
@@ -184,7 +184,7 @@ def test_a_kill_costs_less_than_a_second(tmp_path: Path, ros_domain: int, seed: 
         BagReader(folder)
     recover(folder, tmp_path / "saved")
     bag = BagReader(tmp_path / "saved")
-    walls = [float(JointStateReader().read(message.data).positions[0]) for message in bag.messages(["/joint_states"])]
+    walls = [float(joint_state(message.data).positions[0]) for message in bag.messages(["/joint_states"])]
     assert killed - walls[-1] < 1.0 + busy.seconds
     samples = samples_of(bag)
     assert np.array_equal(samples, np.arange(len(samples)))  # and no gap before

@@ -222,7 +222,7 @@ def managed_nodes(
     Args:
         parameters: of each node, by its name; they count more than those of the file.
         namespace: of all; `/clock` is remapped into it, as it is absolute and two graphs would share it.
-        file: of ROS parameters.
+        file: of ROS parameters; CalibrationError where it is not there.
         on_exit: called when one ends that does not only listen.
         autostart: whether they configure and activate themselves, which a parameter tells them: a transition that
             `launch` asks for is lost, now and then, where the node has not discovered it yet.
@@ -230,6 +230,8 @@ def managed_nodes(
     from launch.actions import LogInfo
     from launch_ros.actions import LifecycleNode
 
+    if not Path(file).is_file():  # `launch_ros` would go on without it
+        raise CalibrationError(f"params_file: {file}: no such file")
     space = namespace.strip("/")
 
     def node(name: str, values: Mapping[str, Any], on_exit: Callable[..., Any] | None) -> Any:
@@ -251,7 +253,8 @@ def managed_nodes(
             why = f"{name} has ended (status {event.returncode}); the other nodes go on"
             if not event.returncode or start == LISTENER_STARTS:
                 return LogInfo(msg=f"{why} without it")
-            return [LogInfo(msg=f"{why}, it is started again and gets all readings"), listener(name, start + 1)]
+            whole = "; `mtcal recover` makes the bag so far whole" if name == "recorder" else ""
+            return [LogInfo(msg=f"{why}, it is started again and gets all readings{whole}"), listener(name, start + 1)]
 
         values = dict(parameters[name])
         if start > 1 and values.get("folder"):  # of a recording: that of before stays as it is

@@ -89,11 +89,13 @@ class _Listeners:
     """Watches the graph: a node that only listens is started again when it ends, any other ends the measurement.
 
     Attributes:
+        bag: the recorder's, or that of the one that was started last.
         remarks: what was missed, a sentence for each time.
     """
 
     def __init__(self, graph: Graph, output: Path) -> None:
         self._graph, self._output = graph, output
+        self.bag = output / "bag"
         self.client: Client | None = None
         self.remarks: list[str] = []
 
@@ -106,18 +108,18 @@ class _Listeners:
         for name, why in self._graph.ended().items():
             if name not in LISTENERS or self.client is None:
                 raise CalibrationError(why)
-            again = sum(name in remark for remark in self.remarks) + 2
+            again = sum(remark.startswith(name) for remark in self.remarks) + 2
             if again > LISTENER_STARTS:
                 self.remarks.append(f"{why}; it is not started again")
                 self._graph.kill(name)
                 continue
             count = self.client.heard.count[1]
             if name == "recorder":
-                bag = self._output / f"bag_{again}"
-                self.remarks.append(
-                    f"{why} after {count} readings; {bag} has all readings, and the other topics from there on"
-                )
-                self._graph.start(name, folder=str(bag.resolve()))
+                before, self.bag = self.bag, self._output / f"bag_{again}"
+                found = f"{self.bag} has all readings, and the other topics from there on"
+                whole = f"`mtcal recover {before}` makes what came before whole"
+                self.remarks.append(f"{why} after {count} readings; {found}; {whole}")
+                self._graph.start(name, folder=str(self.bag.resolve()))
             else:
                 self.remarks.append(f"{why} after {count} readings; it gets them all again")
                 self._graph.start(name)
@@ -182,7 +184,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     return Measured(
         output=output,
         session=session,
-        bag=output / "bag" if (output / "bag").exists() else None,
+        bag=listeners.bag if listeners.bag.exists() else None,
         result=document,
         domain=domain,
         seconds=(time.monotonic() - begin, measured),

@@ -209,7 +209,7 @@ class Probe(ManagedNode):
         turn = goes_to - self._speed * _REACTION if is_clear else touch.standoff
         travel = (touch.standoff - turn) / self._speed
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
-        command = self._floor = max(begin, self._floor + 1)
+        command = self._floor = max(begin, self._floor + 1) | 1  # odd, as a procedure's are even
         deepest = {**position, **touch.at(turn)}
         way = trajectory(command, ((deepest, travel), (position, 2.0 * travel)))
         sent = monotonic()

@@ -121,8 +121,9 @@ class ProcedureNode(ManagedNode):
         """See `ManagedNode`."""
         if not self._file:
             raise CalibrationError("the parameter procedure must name a procedure's YAML file")
-        self._plan = plan(read_procedure(Path(self._file)))
-        self._text = require_readable(description_yaml(self._plan.procedure.session))
+        procedure = read_procedure(Path(self._file))
+        self._text = require_readable(description_yaml(procedure.session))
+        self._plan = plan(procedure)
 
     def activate(self) -> None:
         """See `ManagedNode`."""

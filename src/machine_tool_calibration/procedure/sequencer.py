@@ -113,8 +113,7 @@ class Sequencer:
         self.state, self.message = State.ABORTED, f"aborted after {self.done} of {len(self.plan.steps)} readings"
         self._forget()
         self._visits.clear()
-        self._floor = max(now, self._floor + 1)
-        return [events.Stop(self._floor)]
+        return [events.Stop(self._stamp(now))]
 
     # --- what the others answer
 
@@ -206,7 +205,7 @@ class Sequencer:
             self._here = place
         dwell = self.plan.procedure.motion.dwell
         points.append(events.Waypoint(step.position, clock + dwell))
-        stamp = self._floor = max(now, self._floor + 1)
+        stamp = self._stamp(now)
         motion = events.Motion(stamp, tuple(points))
         pending = Pending(Phase.MOVE, motion, since=wall, sent=wall)
         pending.expected = clock + dwell if self.timing.paced else 0.0
@@ -219,6 +218,12 @@ class Sequencer:
         self._pending = pending
         self.waiting_for = ""
         return actions
+
+    def _stamp(self, now: int) -> int:
+        """Identity of a command: even, as a probe's own are odd, so that two who command at the same time differ."""
+        earliest = max(now, self._floor + 1)
+        self._floor = earliest + earliest % 2
+        return self._floor
 
     def _hold(self, now: int, wall: float) -> list[events.Action]:
         """Stay where it is for another dwell: advances simulated time, gives a real axis time to settle."""

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized messages (CDR) to values and back, with the definitions and type hashes that a bag carries.
+"""Serialized messages (CDR) to values and back by the `rosbags` library, with their types' definitions and hashes.
 
-The types that come by the thousand are read here by the array; all others by the `rosbags` library. Only the standard
-types of ROS 2 Jazzy are read: making a reader from a stranger's definition would run what it says.
+Only the standard types of ROS 2 Jazzy are read: making a reader from a stranger's definition would run what it says.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -48,9 +46,6 @@ def definition_of(name: str) -> Definition:
 JOINT_STATE = "sensor_msgs/msg/JointState"
 NUMBERS = "std_msgs/msg/Float64MultiArray"
 TEXT = "std_msgs/msg/String"
-_LITTLE = b"\x00\x01"
-_ENCAPSULATION = 4  # bytes before the content
-_FRAME = 12  # where the frame begins, behind the stamp
 
 
 @dataclass(frozen=True)
@@ -68,43 +63,16 @@ class JointState:
         return float(self.positions[index]) if index < len(self.positions) else float("nan")
 
 
-class JointStateReader:
-    """Reads JointStates by the `rosbags` library; ten times as fast those with frame and names of the one before."""
+def joint_state(data: bytes) -> JointState:
+    """The content of a JointState.
 
-    def __init__(self) -> None:
-        """Start without names."""
-        self._last = JointState(0, "", (), np.zeros(0))
-        self._head, self._length = b"", 0
-
-    def read(self, data: bytes) -> JointState:
-        """One message.
-
-        Raises:
-            RecordingError: damaged.
-        """
-        end = _FRAME + len(self._head)
-        if self._head and len(data) == self._length and data[:2] == _LITTLE and data[_FRAME:end] == self._head:
-            sec, nanosec = struct.unpack_from("<iI", data, 4)
-            positions = np.frombuffer(data, "<f8", len(self._last.positions), end).astype(np.float64)
-            return JointState(sec * 1_000_000_000 + nanosec, self._last.frame, self._last.names, positions)
-        message = decode(JOINT_STATE, data)
-        stamp, frame, names = message.header.stamp, message.header.frame_id, tuple(message.name)
-        positions = np.asarray(message.position, dtype=np.float64)
-        end = _positions_at((frame, *names))
-        self._head, self._length = (data[_FRAME:end], len(data)) if data[:2] == _LITTLE and len(positions) else (b"", 0)
-        self._last = JointState(stamp.sec * 1_000_000_000 + stamp.nanosec, frame, names, positions)
-        return self._last
-
-
-def _positions_at(texts: Sequence[str]) -> int:
-    """Where the positions begin behind the frame and the names; a number stands at a multiple of its size."""
-    at = _FRAME - _ENCAPSULATION
-    for number, text in enumerate(texts):
-        at += -at % 4 + 4 + len(text.encode()) + 1
-        if not number:
-            at += -at % 4 + 4  # how many names
-    at += -at % 4 + 4  # how many positions
-    return _ENCAPSULATION + at + -at % 8
+    Raises:
+        RecordingError: damaged.
+    """
+    message = decode(JOINT_STATE, data)
+    stamp = message.header.stamp
+    names, positions = tuple(message.name), np.asarray(message.position, dtype=np.float64)
+    return JointState(stamp.sec * 1_000_000_000 + stamp.nanosec, message.header.frame_id, names, positions)
 
 
 def text(data: bytes) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.errors import RecordingError
-from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, JointStateReader, encode, encode_joint_state, text
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, joint_state, text
 from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, SESSION, find_topics
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
@@ -60,7 +60,6 @@ def _runs(
     bag: BagReader, names: Mapping[str, str], wanted: set[str], labels: str
 ) -> Iterator[tuple[Collector, dict[str, np.ndarray]]]:
     """The runs that have readings, with text columns of the user's own."""
-    reader = JointStateReader()
     place = Place(f"{bag.path} {names[SESSION]}", f"{bag.path} {names[READING]}")
     # The first description may stand behind the first readings, where the recorder met it late.
     described = bag.read(next(iter(bag.messages([names[SESSION]]))), text)
@@ -79,7 +78,7 @@ def _runs(
         elif message.topic == labels:
             kept = _labels(bag, message)
         else:
-            reading = bag.read(message, reader.read)
+            reading = bag.read(message, joint_state)
             # the same description again, and its clock starts anew: the procedure was started again
             if again and reading.value("time") < collector.last_time:
                 yield collector, kept

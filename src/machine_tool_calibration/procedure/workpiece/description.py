@@ -42,7 +42,7 @@ from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.record import NotNegative, Positive, Record
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
 
 _LARGEST_LENGTH, _SMALLEST_LENGTH = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
 Finite = Annotated[float, Field(ge=-_LARGEST_LENGTH, le=_LARGEST_LENGTH, allow_inf_nan=False)]
@@ -159,17 +159,10 @@ class _Flow(dict[str, Any]):
     """Written in one line."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(PlainDumper):
     """Points in one line each."""
 
 
-def _list(dumper: yaml.SafeDumper, data: list[Any]) -> yaml.Node:
-    """Lists of numbers in one line."""
-    short = all(isinstance(entry, int | float) for entry in data)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=short)
-
-
-_Dumper.add_representer(list, _list)
 _Dumper.add_representer(_Flow, lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, True))
 
 
@@ -207,7 +200,7 @@ def _workpiece(points: Sequence[WorkpiecePoint]) -> dict[str, Any]:
 
 
 def _dumped(content: dict[str, Any]) -> str:
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=1000, allow_unicode=True)
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=1000, allow_unicode=True)
 
 
 # Kinds of features, by which records are distinguished: no keys of the file.
