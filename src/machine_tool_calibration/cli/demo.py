@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, rigid_motions, rms
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.output import json_option, progress_bar, tell_either
+from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -23,14 +24,11 @@ from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.site import Site, SiteSpec, read_site
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.improve import Improvement
-    from machine_tool_calibration.session.session import Session
 
 
 @dataclass(frozen=True)
@@ -116,11 +114,10 @@ def _positions(site: Site, points: Array) -> Array:
 
 
 def _carried(site: Site, result: Result) -> tuple[Array, Array]:
-    """Where the table carries each point of the map.
+    """(n, 3) true error of where the table carries each point of the map, m: that of an ideal turn taken off.
 
-    Returns:
-        (n, 3) its true error, m: that of an ideal turn taken off; and (6, n, 3) what a shift and a turn of the targets
-        on the table would make, which cannot be distinguished from where the targets are.
+    And (6, n, 3) what a shift and a turn of the targets on the table would make, which cannot be distinguished from
+    where the targets are.
     """
     content, points = result.error_map.content, result.error_map.points
     angles = np.asarray(content["c"], dtype=float)
@@ -230,7 +227,6 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
-    from machine_tool_calibration.diagnosis.improve import improve
     from machine_tool_calibration.plots.improve import save_improvement
 
     improvement = improve(measured.session, progress=progress)

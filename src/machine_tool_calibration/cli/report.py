@@ -10,6 +10,7 @@ import click
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note_written, progress_bar, seed_option
+from machine_tool_calibration.words import words
 
 
 @click.command("report")
@@ -56,7 +57,6 @@ def command(
     from machine_tool_calibration.budget.tolerances import read_tolerances
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
-    from machine_tool_calibration.words import words
 
     outputs = outputs or (Path("report.html"),)
     check_endings(outputs)

@@ -11,6 +11,7 @@ import click
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import PATH, note
+from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.errors import CalibrationError
 
 
@@ -46,7 +47,6 @@ def command(
     for measurement in measurements:
         if not measurement.exists():
             raise CalibrationError(f"{measurement}: no such file or folder")
-    from machine_tool_calibration.effects.catalogue import own_effects
 
     own = own_effects(files)
     try:

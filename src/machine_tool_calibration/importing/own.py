@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import SessionError
@@ -63,7 +64,6 @@ def _text(file: Path, described: str, form: FileForm) -> _Columns:
 
 
 def _parquet(file: Path, described: str) -> _Columns:
-    import pandas as pd
 
     try:
         frame = pd.read_parquet(file)

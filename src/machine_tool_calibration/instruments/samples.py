@@ -60,11 +60,7 @@ class NotYet(Exception):  # noqa: N818  (not an error: a reason to wait)
 
 
 class Recent:
-    """The newest samples, as many seconds as are kept.
-
-    Args:
-        keep: s.
-    """
+    """The newest samples, as many seconds as are to `keep`."""
 
     def __init__(self, keep: float) -> None:
         self._keep = round(keep * 1e9)
@@ -83,11 +79,7 @@ class Recent:
         self._batches.clear()
 
     def window(self, length: float, tolerance: float) -> Window:
-        """The newest samples over `length` s, averaged.
-
-        Raises:
-            NotYet: they do not reach back so far, a sample is missing, or they are not steady.
-        """
+        """The newest samples over `length` s, averaged; NotYet if they are too few, not all there, or not steady."""
         if not self._batches:
             raise NotYet("other", "no sample has come yet")
         time = np.concatenate([batch.time for batch in self._batches])

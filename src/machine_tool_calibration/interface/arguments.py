@@ -15,11 +15,7 @@ _LIMITS = {"seed": (0, 2**63 - 1), "draws": (0, MOST_DRAWS)}
 
 
 def require_whole(**numbers: Any) -> None:
-    """Refuse a `seed`, or a number of `draws`, that is no whole number within its limits.
-
-    Raises:
-        CalibrationError: one of them is not.
-    """
+    """Refuse (CalibrationError) a `seed`, or a number of `draws`, that is no whole number within its limits."""
     for name, value in numbers.items():
         low, high = _LIMITS[name]
         try:

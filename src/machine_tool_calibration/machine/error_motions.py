@@ -67,11 +67,7 @@ class ErrorMotion(NamedTuple):
 
 
 def parse_motion(name: str) -> ErrorMotion:
-    """Read a name such as EXX or ECY.
-
-    Raises:
-        ModelError: not the name of an error motion.
-    """
+    """Read a name such as EXX or ECY; a ModelError if it is not the name of an error motion."""
     match = re.fullmatch(r"E([XYZABC])([XYZABC])", name)
     if not match:
         raise ModelError(f"{name!r} is not an error motion of ISO 230-1, such as EXX or ECY")

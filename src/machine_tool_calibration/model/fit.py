@@ -161,15 +161,10 @@ class Fit:
 def fit_models(
     models: Sequence[MethodModel], labels: Sequence[str] | None = None, random: RandomUnknowns | None = None
 ) -> JointFit:
-    """Fit models of one machine together.
+    """Fit models of one machine together, one for each session; several have labels.
 
-    Args:
-        models: one for each session.
-        labels: names of the sessions; needed for more than one.
-        random: unknowns that are small random functions; those of the model if there is only one.
-
-    Raises:
-        ModelError: there are no more readings than unknowns, or the fit does not converge.
+    `random` are unknowns that are small random functions; those of the model if there is only one. A ModelError if
+    there are no more readings than unknowns, or the fit does not converge.
     """
     assembly = assemble(models, labels)
     solution = solve(assembly.problem)
@@ -234,13 +229,7 @@ def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
 
 
 def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Parameter, ...]:
-    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings.
-
-    Args:
-        fit: of the model.
-        projected: with the effect's columns.
-        columns: which they are.
-    """
+    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings."""
     raw = np.maximum(projected.squares[columns], 1e-300)
     left = projected.after_points[columns]
     if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):

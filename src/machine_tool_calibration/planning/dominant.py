@@ -40,7 +40,6 @@ DRIFT = 1e-9
 # A remedy leaves less than this of what the same measurement once more would leave.
 _WORTHWHILE = 0.9
 _MOST_REMEDIES = 3
-_TOLD = ("kind", "measure", "uncertainty", "seconds")  # of a remedy in a document
 
 
 @dataclass(frozen=True, kw_only=True)

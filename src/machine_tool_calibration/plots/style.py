@@ -41,11 +41,7 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 
 def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None = None) -> list[Path]:
-    """Write pictures as PNG files of their names into a folder, which is made where it is missing.
-
-    Returns:
-        The files.
-    """
+    """Write pictures as PNG files of their names into a folder, which is made where it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.png" for name in figures]
     for figure, file in zip(figures.values(), files, strict=True):
@@ -54,11 +50,7 @@ def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None 
 
 
 def add_footer(figure: Figure, text: str) -> Bbox:
-    """Write a line below a figure, broken where it is too narrow.
-
-    Returns:
-        What is to be saved, inches: the figure and the strip below it.
-    """
+    """Write a line below a figure, broken where it is too narrow; figure and strip to be saved, inches."""
     from matplotlib.transforms import Bbox
 
     width, height = (float(size) for size in figure.get_size_inches())

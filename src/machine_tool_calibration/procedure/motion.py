@@ -185,9 +185,8 @@ def check_command(
 ) -> list[tuple[dict[str, float], float]]:
     """A command's points (position of each axis, m or rad, and the time from the start, s) by axis.
 
-    Raises:
-        CalibrationError: an axis that the machine does not have or that is named twice, positions that are not
-            finite, too few or too many, outside the travel, or times that run backwards.
+    A CalibrationError if it names an axis twice or one that the machine does not have, if positions are not finite, too
+    few or too many, or outside the travel, or if times run backwards.
     """
     if len(set(names)) < len(names):
         raise CalibrationError("the command names an axis twice")

@@ -67,11 +67,7 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
 
 
 def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:
-    """Speed and acceleration of every axis of the machine, by its small letter.
-
-    Raises:
-        SessionError: the procedure names an axis that the machine does not have.
-    """
+    """Speed and acceleration of every axis, by its small letter; a SessionError if the procedure names another axis."""
     chain = Chain.parse(procedure.session.machine.chain)
     motion: Motion = procedure.motion
     names = [axis.lower() for axis in chain.axes]

@@ -77,11 +77,7 @@ class JointStateReader:
         self._head, self._length = b"", 0
 
     def read(self, data: bytes) -> JointState:
-        """One message.
-
-        Raises:
-            RecordingError: damaged.
-        """
+        """One message; a RecordingError if it is damaged."""
         end = _FRAME + len(self._head)
         if self._head and len(data) == self._length and data[:2] == _LITTLE and data[_FRAME:end] == self._head:
             sec, nanosec = struct.unpack_from("<iI", data, 4)
@@ -108,20 +104,12 @@ def _positions_at(texts: Sequence[str]) -> int:
 
 
 def text(data: bytes) -> str:
-    """The content of a std_msgs/String.
-
-    Raises:
-        RecordingError: damaged.
-    """
+    """The content of a std_msgs/String; a RecordingError if it is damaged."""
     return str(decode(TEXT, data).data)
 
 
 def decode(message_type: str, data: bytes) -> Any:
-    """Any standard message, as the `rosbags` library gives it.
-
-    Raises:
-        RecordingError: the type is not a standard one, or the message is damaged.
-    """
+    """Any standard message, as the `rosbags` library gives it; a RecordingError if it is another, or damaged."""
     store = typestore()
     if message_type not in store.fielddefs:
         raise RecordingError(f"{message_type} is not a standard message type; its messages cannot be read")

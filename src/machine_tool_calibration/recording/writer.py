@@ -201,17 +201,9 @@ class BagWriter:
         self._register(self._writer(), name)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None, sequence: int = 0) -> None:
-        """Add one serialized message.
+        """Add one serialized message (CDR) to a topic; times in ns, by default sent when it was received.
 
-        Args:
-            topic: a name given to `add_topic`.
-            data: serialized message (CDR).
-            log_time: when it was received, ns.
-            publish_time: when it was sent, ns; `log_time` if None.
-            sequence: number that the publisher gave it.
-
-        Raises:
-            RecordingError: unknown topic, closed, or the disk is full; what was written before stays whole.
+        A RecordingError if it is closed, or the disk is full; what was written before stays whole.
         """
         if topic not in self._topics:
             raise RecordingError(f"{self.folder}: the topic {topic!r} was not registered")
@@ -234,31 +226,19 @@ class BagWriter:
         self.tick()
 
     def tick(self) -> None:
-        """Write what is pending if it is older than `flush_seconds`.
-
-        Raises:
-            RecordingError: the disk is full; what is pending waits.
-        """
+        """Write what is pending if it is older than `flush_seconds`; as `flush` where the disk is full."""
         if time.monotonic() - self._flushed >= self._flush_seconds:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what is pending to the operating system.
-
-        Raises:
-            RecordingError: the disk is full; what is pending waits.
-        """
+        """Hand what is pending to the operating system; a RecordingError where the disk is full: it waits."""
         self._flushed = time.monotonic()
         with self._written():
             self._writer().flush()  # type: ignore[no-untyped-call]
         self._kept = (self._files[-1].messages, dict(self._files[-1].by_topic))
 
     def close(self) -> None:
-        """End the last file and write `metadata.yaml`.
-
-        Raises:
-            RecordingError: it could not be written; `mtcal recover` makes what is there whole.
-        """
+        """End the last file and write `metadata.yaml`; a RecordingError if it cannot be (`mtcal recover` mends it)."""
         if self._closed:
             return
         try:

@@ -152,11 +152,7 @@ _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.
 def mark_not_determined(
     columns: Sequence[str], rows: Sequence[tuple[str, ...]], uncertain: Sequence[int]
 ) -> tuple[tuple[tuple[str, ...], ...], str]:
-    """Empty those columns of uncertain values that hold no number at all, and say what dashes mean.
-
-    Returns:
-        The rows, and a note.
-    """
+    """The rows without columns of uncertain values that hold no number at all, and a note on what dashes mean."""
     nowhere = [k for k in uncertain if all(row[k] == NOT_DETERMINED for row in rows)]
     shown = tuple(tuple("" if k in nowhere else cell for k, cell in enumerate(row)) for row in rows)
     notes = []

@@ -16,13 +16,7 @@ from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import group_by_reason
-from machine_tool_calibration.reports.quantities import (
-    duration,
-    expanded_text,
-    micrometres,
-    probability,
-    quantity,
-)
+from machine_tool_calibration.reports.quantities import duration, expanded_text, micrometres, probability, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.words import named, say
 

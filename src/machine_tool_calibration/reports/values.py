@@ -37,10 +37,7 @@ _FIGURES = (
     ("accuracy", ("A_up", "A_down", "A")),
 )
 _BOTH = ("figure", "up", "down", "both")
-_DIAGONAL = (
-    ("systematic_D", ("E_D_up", "E_D_down", "E_D")),
-    ("reversal_D", ("", "", "B_D")),
-)
+_DIAGONAL = (("systematic_D", ("E_D_up", "E_D_down", "E_D")), ("reversal_D", ("", "", "B_D")))
 
 
 def standard_tables(content: Mapping[str, Any], name: str, most: int | None = None) -> Iterator[Part]:

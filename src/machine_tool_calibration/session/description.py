@@ -317,11 +317,7 @@ class Direct(Description):
 
     @property
     def sense(self) -> Vector3:
-        """Direction along which the instrument of a procedure reads: that of the first term, as Y of EYX.
-
-        Raises:
-            SessionError: no term says so.
-        """
+        """Direction along which the instrument of a procedure reads: that of the first term, as Y of EYX."""
         name = self.terms[0] if self.terms else ""
         if len(name) != 3 or name[0] != "E" or name[1] not in "XYZ":
             raise SessionError(

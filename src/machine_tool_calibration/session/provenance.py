@@ -9,15 +9,13 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.session.folder import readings_frame
 from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.version import __version__
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.session.session import Session
 
 SOFTWARE = "machine_tool_calibration"
 # Figures of a hash that pictures and lines of text show.

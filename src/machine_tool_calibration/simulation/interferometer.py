@@ -80,8 +80,7 @@ class SimulatedSource:
     def set_setup(self, stamp: int, setup: str, index: int, beam: Beam | None = None) -> str:
         """The setup at which the instrument stands from a time on, and the true beam where it has a pointer.
 
-        Returns:
-            From where to where it was moved, in words; empty if it was not.
+        From where to where it was moved is returned in words; empty if it was not.
         """
         before = self.setup
         if setup != before:
@@ -129,11 +128,7 @@ class SimulatedSource:
         return np.asarray(paths + self.site.added(moment, replace(one, change=one.path - self.first)))
 
     def need_answers(self) -> None:
-        """Refuse a reading as long as it is not known where the target and the beam are.
-
-        Raises:
-            NotYet: nothing has come yet, or nothing since the last command.
-        """
+        """Refuse a reading (NotYet) as long as it is not known where the target and the beam are."""
         if self.optics.aims and self._beam is NO_BEAM:
             raise NotYet("other", "no beam: the rotary pointer has not pointed anywhere yet")
         if not self._poses:
@@ -149,11 +144,7 @@ class SimulatedSource:
     # --- simulated time: a reading without a stream
 
     def window(self, length: float) -> Window:
-        """The reading over the newest `length` s of the present dwell.
-
-        Raises:
-            NotYet: the axes or the beam are not where a reading is possible.
-        """
+        """The reading over the newest `length` s of the present dwell; NotYet where none is possible."""
         if self.blocked:
             self.lose("the beam is blocked")
             raise NotYet("beam", self._lost)

@@ -165,11 +165,7 @@ class Bar(Optics):
 
 
 def make_optics(site: Site, description: Description) -> Optics:
-    """The optics of a session's method.
-
-    Raises:
-        CalibrationError: the method has no interferometer.
-    """
+    """The optics of a session's method; a CalibrationError if that has no interferometer."""
     match description:
         case TrackingInterferometer():
             return OnTool(site, description)

@@ -194,11 +194,7 @@ class Site(LiveMachine):
 
 
 def read_site(path: str) -> SiteSpec:
-    """The site described in a YAML file; the usual one for an empty path.
-
-    Raises:
-        CalibrationError: the file cannot be read, or a key or value is wrong.
-    """
+    """The site described in a YAML file, which must be right; the usual one for an empty path."""
     if not path:
         return SiteSpec()
     return read_record(Path(path), SiteSpec)

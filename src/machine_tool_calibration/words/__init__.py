@@ -136,11 +136,7 @@ class Words:
 
 @cache
 def words(language: str) -> Words:
-    """The words of a language.
-
-    Raises:
-        CalibrationError: there is no catalogue of it.
-    """
+    """The words of a language; a CalibrationError if there is no catalogue of it."""
     if language not in LANGUAGES:
         raise CalibrationError(f"there is no language {language!r}; there are {', '.join(LANGUAGES)}")
     content = yaml.load(_FILES[language].read_text(encoding="utf-8"), Loader=_LOADER)

@@ -17,6 +17,7 @@ from bokeh.models import ColumnDataSource, Span
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
+from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.quantities import expanded_text, micrometres, millimetres, quantity
@@ -28,7 +29,6 @@ from machine_tool_calibration.workbench.look import (
     choice,
     html_table,
     new_figure,
-    setup_color,
     tables,
     text,
     zero_line,
@@ -368,12 +368,7 @@ def _where(feed: Feed, states: Sequence[NodeState]) -> str:
 
 
 def node_table(states: Sequence[NodeState], now: float) -> str:
-    """How the nodes are, as HTML.
-
-    Args:
-        states: of the nodes.
-        now: s of the clock that `NodeState.at` is of.
-    """
+    """How the nodes are, as HTML; `now` is of the clock that `NodeState.at` is of."""
     rows = []
     for one in states:
         silent = one.silent(now)

@@ -32,9 +32,8 @@ def magnification(maps: Sequence[ErrorMap]) -> float:
 def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:
     """A map as columns of a plot: places `x y z`, ends of the magnified errors `x1 y1 z1`, `wx wy wz`: width of U, mm.
 
-    Returns:
-        Those, and errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is
-        drawn, NaN in what is said.
+    And errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is drawn, NaN
+    in what is said.
     """
     error, wide = np.nan_to_num(found.error), 2 * np.nan_to_num(found.uncertainty)
     out = {}

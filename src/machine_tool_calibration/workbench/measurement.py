@@ -49,9 +49,7 @@ class MeasurementPage:
             plot.scatter(*view, source=source, size=4, color="color", alpha=0.7, **DIM)
             draw_stations(plot, self._stations, *view)
         self.view = pn.Column(
-            self._words,
-            beside(*self._plots.values(), self._setups, self._more),
-            sizing_mode="stretch_width",
+            self._words, beside(*self._plots.values(), self._setups, self._more), sizing_mode="stretch_width"
         )
 
     def refresh(self) -> None:

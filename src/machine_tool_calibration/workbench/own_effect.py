@@ -28,11 +28,7 @@ def addable(state: State) -> list[str]:
 
 
 def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
-    """Unknowns from a line such as `b m -2e-5 2e-5, q 1/K -1 1`: name, unit (SI), smallest and largest value.
-
-    Raises:
-        ModelError: a part that is not so made.
-    """
+    """Unknowns from a line such as `b m -2e-5 2e-5, q 1/K -1 1`: name, unit (SI), smallest and largest value."""
     out: dict[str, dict[str, Any]] = {}
     for part in (part.split() for part in line.split(",") if part.strip()):
         try:
@@ -70,11 +66,7 @@ class OwnEffect:
         self.view = folded("An effect of your own by its formula", fields, self._said)
 
     def effect(self) -> FormulaEffect:
-        """What the form says.
-
-        Raises:
-            ModelError: it cannot be, or not with this measurement; one line that says why.
-        """
+        """What the form says; a ModelError says why it cannot be, or not with this measurement."""
         name, formula, linear, shape = self._typed.values()
         made = formula_effect(
             {

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +29,9 @@ def changed_procedure(
     dwell: float | None = None,
     counts: Mapping[str, int] | None = None,
 ) -> str:
-    """A procedure's text with some of its choices made otherwise.
+    """The text of a procedure's content with other setups (ids; all if absent), repeats, and time at each target, s.
 
-    Args:
-        content: of its file.
-        setups: ids of those that are measured; all if absent.
-        repeats: runs of each setup.
-        dwell: time at each target, s.
-        counts: of the targets along each axis of its grid; `blocks` of a step diagonal.
+    And with so many targets along each axis of its grid (`counts`); `blocks` of a step diagonal.
     """
     session = dict(content["session"])
     if setups is not None:
@@ -101,11 +97,7 @@ class ProcedureForm:
         return str(self._content.get("name", "measurement"))
 
     def procedure(self) -> Procedure:
-        """What the form says.
-
-        Raises:
-            SessionError: it is no procedure; one line that says why.
-        """
+        """What the form says; a SessionError says in one line why it is no procedure."""
         return parse_procedure(self.text, self.name)
 
     def _read(self, name: str) -> None:
@@ -151,7 +143,6 @@ class ProcedureForm:
         self._ready(True)
 
     def _fail(self, error: Exception) -> None:
-        from html import escape
 
         self.text = ""
         self._said.object = f'<p class="error" role="alert">{escape(str(error))}</p>'

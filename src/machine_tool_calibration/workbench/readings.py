@@ -15,8 +15,9 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
+from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.plots.style import round_down
-from machine_tool_calibration.workbench.look import packed, setup_color
+from machine_tool_calibration.workbench.look import packed
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
 
@@ -111,8 +112,7 @@ class Readings:
     def show_pattern(self, trial: Model | None) -> Array:
         """Lay what a model with one effect more would take out over the residuals; nothing if there is none.
 
-        Returns:
-            (n,) that, µm, NaN where a reading is not in the model.
+        (n,) that, µm, NaN where a reading is not in the model.
         """
         if trial is None:
             pattern = np.full(len(self._number), np.nan)
@@ -140,11 +140,7 @@ class Readings:
             self._sources[self._page].selected.indices = self._chosen
 
     def select_rows(self, words: str) -> None:
-        """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`.
-
-        Raises:
-            CalibrationError: no reading is in one of these.
-        """
+        """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`."""
         rows = [name.rpartition(":") for name in self.data.get("row", ())]
         chosen: set[int] = set()
         for part in map(str.strip, words.split(",")):
@@ -228,11 +224,7 @@ class Readings:
         }
 
     def show_side_by_side(self, before: Model, after: Model) -> float:
-        """Arrows of the residuals of two models to one scale, in columns `before:xy:u`, `after:xy:u` and so on.
-
-        Returns:
-            The magnification.
-        """
+        """Arrows of the residuals of two models, in columns `before:xy:u`, `after:xy:u` …; their magnification."""
         both = {"before": self._residual(before), "after": self._residual(after)}
         factor = self._magnification(*both.values())
         for name, residual in both.items():

@@ -15,6 +15,7 @@ from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
+from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.reports.history_file import history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
@@ -23,7 +24,6 @@ from machine_tool_calibration.workbench.models import Model, Opened, Progress, S
 
 def measurements_in(folder: Path) -> list[Path]:
     """Sessions and recordings that lie in a folder, itself first if it is one."""
-    from machine_tool_calibration.recording.open import is_session_folder
     from machine_tool_calibration.recording.reader import is_bag
 
     def holds(path: Path) -> bool:
@@ -88,11 +88,7 @@ class State:
 
     @property
     def subject(self) -> Subject:
-        """The measurement with all its readings, and the user's own effects.
-
-        Raises:
-            CalibrationError: none is open.
-        """
+        """The measurement with all its readings, and the user's own effects; a CalibrationError if none is open."""
         if self._subject is None:
             raise CalibrationError("no measurement is open")
         return self._subject
@@ -104,11 +100,7 @@ class State:
 
     @property
     def model(self) -> Model:
-        """The one in use.
-
-        Raises:
-            CalibrationError: none is open.
-        """
+        """The one in use; a CalibrationError if none is open."""
         if not self.models:
             raise CalibrationError("no measurement is open")
         return self.models[-1]
@@ -232,11 +224,7 @@ class State:
         return Job(partial(_quiet, self.subject.on_the_way, way, self._prints, self.models[0].found), use)
 
     def improved(self) -> Job:
-        """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does.
-
-        Raises:
-            CalibrationError: there is no diagnosis yet.
-        """
+        """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does."""
         if self.diagnosis is None:
             raise CalibrationError("there is no diagnosis of this model yet: make one first")
         work = partial(improved, self.subject, self.model, self.diagnosis)

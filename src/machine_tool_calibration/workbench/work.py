@@ -58,11 +58,7 @@ class Work:
         self._words.object = f'<span class="error" role="alert">{escape(" ".join(said.split()))}</span>'
 
     def alone(self, act: Callable[[], object]) -> bool:
-        """Do something at once, unless something runs, whose outcome is for the page as it is.
-
-        Returns:
-            Whether it was done.
-        """
+        """Do something at once, unless something runs, whose outcome is for the page as it is; whether it was done."""
         if self._job is not None:
             self.say("One thing at a time: wait for what is running, or stop it.")
             return False

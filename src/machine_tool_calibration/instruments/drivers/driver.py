@@ -47,11 +47,7 @@ class Driver(Protocol):
     """
 
     def open(self) -> None:
-        """Connect.
-
-        Raises:
-            InstrumentError: the instrument cannot be reached. It may be tried again.
-        """
+        """Connect; an InstrumentError if the instrument cannot be reached, which may be tried again."""
 
     def read(self, timeout: float) -> list[Sample]:
         """Every sample that has arrived; waits for the first one at most `timeout` seconds, else returns none."""

@@ -52,7 +52,7 @@ class ProbingSpec(MethodSpec):
     remounted = ""
     model = "machine_tool_calibration.methods.probing.model"
     models: ClassVar = {
-        "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
+        "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors"
     }
     turned_part = ("the probe", ("probe_pretravel",))
     reads_deviations = probes_surface = True

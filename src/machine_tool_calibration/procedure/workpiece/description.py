@@ -190,8 +190,7 @@ def points_yaml(points: Sequence[WorkpiecePoint]) -> str:
 def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
     """A procedure's text with these points as its workpiece; comments are lost.
 
-    Raises:
-        SessionError: the file is no procedure of probing, or does not allow these points.
+    A SessionError if the file is no procedure of probing, or does not allow these points.
     """
     if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
@@ -227,8 +226,7 @@ class Workpiece(Record):
 def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
     """The points of the workpiece that a file describes.
 
-    Raises:
-        SessionError: one line with file, line and key of the first defect; or as `workpiece_points`.
+    A SessionError names file, line and key of the first defect, or is that of `workpiece_points`.
     """
     document = load_yaml(read_text(file), str(file))
     workpiece = validated(Workpiece, document.value, str(file), document, unnamed=_KINDS)
@@ -238,9 +236,8 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
 def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint, ...]:
     """Points with outward normals, numbered from 0 in the order of the features; files are named from a folder.
 
-    Raises:
-        SessionError: a file cannot be used, an open outline is said to have an inside, a hole is too small for the
-            stylus, or no point can be touched.
+    A SessionError if a file cannot be used, an open outline is said to have an inside, a hole is too small for the
+    stylus, or no point can be touched.
     """
     unit = _UNITS[workpiece.unit]
     radius = 0.5 * (workpiece.stylus_diameter or 0.0) * unit

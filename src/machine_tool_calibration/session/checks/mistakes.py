@@ -29,10 +29,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures
 
 LENGTHS = "like millimetres; lengths are in metres"
-UNITS = (
-    (1e-3, f"displacement looks {LENGTHS}"),
-    (1e-6, f"displacement looks {LENGTHS.replace('milli', 'micro')}"),
-)
+UNITS = ((1e-3, f"displacement looks {LENGTHS}"), (1e-6, f"displacement looks {LENGTHS.replace('milli', 'micro')}"))
 SENSES = (
     (-1.0, "displacement has the opposite sign; it grows with the path from the instrument"),
     (0.5, "displacement looks like twice the change of path"),
