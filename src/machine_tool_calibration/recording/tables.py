@@ -232,10 +232,11 @@ def _csv(pieces: Iterator[pd.DataFrame], path: Path) -> None:
 
 
 def _parquet(pieces: Iterator[pd.DataFrame], path: Path) -> None:
-    # here, because few recordings become Parquet
-    import pyarrow as arrow  # type: ignore[import-untyped]
-    from pyarrow import parquet
-
+    try:
+        import pyarrow as arrow  # type: ignore[import-untyped]
+        from pyarrow import parquet
+    except ImportError:
+        raise RecordingError(f"{path.stem}: Parquet needs the package pyarrow (pip install pyarrow)") from None
     writer: Any = None
     try:
         for piece in pieces:
