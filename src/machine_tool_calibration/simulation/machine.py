@@ -177,18 +177,15 @@ class VirtualMachine:
         if axis in self.motions:
             error = self.motions[axis](angle)
             q = rotate(q, error[:, 3:]) + error[:, :3]
-        return self._line(q, axis)
+        tilt = _of_axis(self.average_line, "ABC", axis)
+        placed: Array = (rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis)
+        return placed
 
     def table_direction(self, vector: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
         """A direction fixed to the table, (n, 3) or (3,), as it really lies in the machine frame, (n, 3)."""
         origin = self.on_table(np.zeros(3), angle, axis, shift)
         turned: Array = self.on_table(vector, angle, axis, shift) - origin
         return turned
-
-    def _line(self, q: Array, axis: str) -> Array:
-        tilt = _of_axis(self.average_line, "ABC", axis)
-        placed: Array = (rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis)
-        return placed
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
         """The same machine with further error motions (`EXX`, table) added."""
