@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Array types used throughout, and what is drawn from distributions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

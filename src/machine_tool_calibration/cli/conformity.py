@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal conformity`: whether the machine keeps its tolerances, and how sure that is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

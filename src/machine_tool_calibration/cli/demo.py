@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole story: a simulated machine hides an effect; it is measured, found out, and the error falls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

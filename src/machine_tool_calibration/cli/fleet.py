@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal fleet`: all machines of a logbook, and which of them need attention."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The options of `mtcal convert` for tables of other programs, and the mapping that they make."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal logbook`: every session that was measured on a machine, with its result, in one file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

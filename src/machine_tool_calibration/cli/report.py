@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal report`: a measurement and all that it tells, to hand over."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

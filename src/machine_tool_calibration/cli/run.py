@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a measurement procedure: start the nodes, measure, record, identify the machine's errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any

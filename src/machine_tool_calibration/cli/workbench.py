@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal workbench`: the whole loop in a browser on this machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a physical effect states of itself, so that it can be simulated, fitted, ranked, added and drawn."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass

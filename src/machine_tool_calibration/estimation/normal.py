@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small normal equations under constraints, and what they leave open."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,8 +11,6 @@ point's own noise minus H^-1 F theta. The common motion x of all points is a sum
 needed: one for the sums, one for the covariances.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ unknowns through blocks (one per setup) and through dense columns, and may have 
 that nobody else sees; these are eliminated.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reduced Gram matrix of a whole problem, and what a fitted model leaves of further columns."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

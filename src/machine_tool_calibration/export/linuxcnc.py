@@ -13,8 +13,6 @@ of the direction of motion to the commanded position, with straight lines betwee
 and the last one their trims. A line of type 1 is thus the compensation itself: minus the deviation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is worked out of each of many sessions: its result, and for a logbook its sizes and its diagnosis."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress

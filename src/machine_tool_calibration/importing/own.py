@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package's own tables of readings as sessions again, also as a spreadsheet leaves them, or to align a pointer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of an interferometer, and one stable reading of them."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque

@@ -6,8 +6,6 @@ positions are those of the sphere's centre; the probed displacement is counted a
 centre would be at the nominal surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arguments that cannot be, refused in one line before anything is calculated from them."""
 
-from __future__ import annotations
-
 import operator
 from typing import Any
 

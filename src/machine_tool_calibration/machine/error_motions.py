@@ -7,8 +7,6 @@ the tool in the workpiece frame is the sum over the axes of translation plus rot
 (Ibaraki and Hata 2010, Eq. (23) for w-Y-X-b-Z-t; the probing paper's Eqs. (4)(5) for w-C-b-Y-X-Z-t).
 """
 
-from __future__ import annotations
-
 import re
 from typing import NamedTuple
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From one session or several to the machine's errors: the one entry for nodes, commands and programs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property

@@ -12,8 +12,6 @@ there: its share is what one of the expected size would do to the map. A further
 left of all three.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a procedure to its plan: all steps, and how long they take."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice

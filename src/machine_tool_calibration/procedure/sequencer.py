@@ -6,8 +6,6 @@ call by its token, a beam by its setup and angles, and a reading counts only if 
 axes and the beam had come to rest where the step wants them.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ The types that come by the thousand are read here by the array; all others by th
 types of ROS 2 Jazzy are read: making a reader from a stranger's definition would run what it says.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

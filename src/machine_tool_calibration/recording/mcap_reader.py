@@ -5,8 +5,6 @@ Records are parsed by the `mcap` library. Its readers would unpack a chunk to an
 records are found here, chunks unpacked here, and messages, which come by the million, cut out of them.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

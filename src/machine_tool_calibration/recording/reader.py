@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag, from a folder or a single MCAP file, read without ROS."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A valid bag from what a killed recorder left, or from a damaged file."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import shutil

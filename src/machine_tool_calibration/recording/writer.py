@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag as rosbag2 writes it: a folder with `metadata.yaml` and MCAP files, by the `mcap` library's writer."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator, Sequence

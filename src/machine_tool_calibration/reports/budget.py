@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `mtcal budget` and `mtcal conformity` tell: contributors, verdicts, and the documents for programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A diagnosis for people: in plain words first, then tables; text only, without a terminal's colours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A diagnosis for programs: the contract's JSON document `mtcal-diagnosis/1`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any

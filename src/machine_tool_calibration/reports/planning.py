@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is told before and while something is measured: forecasts, the best plan, what is enough, what comes next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was found, value by value, and the figures of ISO 230-2, ISO 230-6 and ISO 230-7 as a test report has them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a result comes from: what the measurement says of itself, a hash of its data, software, model and effects."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os

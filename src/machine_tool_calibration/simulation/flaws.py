@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every flaw by its id, and those in no catalogue: what a diagnosis must call unexplained."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

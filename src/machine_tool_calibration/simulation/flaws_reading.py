@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flaws of the instrument, of its place, and of the part: air, dead path, drift, pointer, retroreflector, probe."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of a simulated interferometer, from the true positions of simulated axes, and readings of them."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 

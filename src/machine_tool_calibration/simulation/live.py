@@ -13,8 +13,6 @@
 Everything takes many moments at once as well (a stretch of the displacement stream).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """True errors of a machine as a YAML document: tables, squareness, axis average line, or random ones from a seed."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@
 A target is where the light turns round; its path is computed from the true geometry at that moment.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 

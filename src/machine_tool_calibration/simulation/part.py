@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A part on the table of the simulated workshop, touched point by point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated instruments: laser interferometer on a flat mirror, tracking interferometer, touch-trigger probe."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

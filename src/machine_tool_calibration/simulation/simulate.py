@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a spec to a session, with the truth behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -6,8 +6,6 @@ that restarts sees it again. What is random (the machine's errors, the environme
 from the seed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is handed over of a model: the report, tables, and files for a controller."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page beside a running graph, live or replayed: readings as they come, its nodes, the map, its services."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One look for all pages: figures, tables of text, colours that the colour-blind distinguish."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

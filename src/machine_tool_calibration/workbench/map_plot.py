@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map of position errors as a plot: magnified arrows with their expanded uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

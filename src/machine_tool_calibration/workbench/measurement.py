@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of what was measured: what is there, where stations and targets are, what is suspicious."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from html import escape
 

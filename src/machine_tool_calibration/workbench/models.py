@@ -4,8 +4,6 @@
 What is here goes from process to process, so that the page can calculate in another one and end it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

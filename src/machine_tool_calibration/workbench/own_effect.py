@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A form for an effect of the user's own by its formula, checked as it is typed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from html import escape

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One window: what is open, what runs, and the pages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that says what the next measurement would tell, how long it takes, and what it looks like."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A form for a measuring procedure: one that the package brings or a file, with other stations, runs and targets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The readings of one window for all plots, so that a selection in one lights up in every other."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager

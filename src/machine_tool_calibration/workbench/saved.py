@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that a page writes: where they are, and links by which the browser downloads them."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Mapping, Sequence
 from html import escape

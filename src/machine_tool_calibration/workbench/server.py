@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The server of the pages: this machine only, and only for who knows the token in its address."""
 
-from __future__ import annotations
-
 import logging
 import secrets
 from collections.abc import Callable, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work beside the page: in a process of its own, with its progress, a button that ends it, and its errors said."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

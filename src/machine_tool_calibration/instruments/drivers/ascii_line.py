@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Driver of an instrument that sends its readings as lines of ASCII text, over TCP or a serial port."""
 
-from __future__ import annotations
-
 import math
 import re
 import threading

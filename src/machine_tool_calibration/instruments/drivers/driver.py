@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a driver of a displacement instrument is, for the node that publishes its readings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bytes to and from an instrument: a TCP connection or a serial port."""
 
-from __future__ import annotations
-
 import os
 import select
 import socket

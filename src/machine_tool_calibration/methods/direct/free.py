@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Position errors of every place by itself: what is read of a machine of whose axes nothing is taken for granted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The probing of a part on a rotary table: its traits, and touches against the part as it is described."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Any, ClassVar

@@ -4,8 +4,6 @@
 Sessions that contradict their own geometry there are refused, with the common mistake that explains it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

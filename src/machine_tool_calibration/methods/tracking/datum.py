@@ -6,8 +6,6 @@ and its dead path (Ibaraki et al. 2014, Eqs. (2)-(4)). Directions are calculated
 little more than the readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

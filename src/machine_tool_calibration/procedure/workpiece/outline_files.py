@@ -5,8 +5,6 @@ Lines, arcs, circles and polylines with bulges are taken exactly; ellipses and s
 farther from them than a ten-thousandth of a millimetre.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Iterator

@@ -11,8 +11,6 @@ says what its geometry makes of places, beams and displacements, and how far the
 is commanded contradicts by a single row; of what is read, only by more than gross errors do.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
