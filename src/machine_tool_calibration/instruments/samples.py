@@ -46,15 +46,11 @@ class Window:
 
 
 class NotYet(Exception):  # noqa: N818  (not an error: a reason to wait)
-    """There is no stable window now; there may be one later.
-
-    Attributes:
-        kind: why, for programs: `unstable`, `beam` or `other`.
-    """
+    """There is no stable window now; there may be one later."""
 
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)
-        self.kind = kind
+        self.kind = kind  # why, for programs: `unstable`, `beam` or `other`
 
 
 class Recent:
@@ -112,14 +108,11 @@ class DriverSource:
     Args:
         driver: not yet opened.
         clock_offset: ROS time minus `time.monotonic`, ns.
-
-    Attributes:
-        hardware_id: the instrument's; empty where its driver does not know it.
     """
 
     def __init__(self, driver: Driver, clock_offset: int) -> None:
         self._driver, self._offset = driver, clock_offset
-        self.hardware_id: str = getattr(driver, "hardware_id", "")
+        self.hardware_id: str = getattr(driver, "hardware_id", "")  # empty where the driver does not know it
         self._samples: deque[tuple[int, float]] = deque(maxlen=_MOST_WAITING)
         self._reason = ""
         self._problem = "connecting"

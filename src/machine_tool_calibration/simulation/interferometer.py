@@ -30,22 +30,15 @@ class SimulatedSource:
         rate: of the stream, Hz.
         sample_noise: standard deviation of a single sample's own noise, m.
         keep: how many true positions are kept; two are enough where there is no stream between the readings.
-
-    Attributes:
-        optics: what the instrument looks at.
-        blocked: whether something stands in the beam.
-        hardware_id: of the instrument.
-        setup: id of the present setup, and `setup_index` its place in the description.
-        first: geometric path of the setup's first reading, m.
     """
 
     def __init__(self, site: Site, origin: int, rate: float, sample_noise: float, keep: int = 4000) -> None:
         self.site = site
         self.hardware_id = "simulated interferometer"
-        self.optics: Optics = OnTool(site)
-        self.blocked = False
-        self.setup, self.setup_index = "", 0
-        self.first: float | None = None
+        self.optics: Optics = OnTool(site)  # what it looks at
+        self.blocked = False  # whether something stands in the beam
+        self.setup, self.setup_index = "", 0  # id of the present setup, and its place in the description
+        self.first: float | None = None  # geometric path of the setup's first reading, m
         self._origin, self._step = origin, round(_NANO / rate)
         self._sample_noise = sample_noise
         self._poses: deque[Pose] = deque(maxlen=keep)

@@ -32,9 +32,6 @@ class LiveMachine:
         machine: true errors, without those of the flaws.
         flaws: what is put in.
         environment: temperatures, pressure and humidity over time.
-
-    Attributes:
-        machine: true errors, those of the flaws (extra error motions, squareness) included.
     """
 
     def __init__(
@@ -42,6 +39,7 @@ class LiveMachine:
     ) -> None:
         self.machine, self.flaws, self.environment = machine, tuple(flaws), environment or Environment()
         fixed = self.disturbance(self.scene(0.0, np.zeros(3)))
+        # with the flaws' extra error motions and squareness
         self.machine = machine.with_tables(fixed.tables).with_squareness(fixed.squareness)
 
     def scene(

@@ -32,15 +32,10 @@ class Verbatim(str):
 
 
 class Said(str):
-    """A text in English that can be said in other languages too.
+    """A text in English that can be said in other languages too."""
 
-    Attributes:
-        key: of the text; of several texts together what stands between them.
-        values: what is put in, by name; the texts that stand together.
-    """
-
-    key: str
-    values: Mapping[str, Any] | tuple[str, ...]
+    key: str  # of the text; of several texts together what stands between them
+    values: Mapping[str, Any] | tuple[str, ...]  # what is put in, by name; the texts that stand together
 
     def __str__(self) -> str:
         """Itself, so that a picture, which takes the text of whatever it is given, keeps what it can be told from."""
@@ -103,15 +98,10 @@ def _said(text: str, key: str, values: Mapping[str, Any] | tuple[str, ...]) -> S
 
 @dataclass(frozen=True)
 class Words:
-    """The words of a language.
+    """The words of a language."""
 
-    Attributes:
-        language: its code, ISO 639-1.
-        texts: by key; of two forms the first is for one.
-    """
-
-    language: str
-    texts: Mapping[str, str | list[str]]
+    language: str  # its code, ISO 639-1
+    texts: Mapping[str, str | list[str]]  # by key; of two forms the first is for one
 
     def __call__(self, key: str, /, **values: Any) -> str:
         """The text of a key, with values put in."""

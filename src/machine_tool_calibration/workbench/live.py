@@ -65,14 +65,11 @@ class Thinned:
 
     Which one of those beside each other varies: procedures repeat themselves, and every eighth reading could be that of
     one and the same target.
-
-    Attributes:
-        step: how many stand for one that is drawn.
     """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self.step = 1
+        self.step = 1  # how many stand for one that is drawn
 
     def grow(self, total: int) -> bool:
         """There are so many now; whether other ones are drawn than before."""

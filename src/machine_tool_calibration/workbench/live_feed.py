@@ -89,18 +89,6 @@ class Feed:
 
     The map that is shown is the newest: the one that the estimator published, or one that is calculated here whenever
     readings have come since, so that it is there without an estimator, as in a replay, and no node is kept busy.
-
-    Attributes:
-        heard: of the graph.
-        domain: ROS domain id; None for that of the environment.
-        namespace: of the graph; empty for none.
-        trouble: why nothing is heard; empty if nothing is wrong.
-        map: the newest map of the present session; None as long as there is none.
-        number: grows with every map.
-        fall: of every map of the present session, its readings, its determined coordinates, and the largest U (95 %)
-            of one of them, m.
-        calculating: since when a map is being calculated, and from how many readings; 0 if none is.
-        why_not: why there is no map of the newest readings; empty if there is.
     """
 
     def __init__(
@@ -111,14 +99,17 @@ class Feed:
         namespace: str = "",
     ) -> None:
         self._own, self._variant = own, variant
+        # the ROS domain's id, that of the environment if None; and the namespace of the graph
         self.domain, self.namespace = domain, namespace.strip("/")
-        self.heard = Heard()
-        self.trouble = ""
-        self.map: LiveMap | None = None
-        self.number = 0
+        self.heard = Heard()  # of the graph
+        self.trouble = ""  # why nothing is heard
+        self.map: LiveMap | None = None  # the newest map of the present session
+        self.number = 0  # grows with every map
+        # of every map of the present session, its readings, its determined coordinates, and the largest U (95 %) of one
+        # of them, m
         self.fall: list[tuple[int, int, float]] = []
-        self.why_not = ""
-        self.calculating = (0.0, 0)
+        self.why_not = ""  # there is no map of the newest readings, in words
+        self.calculating = (0.0, 0)  # since when a map is being calculated, and from how many readings; 0 if none is
         self._client: Client | None = None
         self._starting: threading.Thread | None = None
         self._working: threading.Thread | None = None

@@ -44,11 +44,7 @@ def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:
 
 
 class MapPlot:
-    """Shows one map after the other.
-
-    Attributes:
-        plot: Bokeh's figure.
-    """
+    """Shows one map after the other."""
 
     def __init__(self, color: str) -> None:
         source = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})

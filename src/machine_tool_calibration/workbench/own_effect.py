@@ -40,11 +40,7 @@ def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
 
 
 class OwnEffect:
-    """The form.
-
-    Attributes:
-        view: what is shown.
-    """
+    """The form."""
 
     def __init__(self, state: State, known: Callable[[str], None]) -> None:
         self._state, self._known = state, known

@@ -57,17 +57,12 @@ def _counts(content: Mapping[str, Any]) -> dict[str, int]:
 
 
 class ProcedureForm:
-    """The form.
-
-    Attributes:
-        view: what is shown.
-        text: of the procedure as the form says; empty where it is none.
-    """
+    """The form."""
 
     def __init__(self, ready: Callable[[bool], None]) -> None:
         self._ready = ready
         self._content: dict[str, Any] = {}
-        self.text = ""
+        self.text = ""  # of the procedure as the form says; empty where it is none
         self._name = pn.widgets.Select(name="Procedure", options=["", *procedure_names()], width=190)
         self._file = pn.widgets.TextInput(name="or its file", placeholder="my_procedure.yaml", width=190)
         self._setups = pn.widgets.CheckBoxGroup(name="Setups", inline=True)

@@ -40,28 +40,21 @@ class Readings:
 
     Each page draws from a source of its own, which holds what that page needs: a browser works on every plot whose
     source changes, a hidden one too.
-
-    Attributes:
-        data: the columns.
-        labels: of each covariate by its column.
-        ranked: the columns of covariates, those first that the first model's residuals follow.
-        magnification: of the residuals that are drawn as arrows; 0 where they cannot be, as at a single place.
-        planes: in which the readings extend, or are sensed.
-        arrows: what they show, in words.
     """
 
     def __init__(self, state: State) -> None:
-        self.data: dict[str, Any] = {}
-        self.labels: dict[str, str] = {}
-        self.ranked: list[str] = []
+        self.data: dict[str, Any] = {}  # the columns
+        self.labels: dict[str, str] = {}  # of each covariate by its column
+        self.ranked: list[str] = []  # the columns of covariates, those first that the first model's residuals follow
+        # of the residuals that are drawn as arrows; 0 where they cannot be, as at a single place
         self.magnification = 0.0
         self._state = state
         self._measurement: object = None
         self._number = np.zeros(0, dtype=np.int64)
         self._place = np.zeros((0, 3))
         self._arrow: dict[str, Array] = {}
-        self.planes: list[str] = ["xy"]
-        self.arrows = "Residuals"
+        self.planes: list[str] = ["xy"]  # in which the readings extend, or are sensed
+        self.arrows = "Residuals"  # what they show, in words
         self._sources: dict[str, ColumnDataSource] = {}
         self._page = ""
         self._chosen: list[int] = []

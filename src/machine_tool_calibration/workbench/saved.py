@@ -32,16 +32,11 @@ PATTERNS = [(r"/saved/([\w-]+)/[^/]+", _Download)]
 
 
 class Saved:
-    """The folder into which a page writes, and what it has written.
-
-    Attributes:
-        folder: a field for it.
-        list: the files with their links.
-    """
+    """The folder into which a page writes, and what it has written."""
 
     def __init__(self, name: str, width: int = 480) -> None:
         self.folder = pn.widgets.TextInput(name=name, width=width)
-        self.list = text()
+        self.list = text()  # the files with their links
         self._mine: set[Path] = set()
 
     @property

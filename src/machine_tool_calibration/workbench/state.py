@@ -57,24 +57,15 @@ class Job:
 
 
 class State:
-    """One window's work. Everything that changes it tells those who watch it.
-
-    Attributes:
-        paths: of the measurement; several are of one machine. Empty before one is open.
-        subject: the measurement with all its readings.
-        models: on the way from the first one to the one in use.
-        furthest: the last of them before any was undone.
-        diagnosis: of the model in use, with what follows from it; None before it was made.
-        remark: what the page should say.
-    """
+    """One window's work. Everything that changes it tells those who watch it."""
 
     def __init__(self, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> None:
-        self.paths: tuple[Path, ...] = ()
-        self.models: list[Model] = []
-        self.furthest: Model | None = None
+        self.paths: tuple[Path, ...] = ()  # of the measurement; several are of one machine
+        self.models: list[Model] = []  # on the way from the first one to the one in use
+        self.furthest: Model | None = None  # the last of them before any was undone
         self.variant = variant
-        self.diagnosis: Diagnosis | None = None
-        self.remark = ""
+        self.diagnosis: Diagnosis | None = None  # of the model in use, with what follows from it
+        self.remark = ""  # what the page should say
         self.history = History()
         self._kept = True
         self._given = tuple(own)

@@ -90,9 +90,6 @@ class AsciiLineDriver:
         settings: the instrument's protocol.
         clock: gives the time of a sample, s.
         connect: opens the link; `transport.connect` unless a test gives another.
-
-    Attributes:
-        hardware_id: of the instrument.
     """
 
     def __init__(

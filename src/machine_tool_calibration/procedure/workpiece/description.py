@@ -92,27 +92,18 @@ class Circle(Record):
 
 
 class _Drawn(Record):
-    name: str = "work"
-    closed: bool = True
-    material: Material
-    spacing: Length
-    clearance: NotNegative = 0.0
+    name: str = "work"  # of the feature
+    closed: bool = True  # whether the last corner is joined to the first
+    material: Material  # `inside` for a block, `outside` for a pocket; `left` or `right` for an open one
+    spacing: Length  # distance of points
+    clearance: NotNegative = 0.0  # what the stylus keeps from other walls
 
 
 class Outline(_Drawn):
-    """A polygon.
-
-    Attributes:
-        name: of the feature.
-        vertices: x, y of the corners in their order.
-        closed: whether the last one is joined to the first.
-        material: `inside` for a block, `outside` for a pocket; `left` or `right` for an open one.
-        spacing: distance of points.
-        clearance: what the stylus keeps from other walls.
-    """
+    """A polygon."""
 
     kind: Literal["outline"]
-    vertices: Annotated[tuple[Vector2, ...], Field(min_length=2)]
+    vertices: Annotated[tuple[Vector2, ...], Field(min_length=2)]  # x, y of the corners in their order
 
     def contour(self, unit: float) -> Contour:
         """The polygon, m; corners given twice are taken once."""
