@@ -52,16 +52,10 @@ def _rms_length(field: Array) -> float:
 
 
 def map_error(points: Array, identified: Array, true: Array, free: Array | None = None) -> MapError:
-    """Compare a map with the truth.
+    """Compare a map with the truth: position errors at points, (n, d), m; d is 2 or 3; points with NaN are left out.
 
     Self-calibration fixes neither where the origin of the coordinates is nor how they are turned: the rigid motion that
-    fits best is taken out of both.
-
-    Args:
-        points: (n, d) commanded positions, m; d is 2 or 3.
-        identified: (n, d) identified position error, m; a point with NaN is left out.
-        true: (n, d) true position error, m.
-        free: (k, n, d) further displacements that the measurement leaves open; they are taken out as well.
+    fits best is taken out of both, as are further displacements `free` (k, n, d) that the measurement leaves open.
     """
     known = np.all(np.isfinite(identified), axis=1)
     points, identified, true = points[known], identified[known], true[known]

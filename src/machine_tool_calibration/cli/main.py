@@ -216,14 +216,10 @@ def main() -> NoReturn:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb.
+    """Run one verb by the words of the command line after `mtcal`, those of this process if None.
 
-    Args:
-        arguments: the words of the command line after `mtcal`; those of this process if None.
-
-    Returns:
-        Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command
-        line; 130 interrupted; 141 the reader of standard output went away.
+    Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command line;
+    130 interrupted; 141 the reader of standard output went away.
     """
     _settle_streams()
     # To look for them goes through every installed package, and no record of ours is changed by one.

@@ -44,19 +44,11 @@ class PointResult:
 def points_in_inner_datum(
     part: Part, solution: Solution, index: int, motion: Motion, theta_motion: Array
 ) -> PointResult:
-    """Carry a solution over to the datum in which its points have no common motion.
+    """Carry a solution over to the datum in which the points of a part, at its `index`, have no common motion.
 
-    Args:
-        part: the part whose points these are.
-        solution: of the problem, in the solver's datum.
-        index: place of the part in the problem.
-        motion: displacement of each point by each of t common motions. A motion of points and shared unknowns together
-            changes no reading. t may be 0, and then only the covariances are calculated.
-        theta_motion: (m, t) change of the shared unknowns that goes with them.
-
-    Returns:
-        The points and the shared unknowns, both with covariances. Points that the readings do not fix have no part
-        in the datum.
+    `motion` is the displacement of each point by each of t common motions, `theta_motion` (m, t) the change of the
+    shared unknowns that goes with them: together they change no reading. t may be 0, and then only the covariances are
+    calculated. Points that the readings do not fix have no part in the datum.
     """
     return _Work(part, solution, index, motion, theta_motion).result()
 

@@ -103,12 +103,7 @@ _AGAIN = 1.0  # s between attempts to connect
 
 
 class DriverSource:
-    """Reads a driver and stamps its samples with ROS time.
-
-    Args:
-        driver: not yet opened.
-        clock_offset: ROS time minus `time.monotonic`, ns.
-    """
+    """Reads a driver and stamps its samples with ROS time, which is `time.monotonic` and an offset, ns."""
 
     def __init__(self, driver: Driver, clock_offset: int) -> None:
         self._driver, self._offset = driver, clock_offset

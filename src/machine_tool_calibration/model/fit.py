@@ -180,9 +180,7 @@ def fit_models(
 def screen(fit: Fit, columns: Array) -> Projected:
     """What a fitted model leaves of further columns of one session's readings.
 
-    Args:
-        fit: one session's share in a fit.
-        columns: (k, n) change of each of its readings per unit of each further unknown.
+    They are (k, n): the change of each of its readings per unit of each further unknown.
     """
     names = tuple(Parameter(f"column {j}", "1") for j in range(len(columns)))
     own = [Term("columns", names, columns)]
@@ -190,20 +188,12 @@ def screen(fit: Fit, columns: Array) -> Projected:
 
 
 def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
-    """What a fitted model of one or several sessions leaves of further columns.
+    """What a fitted model of one or several sessions leaves of further columns, from further terms of each session.
 
-    Args:
-        joint: the fit.
-        terms: for each session its further terms. Unknowns of the machine (`Parameter.shared`) that have the same name
-            in several sessions are one column over the readings of all these, every other one is a column of its
-            session alone. A name may also be one of the model's unknowns: it is a further column all the same.
-
-    Returns:
-        What is left, in the order in which the names appear first; its names carry the label of the session where an
-        unknown is not shared.
-
-    Raises:
-        ModelError: a session has a name twice.
+    Unknowns of the machine (`Parameter.shared`) that have the same name in several sessions are one column over the
+    readings of all these, every other one is a column of its session alone. A name may also be one of the model's
+    unknowns: it is a further column all the same. The columns are in the order in which the names appear first; their
+    names carry the label of the session where an unknown is not shared. A ModelError if a session has a name twice.
     """
     old = joint.assembly
     added = [tuple(replace(t, parameters=_further(t.parameters)) for t in own) for own in terms]

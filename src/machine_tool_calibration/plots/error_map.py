@@ -147,12 +147,9 @@ def draw_plane(content: Mapping[str, Any]) -> Figure:
 def draw_map(content: Mapping[str, Any], plane: str = "xy") -> Figure:
     """Nominal and measured positions, with ellipses of expanded uncertainty (k = 2).
 
-    A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction
-    that is determined nowhere is drawn as without error, and named in the title.
-
-    Args:
-        content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
-        plane: names of the axes to the right and upwards.
+    Of a result's error map (document or arrays), with the names of the axes to the right and upwards. A plane is one
+    panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction that is
+    determined nowhere is drawn as without error, and named in the title.
     """
     parts = (numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
     whole, unknown = _known(_Map(*parts), f"{plane}z")

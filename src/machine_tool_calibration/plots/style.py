@@ -117,14 +117,9 @@ def spaced(number: float) -> str:
 
 
 def scale_bar(panel: Axes, magnification: float, largest: float, low: Array, high: Array) -> None:
-    """Draw a bar below the content that stands for a round error.
+    """Draw a bar that stands for a round error, about as long as the largest, m, below the content.
 
-    Args:
-        panel: in millimetres.
-        magnification: of errors.
-        largest: error, m: the bar is about as long.
-        low: (2,) lower left corner of what was drawn, mm.
-        high: (2,) upper right corner.
+    The panel is in millimetres, as the lower left and upper right corners (2,) of what was drawn.
     """
     bar = round_down(max(largest, 1e-12))
     length = magnification * bar * 1e3

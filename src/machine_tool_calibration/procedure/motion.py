@@ -67,13 +67,9 @@ class Move:
 def move(
     start: Mapping[str, float], end: Mapping[str, float], limits: Mapping[str, AxisLimits], duration: float = 0.0
 ) -> Move:
-    """The move that takes the wanted time, or the shortest that the axes' limits allow.
+    """The move that takes the wanted time, s, or the shortest that the axes' limits allow, which 0 asks for.
 
-    Args:
-        start: position of each axis, m or rad.
-        end: where the axes go; the same axes as `start`.
-        limits: of each axis that moves.
-        duration: wanted time, s; 0 asks for the shortest.
+    Start and end are positions of the same axes, m or rad; limits are of each axis that moves.
     """
     travels = {name: abs(end[name] - begin) for name, begin in start.items() if abs(end[name] - begin) > _NO_TRAVEL}
     if not travels:

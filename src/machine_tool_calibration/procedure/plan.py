@@ -36,13 +36,8 @@ class Plan:
 def plan(procedure: Procedure, most: int | None = None) -> Plan:
     """Make the steps of a procedure.
 
-    Args:
-        procedure: what is to be measured.
-        most: refuse more readings than these.
-
-    Raises:
-        SessionError: a target is outside the machine's travel or names an axis that the machine does not have, the
-            path is not one of the method, or there are too many readings.
+    A SessionError: a target is outside the machine's travel or names an axis that the machine does not have, the path
+    is not one of the method, or there are more readings than `most`.
     """
     maker = method_spec(procedure.session.method).steps
     if maker is None:

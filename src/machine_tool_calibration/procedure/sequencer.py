@@ -28,12 +28,7 @@ _RECOVERIES_BEFORE_ERROR = 3
 
 
 class Sequencer:
-    """Runs a plan by events; every method returns what is to be done now.
-
-    Args:
-        plan: the steps.
-        timing: deadlines.
-    """
+    """Runs a plan by events, with deadlines; every method returns what is to be done now."""
 
     def __init__(self, plan: Plan, timing: Timing) -> None:
         self.plan = plan

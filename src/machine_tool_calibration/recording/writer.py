@@ -98,17 +98,10 @@ class BagWriter:
         split_bytes: int = 0,
         split_seconds: float = 0.0,
     ) -> None:
-        """Create the folder, which must not exist or be empty, and the first file.
+        """Create the folder, which must not exist or be empty, and the first file; a RecordingError if it cannot.
 
-        Args:
-            folder: the bag.
-            flush_seconds: longest age of what is not yet written, s.
-            chunk_bytes: size at which a chunk ends.
-            split_bytes: size at which a new file begins; 0 never.
-            split_seconds: likewise duration, by the messages' times, s.
-
-        Raises:
-            RecordingError: the folder holds something or cannot be made.
+        What is not yet written is `flush_seconds` old at most. A chunk ends at a size, and a new file begins at a size
+        or at a duration by the messages' times, s; never for 0.
         """
         self.folder = Path(folder)
         self._flush_seconds = flush_seconds
@@ -175,16 +168,10 @@ class BagWriter:
         encoding: str = "cdr",
         schema_encoding: str | None = None,
     ) -> None:
-        """Register a topic; a second time is ignored.
+        """Register a topic by its absolute name and a type such as `sensor_msgs/msg/JointState`; again is ignored.
 
-        Args:
-            name: absolute name.
-            message_type: such as `sensor_msgs/msg/JointState`.
-            qos: what the publishers offer.
-            definition: text of the message definition with its parts; looked up if None.
-            type_hash: `RIHS01_…`; looked up if None.
-            encoding: of the messages.
-            schema_encoding: form of the definition; `ros2msg`, or empty where it is not known.
+        `qos` is what the publishers offer. The definition, a text with its parts, and its hash `RIHS01_…` are looked up
+        if None; the form of a definition is `ros2msg`, or empty where it is not known.
         """
         if name in self._topics:
             return

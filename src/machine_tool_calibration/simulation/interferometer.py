@@ -24,12 +24,9 @@ _STARVED = 1_000_000_000  # ns without true positions: the signal is lost
 class SimulatedSource:
     """Exact geometry, noise, and a beam that can be lost.
 
-    Args:
-        site: the simulated world.
-        origin: ROS time at which its time is zero, ns.
-        rate: of the stream, Hz.
-        sample_noise: standard deviation of a single sample's own noise, m.
-        keep: how many true positions are kept; two are enough where there is no stream between the readings.
+    `origin` is the ROS time at which the site's is zero, ns; the stream has a rate, Hz, and each sample a noise of its
+    own, m (standard deviation). So many true positions are kept; two are enough where there is no stream between the
+    readings.
     """
 
     def __init__(self, site: Site, origin: int, rate: float, sample_noise: float, keep: int = 4000) -> None:

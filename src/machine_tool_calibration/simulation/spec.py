@@ -90,20 +90,11 @@ def spec_from(
     effects: Sequence[Mapping[str, Any]] = (),
     fields: Mapping[str, Any] | None = None,
 ) -> SimulationSpec:
-    """A spec from options, on top of one that was read from a file.
+    """A spec from options, on top of one that was read from a file, if there is one.
 
-    Args:
-        base: the file's spec, if there is one.
-        method: method of a plan without preset.
-        preset: name of a plan in `PRESETS`.
-        plan: keys of the plan that differ.
-        machine: YAML file of the machine's true errors.
-        effects: mappings of `FlawSpec`; they add to the file's.
-        fields: other fields of `SimulationSpec` that differ.
-
-    Raises:
-        CalibrationError: an unknown preset or method, a value out of range or implausible, neither file nor method nor
-            preset.
+    A plan by its preset, or else its method, with keys that differ; the YAML file of a machine's true errors; effects
+    as mappings of `FlawSpec`, which add to the file's; and other fields that differ. A CalibrationError: an unknown
+    preset or method, a value out of range or implausible, neither file nor method nor preset.
     """
     planned = _planned(base, method, preset)
     content: dict[str, Any] = base.model_dump(exclude_unset=True, exclude={"plan"}) if base is not None else {}

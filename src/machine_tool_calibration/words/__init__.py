@@ -58,11 +58,9 @@ def figures(value: float, count: int = 3) -> str:
 
 
 def say(key: str, /, **values: Any) -> Said:
-    """The text of a key in English, with values put in; of two forms that for one where `n` is 1.
+    """The text of a key (`room.name`) in English, with values put in; of two forms that for one where `n` is 1.
 
-    Args:
-        key: `room.name`, as in the catalogues.
-        values: numbers and names; texts among them are said in the language of the whole.
+    Texts among the values are said in the language of the whole.
     """
     return _said(words("en")(key, **values), key, values)
 

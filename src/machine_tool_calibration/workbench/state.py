@@ -158,14 +158,10 @@ class State:
         aside: Iterable[int] | None = None,
         variant: str | None = None,
     ) -> Job:
-        """Fit the model in use with a change.
+        """Fit the model in use with a change: effects added and taken by their ids, another variant, other readings.
 
-        Args:
-            add: ids of effects.
-            take: ids of effects that it has.
-            variant: of the method's model; that of the model in use if absent.
-            aside: numbers of all readings that are to be set aside; those of the model in use if absent. What a search
-                had set aside and is put back is kept: no search sets it aside again.
+        `aside` are numbers of all readings that are to be set aside; variant and these are those of the model in use if
+        absent. What a search had set aside and is put back is kept: no search sets it aside again.
         """
         now = self.model
         rows = now.aside if aside is None else frozenset(aside)

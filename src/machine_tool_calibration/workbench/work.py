@@ -64,12 +64,9 @@ class Work:
         return True
 
     def run(self, what: str, job: Job, otherwise: Callable[[], object] = lambda: None) -> None:
-        """Do something beside the page.
+        """Do something beside the page, `what` in words: a calculation in a process of its own, then what takes it.
 
-        Args:
-            what: is being done, in words.
-            job: the calculation, done in a process of its own, and what takes the outcome, on the page again.
-            otherwise: is done where that was not begun, was stopped, or failed: a field tells again what is there.
+        `otherwise` is done where that was not begun, was stopped, or failed: a field tells again what is there.
         """
         if not self.alone(partial(self._begin, what, job, otherwise)):
             otherwise()

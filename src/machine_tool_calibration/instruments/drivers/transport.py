@@ -34,14 +34,9 @@ class Transport(Protocol):
 
 
 def connect(connection: Connection, timeout: float) -> Transport:
-    """Open the link.
+    """Open the link; an InstrumentError if that cannot be done.
 
-    Args:
-        connection: where the instrument is.
-        timeout: for the connection to be made and for each piece of data to be sent, s.
-
-    Raises:
-        InstrumentError: it cannot be opened.
+    `timeout` is for the connection to be made and for each piece of data to be sent, s.
     """
     if connection.tcp is not None:
         return TcpTransport(connection.tcp, timeout)
