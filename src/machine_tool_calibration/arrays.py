@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Array types used throughout, and what is drawn from distributions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -21,13 +19,7 @@ _LARGEST_CODE = 2**62  # of a group's keys: below what an int64 holds
 
 
 def standard_draws(distribution: str, rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
-    """Independent values with mean 0 and standard deviation 1 (JCGM 101, 6.4).
-
-    Args:
-        distribution: `normal`, or one of `HALF_WIDTHS`.
-        rng: source of chance.
-        shape: of the values.
-    """
+    """Independent values, `normal` or by one of `HALF_WIDTHS`, with mean 0 and standard deviation 1 (JCGM 101, 6.4)."""
     if distribution == "normal":
         return rng.standard_normal(shape)
     if distribution == "arcsine":
@@ -42,10 +34,8 @@ def standard_draws(distribution: str, rng: np.random.Generator, shape: int | tup
 def groups(*keys: npt.NDArray[Any]) -> IntArray:
     """(n,) number of the group of each entry, from 0: entries with the same keys share one; sorted by the keys.
 
-    As `np.unique` of the stacked keys does, without sorting columns.
-
-    Args:
-        keys: one or several (n,) of numbers or texts; integers are small.
+    As `np.unique` of the stacked keys does, one or several (n,) of numbers (integers are small) or texts, without
+    sorting columns.
     """
     code, size = np.zeros(len(keys[0]), dtype=np.int64), 1
     for key in keys:
@@ -93,10 +83,7 @@ def in_order_of_appearance(values: IntArray) -> IntArray:
 def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Array, Array]:
     """Smallest value, median and largest value of each group, each (count,); NaN where a group has none.
 
-    Args:
-        values: (n,) NaN counts as missing.
-        group: (n,) number of each value's group, below `count`.
-        count: of groups.
+    Of values (n,), of which NaN counts as missing, and the number (n,) of each one's group.
     """
     known = ~np.isnan(values)
     values, group = values[known], group[known]
@@ -111,14 +98,9 @@ def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Arr
 
 
 def best_motion(points: Array, onto: Array) -> tuple[Array, Array]:
-    """The rigid motion that brings points nearest to others by least squares (Kabsch 1976); no mirror image.
+    """The rigid motion that brings points (n, d) nearest to others by least squares (Kabsch 1976); no mirror image.
 
-    Args:
-        points: (n, d).
-        onto: (n, d).
-
-    Returns:
-        Rotation (d, d) and shift (d,): a point goes to rotation @ point + shift.
+    Rotation (d, d) and shift (d,): a point goes to rotation @ point + shift.
     """
     middle, goal = points.mean(axis=0), onto.mean(axis=0)
     left, _, right = np.linalg.svd((onto - goal).T @ (points - middle))

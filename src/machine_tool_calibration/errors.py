@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors that reach the user as one clear line, and what a mistyped name may have meant."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

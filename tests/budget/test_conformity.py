@@ -26,14 +26,7 @@ from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import (
-    PRESETS,
-    DiagonalPlan,
-    FlawSpec,
-    SimulationSpec,
-    TrackingPlan,
-    simulate,
-)
+from machine_tool_calibration.simulation import PRESETS, DiagonalPlan, FlawSpec, SimulationSpec, TrackingPlan, simulate
 
 # Readings that scatter by next to nothing.
 QUIET = {"standard_uncertainty": {"displacement": 1e-10}}

@@ -56,14 +56,7 @@ def test_a_wrong_request(words: list[object], status: int, message: str, verb: V
     assert message in err and "Traceback" not in err
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["features", CROSS],
-        ["compare-maps", PLANE, PLANE],
-        ["budget", PLANE],
-    ],
-)
+@pytest.mark.parametrize("words", [["features", CROSS], ["compare-maps", PLANE, PLANE], ["budget", PLANE]])
 def test_a_picture_of_no_known_format_is_refused_at_once(words: list[object], tmp_path: Path, verb: Verb) -> None:
     said = verb(*words, "--plot", tmp_path / "picture.foo", status=2)
     assert not said.out and not list(tmp_path.iterdir())

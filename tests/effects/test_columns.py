@@ -73,7 +73,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
 # Where the simulator's exact geometry has no such effect, and where the law is another one than the flaw's.
 NOT_HELD = {
     # A tool without length has no lever arm, and the simulator's carriage then turns about itself.
-    ("reversal_ECX", "probing"),
+    ("reversal_ECX", "probing")
 }
 
 

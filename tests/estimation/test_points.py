@@ -32,11 +32,17 @@ def agree(result, dense):
     assert (np.abs(result.theta_covariance - dense.covariance) / np.outer(size, size)).max() < 1e-6
 
 
+def moved(part, solution, made, motions=None):
+    """The points in the datum that as many of the motions as `motions`, or all, leave open."""
+    free = made.point_motion[:, :motions]
+    return points_in_inner_datum(part, solution, 0, lambda points: free[:, :, points], made.theta_motion[:, :motions])
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_inner_datum(case, make_network, solve_dense):
     made = make_network(**CASES[case])
     solution = solve(made.network.problem())
-    result = points_in_inner_datum(made.network.part(), solution, 0, made.point_motion, made.theta_motion)
+    result = moved(made.network.part(), solution, made)
     rows = inner_constraints(made)
     agree(result, solve_dense(made.network, rows, np.zeros(len(rows))))
     assert result.determined.all()
@@ -46,19 +52,8 @@ def test_solvers_datum_without_motions(make_network, solve_dense):
     made = make_network(dense=1)
     network = made.network
     solution = solve(network.problem())
-    result = points_in_inner_datum(network.part(), solution, 0, made.point_motion[:, :0], made.theta_motion[:, :0])
+    result = moved(network.part(), solution, made, 0)
     agree(result, solve_dense(network))
-
-
-def test_motion_given_as_a_function(make_network):
-    made = make_network(n_points=50)
-    solution = solve(made.network.problem())
-    one = points_in_inner_datum(made.network.part(), solution, 0, made.point_motion, made.theta_motion)
-    two = points_in_inner_datum(
-        made.network.part(), solution, 0, lambda points: made.point_motion[:, :, points], made.theta_motion
-    )
-    assert np.array_equal(one.covariance, two.covariance)
-    assert np.array_equal(one.value, two.value)
 
 
 def test_points_of_several_groups(make_network, solve_dense):
@@ -77,7 +72,7 @@ def test_points_of_several_groups(make_network, solve_dense):
     solution = solve(network.problem())
     good = solution.local_determined[0].all(axis=0)
     assert good.all()
-    result = points_in_inner_datum(network.part(), solution, 0, made.point_motion, made.theta_motion)
+    result = moved(network.part(), solution, made)
     rows = inner_constraints(made)
     agree(result, solve_dense(network, rows, np.zeros(len(rows))))
 
@@ -87,7 +82,7 @@ def test_a_point_that_is_not_determined_has_no_part_in_the_datum(make_network):
     network = made.network
     lost = network.select(~((network.point == 3) & (network.block > 1)))
     solution = solve(lost.problem())
-    result = points_in_inner_datum(lost.part(), solution, 0, made.point_motion, made.theta_motion)
+    result = moved(lost.part(), solution, made)
     assert result.determined.tolist() == [k != 3 for k in range(30)]
     sums = np.einsum("dtn,dn->t", made.point_motion[:, :, result.determined], result.value[:, result.determined])
     assert np.abs(sums).max() < 1e-15
@@ -108,11 +103,11 @@ def test_a_point_that_follows_an_undetermined_station(make_network):
     solution = solve(problem)
     assert solution.determined.tolist() == [True] * 16 + [False] * 4
     assert solution.local_determined[0].all()
-    result = points_in_inner_datum(network.part(), solution, 0, made.point_motion, made.theta_motion)
+    result = moved(network.part(), solution, made)
     assert result.determined.tolist() == [k != 0 for k in range(30)]
     without = network.select((network.block < 4) & (network.point != 0))
     other = solve(type(problem)([without.part()], network.size, constraints, network.values))
-    same = points_in_inner_datum(without.part(), other, 0, made.point_motion, made.theta_motion)
+    same = moved(without.part(), other, made)
     good = result.determined
     assert np.allclose(result.value[:, good], same.value[:, good], rtol=0, atol=1e-13)
     assert np.allclose(result.covariance[:, :, good], same.covariance[:, :, good], rtol=1e-6, atol=1e-20)

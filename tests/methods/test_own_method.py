@@ -72,10 +72,7 @@ def circles(folder: Path, backlash: float = 0.0, seed: int = 1) -> Path:
                 x, y = centre[0] + RADIUS * np.cos(angle), centre[1] + RADIUS * np.sin(angle)
                 towards = np.sign([-sense * np.sin(angle), sense * np.cos(angle)])
                 actual = np.array(
-                    [
-                        x - SQUARENESS * y - 0.5 * MISMATCH * x,
-                        y + 0.5 * MISMATCH * y - 0.5 * backlash * towards[1],
-                    ]
+                    [x - SQUARENESS * y - 0.5 * MISMATCH * x, y + 0.5 * MISMATCH * y - 0.5 * backlash * towards[1]]
                 )
                 reading = np.hypot(*(actual - centre - offset)) - (RADIUS + length) + rng.normal(0.0, SIGMA)
                 rows.append(f"{time},{name},{repeat},{x:.9f},{y:.9f},{towards[0]:g},{towards[1]:g},{reading:.12g}")

@@ -11,13 +11,13 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
+from mcap.writer import MCAP0_MAGIC as MAGIC
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.cdr import TEXT, decode, definition_of, encode, typestore
-from machine_tool_calibration.recording.mcap_reader import MAGIC
 from machine_tool_calibration.recording.reader import BagReader, is_readable
 
 
@@ -102,11 +102,7 @@ def test_unfinished(small_bag: Callable[..., Path]) -> None:
     file.write_bytes(data[:-1])
     fails(file, f"{file}: was not finished (the recorder was killed?); `mtcal recover` makes it whole", UnfinishedError)
     file.write_bytes(b"")
-    fails(
-        file,
-        f"{file}: the file is empty; the recorder was killed before its first second was over",
-        UnfinishedError,
-    )
+    fails(file, f"{file}: the file is empty; the recorder was killed before its first second was over", UnfinishedError)
 
 
 def test_a_wrong_checksum(small_bag: Callable[..., Path]) -> None:

@@ -91,10 +91,7 @@ def test_several_files(small_bag: Callable[..., Path], tmp_path: Path) -> None:
 
 
 def test_nothing_to_save(tmp_path: Path) -> None:
-    for path, expected in (
-        (tmp_path / "x", "no such file or folder"),
-        (tmp_path, "no .mcap file is in this folder"),
-    ):
+    for path, expected in ((tmp_path / "x", "no such file or folder"), (tmp_path, "no .mcap file is in this folder")):
         with pytest.raises(RecordingError) as caught:
             recover(path, tmp_path / "new")
         assert str(caught.value) == f"{path}: {expected}"

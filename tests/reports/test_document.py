@@ -11,25 +11,12 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.planning.what_to_measure import conclude
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import simulate
 
-from ..diagnosed import diagnosed
+from .measured import SPECS, concluded
 
-VERDICTS = {
-    "adequate": SimulationSpec(plan=PRESETS["tracking_2d"], seed=101),
-    "missing_effect": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),)
-    ),
-    "unexplained": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=6e-6),)
-    ),
-    "look-alike": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=5, effects=(FlawSpec(id="pointer_radial_error", amplitude=4e-6),)
-    ),
-    "outliers": SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02)),
-}
+VERDICTS = ("adequate", "missing_effect", "unexplained", "look-alike", "outliers")
 KEYS = {
     "format": str,
     "verdict": str,
@@ -49,8 +36,7 @@ CANDIDATE = {
 
 @cache
 def found(verdict: str) -> tuple[Diagnosis, dict[str, Any]]:
-    diagnosis = diagnosed(VERDICTS[verdict])
-    then = conclude(diagnosis, progress=lambda what, share: None)
+    diagnosis, then = concluded(verdict)
     return diagnosis, diagnosis_document(diagnosis, then.advice, then.changes)
 
 
@@ -62,7 +48,7 @@ def numbers(value: Any) -> list[float]:
     return [float(value)] if isinstance(value, int | float) else []
 
 
-@pytest.mark.parametrize("verdict", list(VERDICTS))
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_contract(verdict: str) -> None:
     _, document = found(verdict)
     text = json.dumps(document, allow_nan=False)
@@ -107,7 +93,7 @@ def test_the_contract(verdict: str) -> None:
     assert not looked_for & {e["effect"] for e in document["excluded"]}
 
 
-@pytest.mark.parametrize("verdict", list(VERDICTS))
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_candidates_come_best_first_after_those_accepted(verdict: str) -> None:
     _, document = found(verdict)
     names = [c["effect"] for c in document["candidates"]]
@@ -137,7 +123,7 @@ def test_the_effect_that_was_hidden_stands_first_with_its_size() -> None:
     assert first["rms_after"] < 0.5 * first["rms_before"]
     (size,) = first["parameters"]
     assert size["unit"] == "m"
-    true = simulate(VERDICTS["missing_effect"]).truth.effects[0].size
+    true = simulate(SPECS["missing_effect"]).truth.effects[0].size
     assert abs(size["value"] - true) < 4 * size["standard_uncertainty"]
 
 

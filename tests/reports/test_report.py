@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.dominant import Dominant, Remedy
@@ -21,26 +20,12 @@ from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.verdict import mounted_more_than_once, verdict_words
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import say
 
-from ..diagnosed import diagnosed
 from ..told import keys
+from .measured import SPECS, concluded
 
-SPECS = {
-    "adequate": SimulationSpec(plan=PRESETS["tracking_2d"], seed=101),
-    "missing_effect": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),)
-    ),
-    "unexplained": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=6e-6),)
-    ),
-    "outliers": SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02)),
-    "too noisy": SimulationSpec(plan=PRESETS["tracking_2d"], seed=102, noise_factor=1.6),
-    "too little to tell": SimulationSpec(
-        plan=PRESETS["tracking_2d"], seed=19, effects=(FlawSpec(id="station_drift", amplitude=1.5e-6),)
-    ),
-}
 DOMINANT = Dominant(
     "angular errors", 4e-7, {"readings": 0.1, "angular errors": 0.84, "time": 0.06}, 5e-6, 1e-9, 3.9e-7,
     (Remedy(kind="diagonal", measure="add the diagonal nnp", uncertainty=2e-7, seconds=360.0,
@@ -50,8 +35,8 @@ DOMINANT = Dominant(
 
 @cache
 def report(name: str) -> tuple[Diagnosis, Report]:
-    found = diagnosed(SPECS[name])
-    return found, diagnosis_report(found, what_to_measure(found), consequences(found))
+    found, then = concluded(name)
+    return found, diagnosis_report(found, then.advice, then.changes)
 
 
 def table(shown: Report, title: str) -> TextTable:
@@ -101,8 +86,8 @@ def test_an_effect_found_is_told_with_its_size_and_what_it_does() -> None:
 
 def test_how_near_a_similar_effect_is_decides_what_is_said_of_it() -> None:
     """However near their patterns are, the probabilities are those that the table shows."""
-    found, _ = report("missing_effect")
-    advice = what_to_measure(found)
+    found, then = concluded("missing_effect")
+    advice = then.advice
     rivals = replace(found, search=replace(found.search, sets=((("station_drift",), 0.5), (("backlash_y",), 0.5))))
     similar = {"diagnosis.similar", "diagnosis.apart", "diagnosis.as_well"}
     for of, apart, says in ((found, 21.0, similar - {"diagnosis.as_well"}), (found, 2.0, {"diagnosis.similar"}),
@@ -151,8 +136,8 @@ def test_a_setup_that_is_measured_left_and_measured_again_counts_as_mounted_agai
 
 
 def test_all_candidates_on_request() -> None:
-    found, _ = report("adequate")
-    few, every = (table(diagnosis_report(found, what_to_measure(found), {}, k), "candidates") for k in (3, 0))
+    found, then = concluded("adequate")
+    few, every = (table(diagnosis_report(found, then.advice, {}, k), "candidates") for k in (3, 0))
     assert len(few.rows) == 3 and "found.note_left" in keys(few.note)
     assert len(every.rows) == sum(1 for r in found.ranked if r.rank)
 

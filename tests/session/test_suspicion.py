@@ -59,11 +59,7 @@ CASES = [
 
 @pytest.mark.parametrize(("damage", "says"), CASES)
 def test_in_words_and_in_json(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    sound: Session,
-    damage: Callable[[Session], Session],
-    says: str,
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, sound: Session, damage: Callable[[Session], Session], says: str
 ) -> None:
     write_session(damage(sound), tmp_path / "s")
     for verb in ("identify", "info"):

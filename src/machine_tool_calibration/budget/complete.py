@@ -5,8 +5,6 @@ Commands, nodes and pages identify, improve and conclude by these: a session tha
 uncertainty everywhere. Without one it is what the readings show, which their words say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar

@@ -8,8 +8,6 @@ values are drawn with their joint uncertainty, and what is asked for is worked o
 in the measured values and once more in the draws: each side of the tolerance is asked by itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

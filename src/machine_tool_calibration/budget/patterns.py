@@ -5,8 +5,6 @@ Along the beam a position enters at first order; across it, and as an angle of t
 Ibaraki et al. 2014 (Fig. 2), which shortens every reading, whatever the sign.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ more than one the other way, or a larger one by more than in proportion: they ar
 values, and the mean square counts. What differs from reading to reading or run to run is in what the runs scatter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

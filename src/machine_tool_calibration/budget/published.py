@@ -4,8 +4,6 @@
 A budget and a conformity ask what other readings would change of them, whatever the method's map holds.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

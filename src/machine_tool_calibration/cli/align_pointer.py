@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal align-pointer`: rotation centre and zero angle of an open-loop tracking interferometer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

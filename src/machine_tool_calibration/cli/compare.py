@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal compare`: how well a model fits its readings, and where it fails."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -68,9 +68,8 @@ def command(first: Path, second: Path, wanted: Wanted, seed: int, plot: Path | N
 def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
     """The measurements, each with what its method knows of the model that is asked for, or with its history's.
 
-    Raises:
-        UsageError: effects or a model are asked for beside those of the history.
-        CalibrationError: neither has a history, knows the model, or can have an effect.
+    A UsageError if effects or a model are asked for beside those of the history; a CalibrationError if neither has a
+    history, knows the model, or can have an effect.
     """
     from machine_tool_calibration.effects.catalogue import find_effects
     from machine_tool_calibration.reports.history_file import history_path, read_history

@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal conformity`: whether the machine keeps its tolerances, and how sure that is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.budget.conformity import RULES
+from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import PATH, json_option, note, progress_bar, seed_option, tell
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.session import Session
 
 
 @click.command("conformity")
@@ -86,7 +82,6 @@ def command(
 def _note_budget(sessions: Sequence[Session]) -> None:
     """Say whose budget decides where none is given, or what to do where there is none."""
     from machine_tool_calibration.budget.complete import stated
-    from machine_tool_calibration.budget.contributor import known_contributors
 
     lines, why = known_contributors(sessions)
     if not lines:

@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.foreign_options import (
-    file_form,
-    foreign_options,
-    mapping_from,
-    only_form,
-)
+from machine_tool_calibration.cli.foreign_options import file_form, foreign_options, mapping_from, only_form
 from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import (
     FILE,

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole story: a simulated machine hides an effect; it is measured, found out, and the error falls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -14,6 +12,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, rigid_motions, rms
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.output import json_option, progress_bar, tell_either
+from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -23,14 +22,11 @@ from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.site import Site, SiteSpec, read_site
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.improve import Improvement
-    from machine_tool_calibration.session.session import Session
 
 
 @dataclass(frozen=True)
@@ -56,16 +52,10 @@ def _rms_length(field: Array) -> float:
 
 
 def map_error(points: Array, identified: Array, true: Array, free: Array | None = None) -> MapError:
-    """Compare a map with the truth.
+    """Compare a map with the truth: position errors at points, (n, d), m; d is 2 or 3; points with NaN are left out.
 
     Self-calibration fixes neither where the origin of the coordinates is nor how they are turned: the rigid motion that
-    fits best is taken out of both.
-
-    Args:
-        points: (n, d) commanded positions, m; d is 2 or 3.
-        identified: (n, d) identified position error, m; a point with NaN is left out.
-        true: (n, d) true position error, m.
-        free: (k, n, d) further displacements that the measurement leaves open; they are taken out as well.
+    fits best is taken out of both, as are further displacements `free` (k, n, d) that the measurement leaves open.
     """
     known = np.all(np.isfinite(identified), axis=1)
     points, identified, true = points[known], identified[known], true[known]
@@ -116,11 +106,10 @@ def _positions(site: Site, points: Array) -> Array:
 
 
 def _carried(site: Site, result: Result) -> tuple[Array, Array]:
-    """Where the table carries each point of the map.
+    """(n, 3) true error of where the table carries each point of the map, m: that of an ideal turn taken off.
 
-    Returns:
-        (n, 3) its true error, m: that of an ideal turn taken off; and (6, n, 3) what a shift and a turn of the targets
-        on the table would make, which cannot be distinguished from where the targets are.
+    And (6, n, 3) what a shift and a turn of the targets on the table would make, which cannot be distinguished from
+    where the targets are.
     """
     content, points = result.error_map.content, result.error_map.points
     angles = np.asarray(content["c"], dtype=float)
@@ -230,7 +219,6 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
-    from machine_tool_calibration.diagnosis.improve import improve
     from machine_tool_calibration.plots.improve import save_improvement
 
     improvement = improve(measured.session, progress=progress)

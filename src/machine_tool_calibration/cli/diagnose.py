@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal diagnose`: which physical effect the model lacks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

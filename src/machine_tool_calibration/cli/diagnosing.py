@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import FILE, PATH, note, options, session_labels
+from machine_tool_calibration.cli.output import FILE, PATH, Report, note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.cli.output import Report
     from machine_tool_calibration.interface.identification import Fit
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.reports.identification import Measured
@@ -33,15 +32,11 @@ class Wanted:
     from_history: bool = False  # whether it is the one in use of the history
 
     def open(self, paths: Sequence[Path], topics: dict[str, str] | None = None) -> Measured:
-        """Read measurements, and choose the model to fit to them.
+        """Read measurements (one, or several that are fitted together), and choose the model to fit to them.
 
-        Args:
-            paths: one session, or several that are fitted together; the history is in it or beside it.
-            topics: names of topics by their role, for recordings.
-
-        Raises:
-            UsageError: effects or a model were asked for beside those of the history.
-            CalibrationError: a measurement cannot be read, `--keep` names no reading of it, or no model was tried yet.
+        The history is in them or beside them; `topics` are names by their role, for recordings. A UsageError if effects
+        or a model were asked for beside those of the history; a CalibrationError if a measurement cannot be read,
+        `--keep` names no reading of it, or no model was tried yet.
         """
         from machine_tool_calibration.effects.catalogue import own_effects
         from machine_tool_calibration.methods.fitted import FitRequest
@@ -74,16 +69,9 @@ class Wanted:
         choose: Callable[[Measured], FitRequest] = lambda measured: measured.chosen,
         topics: dict[str, str] | None = None,
     ) -> Fit:
-        """Read measurements, and identify as `mtcal identify` does.
+        """Read measurements as by `open`, and identify as `mtcal identify` does, by the model that `choose` takes.
 
-        Args:
-            paths: as for `open`.
-            progress: told what is done.
-            choose: the model of what was read, if another one than was asked for.
-            topics: as for `open`.
-
-        Raises:
-            CalibrationError: as for `open`, or the data does not allow the model.
+        A CalibrationError as for `open`, or if the data does not allow the model.
         """
         from machine_tool_calibration.interface.identification import fitted
         from machine_tool_calibration.interface.session import Measurement
@@ -128,11 +116,7 @@ def no_model(paths: Sequence[Path]) -> CalibrationError:
 
 
 def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[str]) -> list[Session]:
-    """The sessions, with the readings that `--keep` names known to be sound.
-
-    Raises:
-        CalibrationError: not a row, no such session or no such reading.
-    """
+    """The sessions, with the readings that `--keep` names known to be sound; a CalibrationError if it names none."""
     out = list(sessions)
     for text in keep:
         label, _, row = text.rpartition(":")

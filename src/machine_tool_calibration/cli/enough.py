@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal enough`: after which setup a measurement would have been enough."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

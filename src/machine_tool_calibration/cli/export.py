@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,21 +13,12 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.info import topic_option
-from machine_tool_calibration.cli.output import (
-    FOLDER,
-    PATH,
-    json_option,
-    note,
-    progress_bar,
-    save_picture,
-    tell_either,
-)
+from machine_tool_calibration.cli.output import FOLDER, PATH, json_option, note, progress_bar, save_picture, tell_either
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.tables import suspicion_words
 from machine_tool_calibration.session.catalogue import spec_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from machine_tool_calibration.export.compensation import Compensation, Exported
     from machine_tool_calibration.methods.fitted import FitRequest
     from machine_tool_calibration.methods.identify import JointResult
@@ -100,7 +92,6 @@ def command(
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.compensation import absent_words, harm_words, left_table
     from machine_tool_calibration.reports.identification import group_by_reason
-    from machine_tool_calibration.reports.tables import suspicion_words
     from machine_tool_calibration.session.checks.suspicion import suspicions
 
     if wanted.from_history and (len(measurements) > 1 or wanted.effects):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal fleet`: all machines of a logbook, and which of them need attention."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import click
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.many import fit_one, followed, workers_options
 from machine_tool_calibration.cli.output import FILE, FOLDER, json_option, note, note_written, tell
+from machine_tool_calibration.words import words
 
 
 @click.command("fleet")
@@ -56,7 +55,6 @@ def command(
     from machine_tool_calibration.fleet.page import write_page
     from machine_tool_calibration.fleet.parquet import machine_tables, write_tables
     from machine_tool_calibration.trends.logbook import Logbook
-    from machine_tool_calibration.words import words
 
     if wanted.keep:
         raise click.UsageError("--keep is for one session (mtcal logbook add).")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The options of `mtcal convert` for tables of other programs, and the mapping that they make."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -148,14 +146,9 @@ def file_form(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def mapping_from(given: dict[str, Any], description: Path | None = None) -> tuple[dict[str, Any], str]:
-    """The content of a mapping: that of the file, with a session.yaml and what the options say over it.
+    """The content of a mapping, and its name for messages: the file, with a session.yaml and the options over it.
 
-    Returns:
-        The content, and its name for messages.
-
-    Raises:
-        click.UsageError: an option that is not of its form.
-        CalibrationError: a mapping file that cannot be read.
+    A UsageError if an option is not of its form; a CalibrationError if the file cannot be read.
     """
     from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
     from machine_tool_calibration.session.text import read_text

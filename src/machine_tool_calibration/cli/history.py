@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal history`: the models of a session that were tried."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -29,11 +29,7 @@ if TYPE_CHECKING:
 
 
 def _keep_models(done: Done, sessions: Sequence[Session], path: Path) -> tuple[list[Path], str]:
-    """Put the models into the history: the file, if it was changed, and a remark.
-
-    Raises:
-        SessionError: it cannot be written.
-    """
+    """Put the models into the history: the file, if it was changed, and a remark; a SessionError if it cannot be."""
     from machine_tool_calibration.diagnosis.improve import entry_of
     from machine_tool_calibration.reports.history_file import fingerprint, update_history
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.output import PATH, json_option, tell_either
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, RecordingError
 
 if TYPE_CHECKING:
     from machine_tool_calibration.recording.reader import BagReader
@@ -73,7 +73,6 @@ def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:
 def _recording(measurement: Path, topics: dict[str, str]) -> tuple[BagReader | None, str]:
     """The recording, None if it is none, and why no session can be read from it."""
     # here, because a session folder needs none of the recording's libraries
-    from machine_tool_calibration.errors import RecordingError
     from machine_tool_calibration.recording.graph import find_topics
     from machine_tool_calibration.recording.reader import BagReader, is_bag
 

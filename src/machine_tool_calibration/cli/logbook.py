@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal logbook`: every session that was measured on a machine, with its result, in one file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -18,6 +16,7 @@ from machine_tool_calibration.cli.output import (
     tell_either,
     write_json,
 )
+from machine_tool_calibration.words import say
 
 machine_option = click.option("--machine", help="The machine, where a logbook has several.")
 
@@ -59,7 +58,6 @@ def add(
     """
     from machine_tool_calibration.trends.logbook import Logbook, entry_of
     from machine_tool_calibration.trends.statement import sizes_of
-    from machine_tool_calibration.words import say
 
     if date is not None and len(sessions) > 1:
         raise click.UsageError("--date is for one SESSION.")
@@ -69,13 +67,7 @@ def add(
             fit = wanted.fit([path], progress)
             sizes = sizes_of(fit.result, progress)
         entry = entry_of(
-            fit.measurement.sessions[0],
-            label,
-            fit.document(),
-            sizes,
-            machine=machine,
-            date=date,
-            instrument=instrument,
+            fit.measurement.sessions[0], label, fit.document(), sizes, machine=machine, date=date, instrument=instrument
         )
         told, added = Logbook(book).add(entry)
         said.append({"label": label, "added": added, "number": told.number, "sha256": told.sha256})

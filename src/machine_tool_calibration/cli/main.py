@@ -54,11 +54,7 @@ class Verbs(click.Group):
         self._plugins: dict[str, EntryPoint] | None = None
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb.
-
-        Raises:
-            OutputClosedError: instead of the BrokenPipeError that click would answer with exit status 1.
-        """
+        """Run the verb; OutputClosedError instead of the BrokenPipeError that click would answer with exit status 1."""
         try:
             result = super().invoke(ctx)
             sys.stdout.flush()
@@ -72,11 +68,7 @@ class Verbs(click.Group):
         return [*own, *sorted(set(self._entry_points()) - set(own))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The verb of that name; None if there is none.
-
-        Raises:
-            CalibrationError: the verb is there but cannot be loaded.
-        """
+        """The verb of that name; None if there is none, a CalibrationError if it cannot be loaded."""
         if cmd_name in _built_in(cmd_name):
             return _load(cmd_name)
         if cmd_name in self._entry_points():
@@ -224,14 +216,10 @@ def main() -> NoReturn:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb.
+    """Run one verb by the words of the command line after `mtcal`, those of this process if None.
 
-    Args:
-        arguments: the words of the command line after `mtcal`; those of this process if None.
-
-    Returns:
-        Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command
-        line; 130 interrupted; 141 the reader of standard output went away.
+    Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command line;
+    130 interrupted; 141 the reader of standard output went away.
     """
     _settle_streams()
     # To look for them goes through every installed package, and no record of ours is changed by one.

@@ -38,11 +38,7 @@ workers_options = options(
 
 
 def fit_one(path: Path, wanted: Wanted, *, keep_all: bool = False) -> Fit:
-    """Identify one of many sessions; the variant of the model is for those of methods that have it.
-
-    Raises:
-        CalibrationError: as for `Wanted.fit`.
-    """
+    """Identify one of many sessions; the variant of the model is for those of methods that have it."""
     return wanted.fit([path], lambda what, share=None: None, partial(_chosen, wanted, keep_all))
 
 

@@ -103,11 +103,7 @@ def write_json(document: Any) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Say in one line where something cannot be written.
-
-    Raises:
-        CalibrationError: a file or folder that the system refuses.
-    """
+    """Say in one line, a CalibrationError, where the system refuses to have something written."""
     try:
         yield
     except OSError as error:
@@ -115,11 +111,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_new(file: Path, text: str) -> None:
-    """Write a text file.
-
-    Raises:
-        CalibrationError: it is there already, or cannot be written.
-    """
+    """Write a text file; a CalibrationError if it is there already, or cannot be written."""
     if file.exists():
         raise CalibrationError(f"{file}: is there already; choose another file")
     with writing(file):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal play`: a bag's messages, published again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal record`: topics to a bag, until Ctrl-C."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

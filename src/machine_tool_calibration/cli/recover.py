@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal recover`: a valid bag from what a killed recorder left."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal report`: a measurement and all that it tells, to hand over."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -10,6 +8,7 @@ import click
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
 from machine_tool_calibration.cli.output import FILE, FOLDER, PATH, note, note_written, progress_bar, seed_option
+from machine_tool_calibration.words import words
 
 
 @click.command("report")
@@ -68,7 +67,6 @@ def command(
     from machine_tool_calibration.certificate.points import missing
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
-    from machine_tool_calibration.words import words
 
     outputs = outputs or (Path("certificate.pdf" if stated else "report.html"),)
     check_endings(outputs, certificate=bool(stated))

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a measurement procedure: start the nodes, measure, record, identify the machine's errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,22 +8,21 @@ from typing import Any
 import click
 
 from machine_tool_calibration.budget.enough import Until
+from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.output import PATH, json_option, progress_bar, tell_either
 from machine_tool_calibration.nodes.measurement import NODES, Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
 from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.reports.planning import reached_parts
 from machine_tool_calibration.reports.tables import Part
+from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.simulation.site import SiteSpec, read_site
 
 
 def _soonest(file: Path, until: Until, model: str | None, folder: str) -> Path:
     """The procedure with the setups that come soonest to what is wanted, written into a folder."""
-    from machine_tool_calibration.budget.patterns import shared_errors
-    from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
-    from machine_tool_calibration.session.text import read_text
-
     assumed = Assumed(model, errors=shared_errors)
     with progress_bar() as progress:
         text = quickest_plan(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal trend`: what changes on a machine from session to session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

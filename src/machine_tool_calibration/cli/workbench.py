@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal workbench`: the whole loop in a browser on this machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import click
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import PATH, note
+from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.errors import CalibrationError
 
 
@@ -46,7 +45,6 @@ def command(
     for measurement in measurements:
         if not measurement.exists():
             raise CalibrationError(f"{measurement}: no such file or folder")
-    from machine_tool_calibration.effects.catalogue import own_effects
 
     own = own_effects(files)
     try:

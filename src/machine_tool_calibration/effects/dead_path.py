@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dead path in changing air: reading = D (n - n_standard) (ISO 230-2)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

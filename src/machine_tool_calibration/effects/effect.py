@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a physical effect states of itself, so that it can be simulated, fitted, ranked, added and drawn."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,46 +38,27 @@ class Shape(Coefficient):
 
 
 class Effect(ABC):
-    """One physical effect.
+    """One physical effect."""
 
-    Attributes:
-        id: the catalogue's name.
-        title: in a few words.
-        formula: as text.
-        source: where it is described.
-        kind: whether it displaces the functional point or changes the reading itself.
-        coefficients: the linear ones.
-        shapes: the nonlinear ones; at most one or two.
-        needs: columns of the session that it uses.
-        methods: methods in which it can act; all if empty.
-        instruments: instruments that can have it; all if empty. A direct session that does not name its instrument has
-            none of these effects: nothing says that there was a beam, and slow changes of the air look like any drift.
-        tolerance: share of its size to which the law holds, one standard deviation.
-        covariates: what the readings depend on through the effect; its columns if empty.
-        setup_level: whether its coefficients belong to single setups, which then are the sample.
-        contains: ids of simpler effects that are a special case of it: a model does not hold both.
-        chain: letters of linear axes that the machine must have.
-        moves: letter of one of them that must have moved in the readings.
-        definition: of one by formula, what makes it anew; None of one that is a class.
-    """
-
-    id: str
-    title: str
-    formula: str
-    source: str
-    kind: Literal["position", "reading"]
-    coefficients: tuple[Coefficient, ...] = ()
-    shapes: tuple[Shape, ...] = ()
-    needs: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
+    id: str  # the catalogue's name
+    title: str  # in a few words
+    formula: str  # as text
+    source: str  # where it is described
+    kind: Literal["position", "reading"]  # whether it displaces the functional point or changes the reading itself
+    coefficients: tuple[Coefficient, ...] = ()  # the linear ones
+    shapes: tuple[Shape, ...] = ()  # the nonlinear ones; at most one or two
+    needs: tuple[str, ...] = ()  # columns of the session that it uses
+    methods: tuple[str, ...] = ()  # in which it can act; all if empty
+    # that can have it; all if empty. A direct session that does not name its instrument has none of these effects:
+    # nothing says that there was a beam, and slow changes of the air look like any drift
     instruments: tuple[str, ...] = ()
-    covariates: tuple[str, ...] = ()
-    tolerance: float = 0.1
-    setup_level: bool = False
-    contains: tuple[str, ...] = ()
-    chain: str = ""
-    moves: str = ""
-    definition: Mapping[str, Any] | None = None
+    covariates: tuple[str, ...] = ()  # what the readings depend on through the effect; its columns if empty
+    tolerance: float = 0.1  # share of its size to which the law holds, one standard deviation
+    setup_level: bool = False  # whether its coefficients belong to single setups, which then are the sample
+    contains: tuple[str, ...] = ()  # ids of simpler effects that are a special case of it: a model does not hold both
+    chain: str = ""  # letters of linear axes that the machine must have
+    moves: str = ""  # letter of one of them that must have moved in the readings
+    definition: Mapping[str, Any] | None = None  # of one by formula, what makes it anew; None of one that is a class
 
     @property
     def of_session(self) -> bool:

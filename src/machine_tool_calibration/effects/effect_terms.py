@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An error motion that the chosen model leaves out: EYX(x), a polynomial (ISO 230-1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

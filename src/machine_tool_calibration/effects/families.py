@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Families of effects: against the last move, round circles, late, of a beam's air, of a squareness, in harmonics."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift of the reading at a constant rate: reading = r time (ISO 230-3)."""
 
-from __future__ import annotations
-
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.model.observations import Observations

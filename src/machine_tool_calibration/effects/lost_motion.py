@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lost motion, not the same everywhere along its axis: e_x = -b(x) dir_x (ISO 230-2)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

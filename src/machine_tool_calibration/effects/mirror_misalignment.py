@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The flat mirror of a step diagonal off the beam: reading = t1 (u1 . d) + t2 (u2 . d), Ibaraki and Hata 2010."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Periodic error of a ball screw or scale."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A beam that is pointed at a retroreflector from a station: where there is one, and its angles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Offsets of a pointer's axes: reading = -d cos(elevation) - q / (2 path) (Hughes et al. 2011, ISO 10360-10)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

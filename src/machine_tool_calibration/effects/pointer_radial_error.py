@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Radial error motion of a pointer: reading = cos(elevation) (waves over the azimuth) (ISO 230-7)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Zero of a pointer's azimuth: reading = -q path cos(elevation)^2 (Ibaraki et al. 2014)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

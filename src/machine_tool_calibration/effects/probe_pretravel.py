@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pre-travel of a probe, in waves over the direction of the contact's normal (ISO 230-10)."""
 
-from __future__ import annotations
-
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.families import HarmonicEffect
 from machine_tool_calibration.effects.pointed_beam import azimuth

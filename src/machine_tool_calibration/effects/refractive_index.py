@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refractive index n of the air, not compensated in full: reading = g (n - n_standard) path (Edlén)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Form error of the retroreflector, in waves over the angle of incidence (Takatsuji et al. 1999)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

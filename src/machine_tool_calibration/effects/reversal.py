@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reversal of a straightness or an angle: EYX = -b dir_x (ISO 230-1, bi-directional)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

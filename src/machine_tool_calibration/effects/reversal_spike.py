@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spike of an axis as it reverses: friction holds it back, e_x = -h dir_x exp(-d / reach) (ISO 230-4)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift of a rotary table's place: table = (v + w x position) time (ISO 230-3, ISO 230-7)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scale error of all axes, e = s position, or of one, e_x = s x (ISO 1, ISO 230-1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growth of an axis's screw or scale while the machine warms up, where nobody recorded its temperature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

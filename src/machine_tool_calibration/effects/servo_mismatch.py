@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servo mismatch on a circle: an axis lags behind the other one, e_y = -T v_y (ISO 230-4:2005, Annex B)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

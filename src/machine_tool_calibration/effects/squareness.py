@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Squareness of two linear axes: C0Y times its lever arm (ISO 230-1)."""
 
-from __future__ import annotations
-
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import AxisEffect, Coefficient
 from machine_tool_calibration.machine.error_motions import squareness_field

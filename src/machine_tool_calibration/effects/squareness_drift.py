@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift of a squareness: C0Y = r time (ISO 230-3, ISO 230-1)."""
 
-from __future__ import annotations
-
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.effects.families import SquarenessEffect

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Squareness that follows the temperature T of its axes: C0Y = g (T - 20) (ISO 230-3, ISO 230-1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift of the stations: reading = -beam . v (time - start of the station) (Schwenke et al. 2005)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thermal growth of a rotary table: target = (T - 20) (k_r radius + k_z height along the axis) (ISO 230-3)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thermal expansion of an axis's scale: e_x = (T - 20) (k x - q) (ISO 230-3, ISO 1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thermal expansion behind the temperature sensor: tau T' = T_sensor - T (ISO 230-3, ISO/TR 16015)."""
 
-from __future__ import annotations
-
 from itertools import accumulate
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Warm-up of an axis: e_x = a (1 - exp(-time / tau)) (ISO 230-3)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

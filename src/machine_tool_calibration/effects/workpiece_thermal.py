@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thermal growth of the workpiece: surface = k (T - 20) position (ISO 1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

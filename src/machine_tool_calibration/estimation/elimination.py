@@ -20,15 +20,11 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 
 
 def null_vector(local: Array) -> tuple[Array, BoolArray]:
-    """Unit vectors w with local w = 0.
+    """Unit vectors w (d + 1, n) with local w = 0, from (d, d + 1, n) derivatives by the points' own unknowns, 1 <= d.
 
-    Args:
-        local: (d, d + 1, n) derivatives by the points' own unknowns, 1 <= d.
-
-    Returns:
-        (d + 1, n) the vectors, 0 for points that are not sound, and (n,) which are sound. A point is not where its
-        normal matrix has a determinant of no more than `_PIVOT` times its trace^d: one of its pivots may be smaller
-        than this share of the trace, and there may be more than one such vector.
+    They are 0 for points that are not sound; (n,) says which are. A point is not where its normal matrix has a
+    determinant of no more than `_PIVOT` times its trace^d: one of its pivots may be smaller than this share of the
+    trace, and there may be more than one such vector.
     """
     d, slots, n = local.shape
     minors: dict[tuple[int, ...], Array] = {(s,): local[0, s] for s in range(slots)}
@@ -98,14 +94,10 @@ class Rows:
 
 
 def cholesky(matrix: Array) -> tuple[Array, Array]:
-    """Cholesky factors of many small symmetric matrices.
+    """Cholesky factors of n small symmetric matrices, positive semidefinite, (d, d, n).
 
-    Args:
-        matrix: (d, d, n), n positive semidefinite matrices.
-
-    Returns:
-        (d, d, n) lower factors with the reciprocals of their diagonal, in which the column of a pivot that vanishes is
-        left out (the reciprocal is 0), and (d, n) whether each unknown is determined.
+    (d, d, n) lower factors with the reciprocals of their diagonal, in which the column of a pivot that vanishes is left
+    out (the reciprocal is 0), and (d, n) whether each unknown is determined.
     """
     d, _, n = matrix.shape
     factor = np.zeros_like(matrix)
@@ -188,14 +180,9 @@ def gram_of_each(columns: Array) -> Array:
 
 
 def local_columns(rows: Rows, place: IntArray) -> Array:
-    """G^T times the columns of the blocks, of the dense unknowns, and the residual.
+    """(B p + K + 1, d, n) G^T times the columns of a chunk's blocks, of the dense unknowns, and the residual.
 
-    Args:
-        rows: the chunk.
-        place: (S,) which of the group's B distinct blocks each slot belongs to.
-
-    Returns:
-        (B p + K + 1, d, n).
+    `place` (S,) says which of the group's B distinct blocks each slot belongs to.
     """
     d, slots, n = rows.local.shape
     p, dense, blocks = len(rows.block), len(rows.dense), int(place.max()) + 1
@@ -215,14 +202,9 @@ def local_columns(rows: Rows, place: IntArray) -> Array:
 
 
 def reduced_gram(rows: Rows, place: IntArray) -> Array:
-    """Gram matrix of [distinct blocks, dense, residual] with the points' own unknowns eliminated.
+    """Gram matrix of [distinct blocks, dense, residual] of a chunk with the points' own unknowns eliminated.
 
-    Args:
-        rows: the chunk.
-        place: (S,) which of the group's B distinct blocks each slot belongs to.
-
-    Returns:
-        (B p + K + 1) square, symmetric.
+    (B p + K + 1) square, symmetric; `place` (S,) says which of the group's B distinct blocks each slot belongs to.
     """
     d, slots, n = rows.local.shape
     by_vector = slots == d + 1
@@ -277,15 +259,10 @@ def raw_squares(rows: Rows, place: IntArray) -> Array:
 
 
 def local_step(rows: Rows, block_step: Array, dense_step: Array) -> tuple[Array, Array]:
-    """Step of the points' own unknowns once the others' is known.
+    """(d, n) step of the points' own unknowns once the others' is known, and (d, n) which are determined.
 
-    Args:
-        rows: the chunk, at the point of linearisation.
-        block_step: (S, p) step of the block of each slot.
-        dense_step: (K,) step of the dense unknowns.
-
-    Returns:
-        (d, n) the step; an unknown that its readings do not determine stays. (d, n) which are determined.
+    From a chunk at the point of linearisation, the step (S, p) of the block of each slot, and (K,) of the dense
+    unknowns. An unknown that its readings do not determine stays.
     """
     factor, determined = cholesky(gram_of_each(rows.local))
     right = np.einsum("dsn,sn->dn", rows.local, rows.left(block_step, dense_step))[None]

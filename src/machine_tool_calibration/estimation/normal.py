@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small normal equations under constraints, and what they leave open."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +30,8 @@ def covariance_root(total: Array, squares: Array, constraints: Array) -> Array:
     """(m, r) root of the covariance of the first m unknowns of a Gram matrix, at the place where that was formed.
 
     That of a solution belongs to the step before: where unknowns are nearly interchangeable, the two differ in what is
-    told least.
-
-    Args:
-        total: (m + k, m + k).
-        squares: (m + k,) squared norms of the columns before the points were eliminated.
-        constraints: (c, m) the datum.
+    told least. `total` is (m + k, m + k), `squares` (m + k,) has the squared norms of its columns before the points
+    were eliminated, and `constraints` (c, m) is the datum.
     """
     m = constraints.shape[1]
     return solve_normal(total[:m, :m], np.zeros(m), constraints, np.zeros(len(constraints)), squares[:m]).half
@@ -48,16 +42,8 @@ def solve_normal(
 ) -> Normal:
     """Minimise x^T N x - 2 b^T x under C x = v, leaving at zero what is not determined.
 
-    Args:
-        matrix: (m, m) N.
-        right: (m,) b.
-        constraints: (c, m) C.
-        values: (c,) v.
-        squares: (m,) squared norms of the unknowns' columns before the points were eliminated, against which is judged
-            what is left; the diagonal of N if absent.
-
-    Returns:
-        The step, its covariance, the undetermined directions, the gain b^T x and the rank.
+    N is (m, m), b (m,), C (c, m) and v (c,). What is left of an unknown is judged against `squares` (m,), the squared
+    norm of its column before the points were eliminated, or the diagonal of N if absent.
     """
     m = len(right)
     scale = np.sqrt(np.maximum(np.diag(matrix) if squares is None else squares, 0.0))

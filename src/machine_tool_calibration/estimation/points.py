@@ -11,8 +11,6 @@ point's own noise minus H^-1 F theta. The common motion x of all points is a sum
 needed: one for the sums, one for the covariances.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -44,29 +42,15 @@ class PointResult:
 
 @single_blas()
 def points_in_inner_datum(
-    part: Part, solution: Solution, index: int, motion: Array | Motion, theta_motion: Array
+    part: Part, solution: Solution, index: int, motion: Motion, theta_motion: Array
 ) -> PointResult:
-    """Carry a solution over to the datum in which its points have no common motion.
+    """Carry a solution over to the datum in which the points of a part, at its `index`, have no common motion.
 
-    Args:
-        part: the part whose points these are.
-        solution: of the problem, in the solver's datum.
-        index: place of the part in the problem.
-        motion: (d, t, n_points) displacement of each point by each of t common motions, or a function that gives it
-            for some of the points. A motion of points and shared unknowns together changes no reading. t may be 0,
-            and then only the covariances are calculated.
-        theta_motion: (m, t) change of the shared unknowns that goes with them.
-
-    Returns:
-        The points and the shared unknowns, both with covariances. Points that the readings do not fix have no part
-        in the datum.
+    `motion` is the displacement of each point by each of t common motions, `theta_motion` (m, t) the change of the
+    shared unknowns that goes with them: together they change no reading. t may be 0, and then only the covariances are
+    calculated. Points that the readings do not fix have no part in the datum.
     """
-    work = _Work(part, solution, index, _function(motion), theta_motion)
-    return work.result()
-
-
-def _function(motion: Array | Motion) -> Motion:
-    return motion if callable(motion) else lambda points: motion[:, :, points]
+    return _Work(part, solution, index, motion, theta_motion).result()
 
 
 class _Work:

@@ -6,8 +6,6 @@ what every model lacks a little, what does not reproduce, single gross errors, a
 (rounding, memory, steps of a grid) stand where they are used and move no answer.
 """
 
-from __future__ import annotations
-
 # --- noise ---
 
 DECLARED_DOF = 20.0

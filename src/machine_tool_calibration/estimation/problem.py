@@ -6,8 +6,6 @@ unknowns through blocks (one per setup) and through dense columns, and may have 
 that nobody else sees; these are eliminated.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -61,14 +59,9 @@ def group_rows(block: IntArray) -> list[Group]:
 
 
 def group_points(point: IntArray, block: IntArray) -> list[Group]:
-    """Groups of a model with points of its own.
+    """Groups of a model with points of its own, from the indices (n,) of each reading's point and block (setup).
 
-    Args:
-        point: (n,) index of the point of each reading, from 0.
-        block: (n,) index of the block (setup) of each reading.
-
-    Returns:
-        One group where most points were read in all slots; otherwise one for each set of slots that occurs.
+    One group where most points were read in all slots; otherwise one for each set of slots that occurs.
     """
     table = _table(point, block)
     return _by_pattern(point, block) if table is None else [table]
@@ -137,14 +130,7 @@ class Part(ABC):
 
     @abstractmethod
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
-        """The weighted, linearised readings of some points of a group.
-
-        Args:
-            group: index of the group.
-            chunk: which of the group's points.
-            theta: (m,) shared unknowns.
-            local: (d, n_points) the points' own unknowns.
-        """
+        """Weighted, linearised readings of some points of a group, at shared (m,) and own (d, n_points) unknowns."""
 
     def chunks(self) -> list[tuple[int, slice]]:
         """All points in chunks that stay in the cache."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reduced Gram matrix of a whole problem, and what a fitted model leaves of further columns."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -32,12 +30,9 @@ class Projected:
 def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str, ...] = ()) -> Projected:
     """Project the model off the last k columns and the residual.
 
-    Args:
-        total: (m + k + 1) square reduced Gram matrix of [model, further columns, residual] at the solution.
-        squares: (m + k + 1,) squared norms of the columns before the points were eliminated.
-        half: (m, r) root of the covariance of the model's shared unknowns under its datum.
-        k: number of further columns.
-        names: of these.
+    `total` (m + k + 1) square is the reduced Gram matrix of [model, further columns, residual] at the solution,
+    `squares` (m + k + 1,) has the squared norms of the columns before the points were eliminated, and `half` (m, r) is
+    a root of the covariance of the model's shared unknowns under its datum; `names` are of the columns.
     """
     m = len(total) - k - 1
     cross = total[:m, m:].copy()
@@ -111,10 +106,9 @@ def _gram_without_points(part: Part, theta: Array, local: Array) -> tuple[IntArr
 
 @single_blas()
 def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array, Array]:
-    """Reduced Gram matrix of [shared unknowns, residual] over all parts and priors.
+    """(m + 1, m + 1) reduced Gram matrix of [shared unknowns, residual] over all parts and priors.
 
-    Returns:
-        (m + 1, m + 1) with the points eliminated, and (m + 1,) squared norms of the columns before that.
+    The points are eliminated; also (m + 1,) the squared norms of the columns before that.
     """
     m = problem.size
     total = np.zeros((m + 1, m + 1))

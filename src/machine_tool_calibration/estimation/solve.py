@@ -120,15 +120,9 @@ class Linearised:
 
 @single_blas()
 def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] | None = None) -> Solution:
-    """Minimise the weighted sum of squared residuals.
+    """Minimise the weighted sum of squared residuals; a ModelError if the iteration does not converge.
 
-    Args:
-        problem: readings, datum and priors.
-        theta: (m,) where to start; zero if absent.
-        local: per part, (d, n_points) where to start; zero if absent.
-
-    Raises:
-        ModelError: the iteration does not converge.
+    It starts from theta (m,) and for each part from local (d, n_points), zero if absent.
     """
     zero, points = problem.zero
     base = Linearised.at(problem, zero if theta is None else theta, points if local is None else local)

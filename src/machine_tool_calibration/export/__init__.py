@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compensation tables that controllers read, one format a module; made from public descriptions of the formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 

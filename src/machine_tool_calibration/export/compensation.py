@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From an identification to a controller's files, and to what they would leave of the errors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ A map of most methods is of the machine's tables alone. Backlash, thermal expans
 point too, each reading by its own direction of approach, temperature, time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

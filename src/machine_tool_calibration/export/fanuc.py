@@ -24,8 +24,6 @@ the value is output (the middle is taken, where the reading of the file steps; b
 three-dimensional error compensation (A-79351E) the interpolation is public, no form of its data: it is not written.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

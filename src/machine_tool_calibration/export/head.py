@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The head of every file: sign, units, reference point, squareness, and what is not in it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

@@ -14,8 +14,6 @@ and the last one their trims. A line of type 1 is thus the compensation itself: 
 a file it adds half the BACKLASH in the direction of motion. tests/controller holds all this against the program.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from configparser import ConfigParser
 from typing import Literal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What would be left of the measured errors once a controller compensates: a wrong sign shows as twice the error."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

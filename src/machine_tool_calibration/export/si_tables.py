@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plain tables in SI units: CSV with one row for each node and remarks after `#`, and one JSON document."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

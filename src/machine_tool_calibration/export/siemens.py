@@ -22,8 +22,6 @@ that it has to be tried out. Angular errors need products of tables ($AN_CEC_MUL
 they do on the middle line is in the tables.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from itertools import permutations

@@ -8,8 +8,6 @@ a block `[name]` for each parameter has `VALUE = …` or `Gridpoints = { positio
 they are `ISG_CSV` and `ETALON_EXCHANGE`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from itertools import groupby

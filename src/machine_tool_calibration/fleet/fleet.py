@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All machines of a logbook, as a text and a document."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All machines of a logbook: which of them need attention, which effects occur where."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

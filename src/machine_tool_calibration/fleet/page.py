@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of the fleet: one HTML file that holds all it needs."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was found of many sessions as Parquet files, which pandas and DuckDB read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is worked out of each of many sessions: its result, and for a logbook its sizes and its diagnosis."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -10,8 +8,11 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import pandas as pd
+
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.model.result import effect_estimates
@@ -22,11 +23,6 @@ from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.provenance import data_hash, name_of_machine
 from machine_tool_calibration.trends.logbook import Entry, entry_of
 from machine_tool_calibration.trends.statement import sizes_of
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 
 Fitting = Callable[[Path], Fit]
 """Identifies a session by the model that was asked for."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of other programs (coordinate measuring machines, laser trackers, interferometers) as sessions."""
 
-from __future__ import annotations
-
 from machine_tool_calibration.importing.build import Imported, import_table
 from machine_tool_calibration.importing.mapping import Mapping, parse_mapping, read_mapping
 

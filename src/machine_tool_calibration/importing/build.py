@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A foreign table and its mapping to a session in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

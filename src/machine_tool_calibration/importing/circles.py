@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Circles of a ball bar: radius or its deviation over the angle, round one way and the other, as readings."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import median_filter
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A foreign table's columns by what they are, in SI units."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 

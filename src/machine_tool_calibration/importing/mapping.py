@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a foreign table's columns mean: from a mapping file, the command line, or both."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package's own tables of readings as sessions again, also as a spreadsheet leaves them, or to align a pointer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import SessionError
@@ -63,7 +62,6 @@ def _text(file: Path, described: str, form: FileForm) -> _Columns:
 
 
 def _parquet(file: Path, described: str) -> _Columns:
-    import pandas as pd
 
     try:
         frame = pd.read_parquet(file)

@@ -6,8 +6,6 @@ a tracker reads far better than angles; angles serve to find the stations only. 
 station's frame, their distances from its origin are the ranges.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, best_motion, first_true, groups, occurrence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings by ISO 230-2: deviations at target positions, approached in runs up and down, as direct readings."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

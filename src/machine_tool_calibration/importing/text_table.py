@@ -4,8 +4,6 @@
 Cells become numbers in SI units or, where they are time stamps of other programs, seconds.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import re

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Units of foreign tables, to SI; nothing is taken for granted, a unit must be named."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

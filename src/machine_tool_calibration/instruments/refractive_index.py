@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refractive index of air."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
@@ -12,18 +10,10 @@ STANDARD_AIR = (20.0, 101325.0, 0.5)
 
 
 def refractivity(temperature: Array, pressure: Array, humidity: Array) -> Array:
-    """Index minus one of air for the He-Ne line (633 nm).
+    """(n,) index minus one of air for the He-Ne line (633 nm), at degrees Celsius, Pa and relative humidity (0 to 1).
 
-    Edlén's equation in the form of Bönsch and Potulski, Metrologia 35 (1998) 133, with 400 ppm of carbon dioxide
-    (Eqs. (6a) and (9)), and the Magnus formula for the vapour pressure over water.
-
-    Args:
-        temperature: (n,) degrees Celsius.
-        pressure: (n,) Pa.
-        humidity: (n,) relative, 0 to 1.
-
-    Returns:
-        (n,) n - 1.
+    Edlén's equation in the form of Bönsch and Potulski, Metrologia 35 (1998) 133, with 400 ppm of carbon dioxide (Eqs.
+    (6a) and (9)), and the Magnus formula for the vapour pressure over water.
     """
     wave_number_squared = (1.0 / 0.6329914) ** 2
     standard = 1e-8 * (8091.37 + 2333983.0 / (130.0 - wave_number_squared) + 15518.0 / (38.9 - wave_number_squared))

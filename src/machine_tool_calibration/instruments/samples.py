@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of an interferometer, and one stable reading of them."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque
@@ -48,23 +46,15 @@ class Window:
 
 
 class NotYet(Exception):  # noqa: N818  (not an error: a reason to wait)
-    """There is no stable window now; there may be one later.
-
-    Attributes:
-        kind: why, for programs: `unstable`, `beam` or `other`.
-    """
+    """There is no stable window now; there may be one later."""
 
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)
-        self.kind = kind
+        self.kind = kind  # why, for programs: `unstable`, `beam` or `other`
 
 
 class Recent:
-    """The newest samples, as many seconds as are kept.
-
-    Args:
-        keep: s.
-    """
+    """The newest samples, as many seconds as are to `keep`."""
 
     def __init__(self, keep: float) -> None:
         self._keep = round(keep * 1e9)
@@ -83,11 +73,7 @@ class Recent:
         self._batches.clear()
 
     def window(self, length: float, tolerance: float) -> Window:
-        """The newest samples over `length` s, averaged.
-
-        Raises:
-            NotYet: they do not reach back so far, a sample is missing, or they are not steady.
-        """
+        """The newest samples over `length` s, averaged; NotYet if they are too few, not all there, or not steady."""
         if not self._batches:
             raise NotYet("other", "no sample has come yet")
         time = np.concatenate([batch.time for batch in self._batches])
@@ -117,19 +103,11 @@ _AGAIN = 1.0  # s between attempts to connect
 
 
 class DriverSource:
-    """Reads a driver and stamps its samples with ROS time.
-
-    Args:
-        driver: not yet opened.
-        clock_offset: ROS time minus `time.monotonic`, ns.
-
-    Attributes:
-        hardware_id: the instrument's; empty where its driver does not know it.
-    """
+    """Reads a driver and stamps its samples with ROS time, which is `time.monotonic` and an offset, ns."""
 
     def __init__(self, driver: Driver, clock_offset: int) -> None:
         self._driver, self._offset = driver, clock_offset
-        self.hardware_id: str = getattr(driver, "hardware_id", "")
+        self.hardware_id: str = getattr(driver, "hardware_id", "")  # empty where the driver does not know it
         self._samples: deque[tuple[int, float]] = deque(maxlen=_MOST_WAITING)
         self._reason = ""
         self._problem = "connecting"

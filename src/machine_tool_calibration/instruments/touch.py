@@ -6,8 +6,6 @@ positions are those of the sphere's centre; the probed displacement is counted a
 centre would be at the nominal surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -69,14 +67,9 @@ class Part:
         return NominalTouch(point, place + self.radius * normal, normal, standoff)
 
     def meant(self, position: Mapping[str, float], farthest: float = _FARTHEST) -> NominalTouch:
-        """The touch that begins where the axes stand.
+        """The touch that begins where the axes stand: position of x, y and c, m and rad.
 
-        Args:
-            position: of x, y and c, m and rad.
-            farthest: greatest standoff, m.
-
-        Raises:
-            SessionError: the axes stand in front of no point, or of two.
+        A SessionError if they stand in front of no point at a standoff of `farthest` at most, m, or of two.
         """
         c = position.get("c", 0.0)
         place, normal = (self._turned(vectors, c) for vectors in self._points)
@@ -101,9 +94,7 @@ class Part:
 def judge(displacement: float, standoff: float) -> str:
     """Why a touch does not count that triggered at a displacement along the outward normal, m; empty if it does.
 
-    Args:
-        displacement: of the trigger, m.
-        standoff: where the touch began, m.
+    It began at `standoff`, m.
     """
     if displacement >= standoff:
         return "touch too early: the stylus touched before it approached"

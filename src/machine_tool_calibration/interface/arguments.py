@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arguments that cannot be, refused in one line before anything is calculated from them."""
 
-from __future__ import annotations
-
 import operator
 from typing import Any
 
@@ -15,11 +13,7 @@ _LIMITS = {"seed": (0, 2**63 - 1), "draws": (0, MOST_DRAWS)}
 
 
 def require_whole(**numbers: Any) -> None:
-    """Refuse a `seed`, or a number of `draws`, that is no whole number within its limits.
-
-    Raises:
-        CalibrationError: one of them is not.
-    """
+    """Refuse (CalibrationError) a `seed`, or a number of `draws`, that is no whole number within its limits."""
     for name, value in numbers.items():
         low, high = _LIMITS[name]
         try:

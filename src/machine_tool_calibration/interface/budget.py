@@ -14,12 +14,7 @@ from machine_tool_calibration.budget.conformity import Conformity as Judged
 from machine_tool_calibration.budget.propagate import Budget as Propagated
 from machine_tool_calibration.interface.show import Answer, notebook
 from machine_tool_calibration.plots.budget import draw_budget
-from machine_tool_calibration.reports.budget import (
-    budget_document,
-    budget_parts,
-    conformity_document,
-    conformity_parts,
-)
+from machine_tool_calibration.reports.budget import budget_document, budget_parts, conformity_document, conformity_parts
 from machine_tool_calibration.reports.quantities import expanded_text
 from machine_tool_calibration.reports.tables import Part
 

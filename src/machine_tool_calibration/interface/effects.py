@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical effects: the catalogue, and effects of the user's own by formula."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -19,7 +19,7 @@ from machine_tool_calibration.budget.contributor import contributors_of, known_c
 from machine_tool_calibration.budget.propagate import Progress, propagate
 from machine_tool_calibration.budget.published import check_names
 from machine_tool_calibration.budget.tolerances import tolerance
-from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.compare import compare, residual_table
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
@@ -35,7 +35,7 @@ from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import compare_fits
-from machine_tool_calibration.methods.probing.features import Distribution, monte_carlo
+from machine_tool_calibration.methods.probing.features import Distribution, features, monte_carlo
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.plots.compare import draw_setups
 from machine_tool_calibration.plots.pictures import figures
@@ -150,8 +150,6 @@ class Fit(Answer):
         `u_declared` (standard uncertainty), m, and the other columns as recorded, with those that `compare` has besides
         (`leverage`, `studentized`, covariates); of several sessions `session` first.
         """
-        from machine_tool_calibration.diagnosis.compare import residual_table
-
         frames = [residual_table(fit) for fit in self.result.joint.fits]
         return one_below_the_other(self.measurement.labels, frames)
 
@@ -248,8 +246,6 @@ class Fit(Answer):
         Raises:
             CalibrationError: no probing session, several sessions, no such feature, or features that do not fit.
         """
-        from machine_tool_calibration.methods.probing.features import features
-
         require_whole(draws=draws, seed=seed)
         if not isinstance(self.result, Result):
             raise ModelError("features are those of one probing session; this fit is of several")

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements: read from files, or simulated."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -22,9 +21,6 @@ from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.folder import readings_frame, write_session
 from machine_tool_calibration.session.session import Session, distinct_labels, measurement_name, refuse_repeated
 from machine_tool_calibration.session.summary import summarize
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.effects.effect import Effect
 
 
 @dataclass(frozen=True, eq=False, repr=False)

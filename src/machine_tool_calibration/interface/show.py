@@ -82,11 +82,7 @@ def printed(parts: Iterable[Part]) -> str:
 
 
 def chosen(figures: Mapping[str, Figure], name: str | None) -> Figure:
-    """One of several pictures; the first one without a name.
-
-    Raises:
-        CalibrationError: there is none of that name.
-    """
+    """One of several pictures, the first one without a name; a CalibrationError if there is none of that name."""
     if name is None and figures:
         name = next(iter(figures))
     if name is None or name not in figures:

@@ -23,10 +23,8 @@ class Chain:
     def parse(cls, text: str) -> Chain:
         """Read a chain such as `w-X-Y-b-Z-t`; `V[w-C-A-b-Y-X-Z-(C)-t]` is accepted too.
 
-        Axes in parentheses (a spindle) do not position and are left out.
-
-        Raises:
-            ValueError: not a chain from w through b to t, or an axis named twice.
+        Axes in parentheses (a spindle) do not position and are left out. A ValueError if it is no chain from w through
+        b to t, or names an axis twice.
         """
         match = re.fullmatch(r"(?:[A-Z]\[)?\s*w-(.*)-t\s*\]?", text.strip())
         inner = match.group(1).split("-") if match else []

@@ -7,8 +7,6 @@ the tool in the workpiece frame is the sum over the axes of translation plus rot
 (Ibaraki and Hata 2010, Eq. (23) for w-Y-X-b-Z-t; the probing paper's Eqs. (4)(5) for w-C-b-Y-X-Z-t).
 """
 
-from __future__ import annotations
-
 import re
 from typing import NamedTuple
 
@@ -20,14 +18,9 @@ from machine_tool_calibration.machine.chain import Chain
 
 
 def interpolation(nodes: Array, position: Array) -> Array:
-    """Weights of the nodes at each position (the probing paper's Eqs. (8)(9)).
+    """(k, n) weights of increasing nodes (k,) at each position (n,) of a table (the probing paper's Eqs. (8)(9)).
 
-    Args:
-        nodes: (k,) increasing positions of the table, m or rad.
-        position: (n,) commanded positions; beyond the last node the last interval is extended.
-
-    Returns:
-        (k, n) weights; each column sums to 1.
+    Each column sums to 1; beyond the last node the last interval is extended.
     """
     k = len(nodes)
     weights = np.zeros((k, len(position)))
@@ -67,11 +60,7 @@ class ErrorMotion(NamedTuple):
 
 
 def parse_motion(name: str) -> ErrorMotion:
-    """Read a name such as EXX or ECY.
-
-    Raises:
-        ModelError: not the name of an error motion.
-    """
+    """Read a name such as EXX or ECY; a ModelError if it is not the name of an error motion."""
     match = re.fullmatch(r"E([XYZABC])([XYZABC])", name)
     if not match:
         raise ModelError(f"{name!r} is not an error motion of ISO 230-1, such as EXX or ECY")
@@ -79,20 +68,13 @@ def parse_motion(name: str) -> ErrorMotion:
 
 
 def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
-    """Lever arm of an axis's angular errors: the positions of all axes after it in the chain, towards the tool.
+    """(n, 3) lever arm, m, of a linear axis's angular errors: the positions of all axes after it, towards the tool.
 
-    Whether they stand on the workpiece's or on the tool's side of the bed does not matter: for the rotation of a table
-    only the tool's place relative to that table counts, not how far the tables on top of it have moved. The axis's
-    own position is not part of it: what a rotation does through that is part of the axis's translation errors. The
-    offset of the functional point is at the tool's end of the chain: it is part of every arm.
-
-    Args:
-        chain: the machine.
-        axis: a linear axis of the chain.
-        position: (n, 3) commanded x, y, z, m.
-
-    Returns:
-        (n, 3) lever arm, m.
+    Of commanded x, y, z (n, 3), m. Whether the axes stand on the workpiece's or on the tool's side of the bed does not
+    matter: for the rotation of a table only the tool's place relative to that table counts, not how far the tables on
+    top of it have moved. The axis's own position is not part of it: what a rotation does through that is part of the
+    axis's translation errors. The offset of the functional point is at the tool's end of the chain: it is part of every
+    arm.
     """
     after = chain.axes[chain.axes.index(axis) + 1 :]
     mask = np.array([1.0 if name in after else 0.0 for name in _TRANSLATIONS])
@@ -100,18 +82,10 @@ def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
 
 
 def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:
-    """Displacement of the functional point for a unit value of an error motion of a linear axis.
+    """(n, 3) displacement of the functional point for a unit value of an error motion of a linear axis.
 
-    Args:
-        chain: the machine.
-        motion: which error motion.
-        position: (n, 3) commanded x, y, z, m.
-
-    Returns:
-        (n, 3): m per m for a translation, m per rad for a rotation.
-
-    Raises:
-        ModelError: the chain does not have the axis, or it is not a linear one.
+    In m per m for a translation, m per rad for a rotation, at commanded x, y, z (n, 3), m. A ModelError: the chain does
+    not have the axis, or it is not a linear one.
     """
     if motion.axis not in chain.linear:
         raise ModelError(f"E{motion.component}{motion.axis}: the chain has no linear axis {motion.axis}")
@@ -122,20 +96,10 @@ def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:
 
 
 def squareness_field(name: str, position: Array) -> Array:
-    """Displacement of the functional point for a unit squareness error.
+    """(n, 3) displacement of the functional point for a unit squareness error, m per rad, at commanded (n, 3), m.
 
-    C0Y is the error of Y against X (e_x = -y C0Y), B0Z that of Z against X (e_x = z B0Z), A0Z that of Z against Y
-    (e_y = -z A0Z): the later axis turned about the named direction.
-
-    Args:
-        name: A0Z, B0Z or C0Y.
-        position: (n, 3) commanded x, y, z, m.
-
-    Returns:
-        (n, 3) m per rad.
-
-    Raises:
-        ModelError: not a squareness error of three linear axes.
+    C0Y is the error of Y against X (e_x = -y C0Y), B0Z that of Z against X (e_x = z B0Z), A0Z that of Z against Y (e_y
+    = -z A0Z): the later axis turned about the named direction. A ModelError if the name is none of these.
     """
     if name not in SQUARENESS:
         raise ModelError(f"{name!r} is not a squareness error; known are {', '.join(SQUARENESS)}")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model of one session, whatever its method."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

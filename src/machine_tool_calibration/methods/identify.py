@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From one session or several to the machine's errors: the one entry for nodes, commands and programs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -181,18 +179,11 @@ def identify(
     own: Sequence[Effect] = (),
     keep_all: bool = False,
 ) -> Result:
-    """Identify the machine's errors from one session.
+    """Identify the machine's errors from one session by a variant of its method, such as `free`; by default its first.
 
-    Args:
-        session: the measurement.
-        model: the method's variant, such as `free` or `rigid_body`; the method's default if absent.
-        effects: ids of physical effects to add to the model.
-        own: the user's own effects, beside the catalogue.
-        keep_all: use all readings; otherwise those that stand out of all others are set aside.
-
-    Raises:
-        ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
-            identified cannot be.
+    With physical effects by their ids, and the user's `own` beside the catalogue. Readings that stand out of all others
+    are set aside, unless `keep_all`. A ModelError: the data does not allow the model, an effect is unknown or needs
+    what was not recorded, or what is identified cannot be.
     """
     return _identified(FitRequest((session,), None, model, tuple(effects), tuple(own), keep_all))
 

@@ -168,8 +168,9 @@ def positioning_runs(
             continue
         mine = mine[_on(observations.position[mine], line)]
         position, direction, deviation = _approach(observations, mine, line)
-        alone = not diagonals and abs(direction.sum()) == len(mine) and _single(position)
-        if len(np.unique(position)) < 2 or alone:
+        places, times = np.unique(position, return_counts=True)
+        alone = not diagonals and abs(direction.sum()) == len(mine) and times.max() < 2
+        if len(places) < 2 or alone:
             continue
         figures = positioning(position, direction, deviation)
         uncertainties = positioning_uncertainty(figures) if uncertain else {}
@@ -268,10 +269,6 @@ def _approach(observations: Observations, mine: IntArray, line: Array) -> tuple[
         following = np.flatnonzero(np.diff(group[k:]) != 0)
         move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
     return target, move, deviation
-
-
-def _single(position: Array) -> bool:
-    return bool(np.unique(position, return_counts=True)[1].max() < 2)
 
 
 def _runs(targets: Array, position: Array, deviation: Array, mine: BoolArray) -> Array:

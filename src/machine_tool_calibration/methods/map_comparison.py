@@ -6,8 +6,6 @@ of the machine. It is fitted to the differences of the points that both have and
 held against its own uncertainty, in which the fitted motion is contained.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

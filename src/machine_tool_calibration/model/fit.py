@@ -161,15 +161,10 @@ class Fit:
 def fit_models(
     models: Sequence[MethodModel], labels: Sequence[str] | None = None, random: RandomUnknowns | None = None
 ) -> JointFit:
-    """Fit models of one machine together.
+    """Fit models of one machine together, one for each session; several have labels.
 
-    Args:
-        models: one for each session.
-        labels: names of the sessions; needed for more than one.
-        random: unknowns that are small random functions; those of the model if there is only one.
-
-    Raises:
-        ModelError: there are no more readings than unknowns, or the fit does not converge.
+    `random` are unknowns that are small random functions; those of the model if there is only one. A ModelError if
+    there are no more readings than unknowns, or the fit does not converge.
     """
     assembly = assemble(models, labels)
     solution = solve(assembly.problem)
@@ -185,9 +180,7 @@ def fit_models(
 def screen(fit: Fit, columns: Array) -> Projected:
     """What a fitted model leaves of further columns of one session's readings.
 
-    Args:
-        fit: one session's share in a fit.
-        columns: (k, n) change of each of its readings per unit of each further unknown.
+    They are (k, n): the change of each of its readings per unit of each further unknown.
     """
     names = tuple(Parameter(f"column {j}", "1") for j in range(len(columns)))
     own = [Term("columns", names, columns)]
@@ -195,20 +188,12 @@ def screen(fit: Fit, columns: Array) -> Projected:
 
 
 def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
-    """What a fitted model of one or several sessions leaves of further columns.
+    """What a fitted model of one or several sessions leaves of further columns, from further terms of each session.
 
-    Args:
-        joint: the fit.
-        terms: for each session its further terms. Unknowns of the machine (`Parameter.shared`) that have the same name
-            in several sessions are one column over the readings of all these, every other one is a column of its
-            session alone. A name may also be one of the model's unknowns: it is a further column all the same.
-
-    Returns:
-        What is left, in the order in which the names appear first; its names carry the label of the session where an
-        unknown is not shared.
-
-    Raises:
-        ModelError: a session has a name twice.
+    Unknowns of the machine (`Parameter.shared`) that have the same name in several sessions are one column over the
+    readings of all these, every other one is a column of its session alone. A name may also be one of the model's
+    unknowns: it is a further column all the same. The columns are in the order in which the names appear first; their
+    names carry the label of the session where an unknown is not shared. A ModelError if a session has a name twice.
     """
     old = joint.assembly
     added = [tuple(replace(t, parameters=_further(t.parameters)) for t in own) for own in terms]
@@ -234,13 +219,7 @@ def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
 
 
 def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Parameter, ...]:
-    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings.
-
-    Args:
-        fit: of the model.
-        projected: with the effect's columns.
-        columns: which they are.
-    """
+    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings."""
     raw = np.maximum(projected.squares[columns], 1e-300)
     left = projected.after_points[columns]
     if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):

@@ -5,8 +5,6 @@ No model of a real machine is exactly true. What it misses is mostly smooth in p
 comparison, the effect of the catalogue that comes nearest to it would be taken for its cause.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From terms to a least-squares problem: the model of one session, and several of them assembled."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The readings as every term sees them, whatever the instrument."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

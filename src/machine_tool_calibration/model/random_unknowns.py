@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unknowns of a model that are small random functions, such as angular errors that are hardly there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

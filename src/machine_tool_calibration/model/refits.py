@@ -6,8 +6,6 @@ declared uncertainty alone, those after the readings have changed, or those draw
 whatever is published follows, however it is worked out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models put together and solved by least squares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The best plan of what a procedure offers, beside the procedure as it stands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

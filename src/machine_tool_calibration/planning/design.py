@@ -7,8 +7,6 @@ Experimental Designs, chapter 9). The information of a plan is the sum over its 
 nobody else sees are eliminated from it (Schur complement), and the covariance of whatever is published follows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 

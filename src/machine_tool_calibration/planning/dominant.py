@@ -12,8 +12,6 @@ there: its share is what one of the expected size would do to the map. A further
 left of all three.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -40,7 +38,6 @@ DRIFT = 1e-9
 # A remedy leaves less than this of what the same measurement once more would leave.
 _WORTHWHILE = 0.9
 _MOST_REMEDIES = 3
-_TOLD = ("kind", "measure", "uncertainty", "seconds")  # of a remedy in a document
 
 
 @dataclass(frozen=True, kw_only=True)

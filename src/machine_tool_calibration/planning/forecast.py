@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a procedure will determine, before it is run: uncertainties, gaps, and the smallest effects to be found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

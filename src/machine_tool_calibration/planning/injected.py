@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an effect's residuals look like: put into perfect data of a perfect machine, and fitted without it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

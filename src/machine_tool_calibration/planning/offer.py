@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that a procedure could measure in one session, of which a plan is a part."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What would be known after a further measurement, beside what is known now."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

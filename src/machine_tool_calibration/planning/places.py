@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Further places of the instrument or the part: a station, an angle of C, runs of a step diagonal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

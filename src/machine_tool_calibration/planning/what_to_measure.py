@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What to measure next: to distinguish confounded effects, and to detect what this measurement could not show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 def draw_best_plan(found: BestPlan) -> Figure:
     """The largest U of a coordinate at each place, in each plane that has something to show, with the stations.
 
-    Raises:
-        CalibrationError: the plan is for effects, which are at no place.
+    A CalibrationError if the plan is for effects, which are at no place.
     """
     if found.effects:
         raise CalibrationError("a plan for effects has no map to be drawn")

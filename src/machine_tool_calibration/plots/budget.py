@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from machine_tool_calibration.budget.propagate import Budget, Sum
 from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, new_figure
 from machine_tool_calibration.reports.budget import chosen_sums, default_names, sum_name, unit_of
 from machine_tool_calibration.words import named, say, together
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from machine_tool_calibration.budget.propagate import Budget, Sum
 
 # Contributors with a colour of their own, and quantities below each other.
 _MOST_COLORS, _MOST_BARS = 6, 24
@@ -28,8 +28,7 @@ _HEIGHT = 0.7
 def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
     """Bars of the contributions to the first quantity, and of the shares in every quantity.
 
-    Raises:
-        ModelError: a name that is not published.
+    A ModelError if one of the names is not published.
     """
     sums = chosen_sums(budget, names or default_names(budget))[:_MOST_BARS]
     rows = max(len(budget.lines) + 2, len(sums))

@@ -39,18 +39,10 @@ _CANCELLED = 1e-6
 
 
 def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
-    """Write all pictures into a folder; of several sessions those of each into one of its label there.
+    """Write all pictures into a folder; of several sessions those of each into one of its label there. The files.
 
-    Args:
-        comparison: what to draw.
-        folder: where; made if it is not there.
-        against: covariates for the residuals, in the sessions that have them; the first of their ranking if empty.
-
-    Returns:
-        The files.
-
-    Raises:
-        ModelError: a covariate that no session has.
+    Residuals are drawn over the covariates `against` in the sessions that have them, by default over the first of their
+    ranking; a ModelError if no session has one.
     """
     if isinstance(comparison, Comparison):
         return save(figures(comparison, against), folder, comparison.provenance)
@@ -117,11 +109,7 @@ def _draw_fit(comparison: Comparison) -> Figure:
 
 
 def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
-    """Residuals against covariates, with their running mean and twice its standard uncertainty.
-
-    Raises:
-        ModelError: an unknown covariate.
-    """
+    """Residuals against covariates, which must be known, with their running mean and twice its standard uncertainty."""
     from matplotlib.lines import Line2D
 
     columns = min(3, max(1, len(names)))

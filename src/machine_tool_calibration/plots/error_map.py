@@ -35,10 +35,9 @@ if TYPE_CHECKING:
 
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
-    """Tables among the parameters of a result's document.
+    """Tables among the parameters of a result's document, by name of the error motion.
 
-    Returns:
-        By name of the error motion, (k, 3): position, value and standard uncertainty, in the order of the position.
+    (k, 3): position, value and standard uncertainty, in the order of the position.
     """
     rows: dict[str, list[tuple[float, float, float]]] = {}
     for entry in parameters:
@@ -57,11 +56,9 @@ def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
 
 
 def draw_motions(tables: Mapping[str, Array], squareness: Mapping[str, tuple[float, float]]) -> Figure:
-    """One row of panels for each axis: positioning, straightness, angles; bands are U (95 %).
+    """One row of panels for each axis, of tables by `read_tables`: positioning, straightness, angles; with U (95 %).
 
-    Args:
-        tables: by name, as `read_tables` gives them; at least one.
-        squareness: values with their standard uncertainties by name, rad, for the title.
+    The squareness by name, with its standard uncertainty, rad, is in the title.
     """
     axes = [axis for axis in "XYZABC" if any(name[2] == axis for name in tables)]
     kinds = sorted(set(map(_kind, tables)))
@@ -150,12 +147,9 @@ def draw_plane(content: Mapping[str, Any]) -> Figure:
 def draw_map(content: Mapping[str, Any], plane: str = "xy") -> Figure:
     """Nominal and measured positions, with ellipses of expanded uncertainty (k = 2).
 
-    A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction
-    that is determined nowhere is drawn as without error, and named in the title.
-
-    Args:
-        content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
-        plane: names of the axes to the right and upwards.
+    Of a result's error map (document or arrays), with the names of the axes to the right and upwards. A plane is one
+    panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction that is
+    determined nowhere is drawn as without error, and named in the title.
     """
     parts = (numbers(content[key]) for key in ("points", "position_error", "position_error_u"))
     whole, unknown = _known(_Map(*parts), f"{plane}z")

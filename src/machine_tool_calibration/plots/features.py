@@ -36,12 +36,9 @@ _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
 def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] | None = None) -> Figure:
-    """Centres and walls where they are, deviations magnified.
+    """Centres and walls where they are, deviations magnified, under a title or the frame in words.
 
-    Args:
-        found: the features.
-        title: instead of the frame in words.
-        beside: further deviations (q,) of the same quantities by what they are, shown at the centres.
+    With further deviations (q,) of the same quantities `beside` them, by what they are, shown at the centres.
     """
     place = {(q.of[0], q.what): k for k, q in enumerate(found.quantities) if len(q.of) == 1}
     centres = [one for one in found.elements if isinstance(one, Circle)]

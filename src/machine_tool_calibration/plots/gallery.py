@@ -45,10 +45,9 @@ _DPI, _HUES = 85, 96
 def draw_gallery(
     effects: Sequence[Effect], folder: Path, progress: Callable[[str, float], None] = lambda what, share: None
 ) -> list[Path]:
-    """Write a picture of every effect into a folder, and a page (README.md) that shows them.
+    """Write a picture of every effect into a folder, and a page (README.md) that shows them; it is the last file.
 
-    Returns:
-        The files, the page last. An effect that shows in no simulated plan is on the page without a picture.
+    An effect that shows in no simulated plan is on the page without a picture.
     """
     folder.mkdir(parents=True, exist_ok=True)
     found: dict[str, Injected | None] = {}

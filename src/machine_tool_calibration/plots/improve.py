@@ -12,6 +12,7 @@ import pandas as pd
 
 from machine_tool_calibration.diagnosis.compare import residual_table
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.plots.residuals import color, draw_residuals, grids
 from machine_tool_calibration.plots.style import new_figure, save
 from machine_tool_calibration.reports.documents import write_table
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from machine_tool_calibration.model.fit import JointFit
 
 # Setups of a legend.
 _LISTED = 8
@@ -37,12 +37,7 @@ def draw_improvement(improvement: Improvement) -> Figure:
 
 
 def draw_steps(steps: Sequence[Step], declared: float) -> Figure:
-    """The same of any models of the same measurement, one after the other.
-
-    Args:
-        steps: the models, at least one.
-        declared: standard uncertainty of a reading, m.
-    """
+    """The same of any models of one measurement, with the declared standard uncertainty of a reading, m."""
     figure = new_figure(15, 5.2)
     fall, before, after = figure.subplots(1, 3, width_ratios=[1, 1.15, 1.15])
     _fall(fall, steps, declared)

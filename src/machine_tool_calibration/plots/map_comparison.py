@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.map_comparison import MapComparison
 from machine_tool_calibration.plots.style import (
     BAND,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from machine_tool_calibration.arrays import Array
 
 # Largest error as a share of the size of the map.
 _ERROR_SHARE = 0.12

@@ -41,15 +41,9 @@ _LABELS = {
 
 
 def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup: IntArray, most: int = _BINS) -> None:
-    """Residuals against a covariate with their running mean and twice its standard uncertainty.
+    """Residuals (n,), m, over a covariate (n,), SI, with their running mean and twice its standard uncertainty.
 
-    Args:
-        panel: where to draw.
-        name: of the covariate.
-        values: (n,) SI.
-        residual: (n,) m.
-        setup: (n,) number of each reading's setup, for its colour.
-        most: bins of the running mean.
+    Colours are those of the setups, by number (n,); the running mean has so many bins at `most`.
     """
     label, factor = axis_label(name)
     good = np.isfinite(values)
@@ -76,10 +70,8 @@ def _means(values: Array, number: IntArray) -> Array:
 def arrow_scale(position: Array, arrow: Array, same: IntArray) -> tuple[float, float]:
     """Extent of the places and the length of an arrow that is as long as one may be, m, for panels side by side.
 
-    Args:
-        position: (n, 3) places, m.
-        arrow: (n, 3) m.
-        same: (n,) index shared by readings that repeat each other, of which the mean is drawn.
+    Places and arrows are (n, 3), m; readings that share an index in `same` (n,) repeat each other, and their mean is
+    drawn.
     """
     means = _means(arrow, np.unique(same, return_inverse=True)[1])
     # The scale is that of the bulk: a single outlier may leave the panel.
@@ -90,15 +82,10 @@ def arrow_scale(position: Array, arrow: Array, same: IntArray) -> tuple[float, f
 def draw_arrows(
     panel: Axes, place: Array, arrow: Array, sign: Array, same: IntArray, *, scaled: tuple[float, float]
 ) -> None:
-    """Arrows with a scale; readings that repeat each other are averaged.
+    """Arrows (n, 2), m, at places (n, 2), m, with a scale; red where `sign` (n,) is positive, else blue.
 
-    Args:
-        panel: where to draw.
-        place: (n, 2) m.
-        arrow: (n, 2) m.
-        sign: (n,) positive for red, negative for blue.
-        same: (n,) index shared by readings that repeat each other.
-        scaled: extent and longest arrow, as `arrow_scale` gives them.
+    Readings that share an index in `same` (n,) repeat each other and are averaged; `scaled` is what `arrow_scale`
+    gives.
     """
     extent, long = scaled
     _, number = np.unique(same, return_inverse=True)

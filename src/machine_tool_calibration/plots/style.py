@@ -41,11 +41,7 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 
 def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None = None) -> list[Path]:
-    """Write pictures as PNG files of their names into a folder, which is made where it is missing.
-
-    Returns:
-        The files.
-    """
+    """Write pictures as PNG files of their names into a folder, which is made where it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.png" for name in figures]
     for figure, file in zip(figures.values(), files, strict=True):
@@ -54,11 +50,7 @@ def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None 
 
 
 def add_footer(figure: Figure, text: str) -> Bbox:
-    """Write a line below a figure, broken where it is too narrow.
-
-    Returns:
-        What is to be saved, inches: the figure and the strip below it.
-    """
+    """Write a line below a figure, broken where it is too narrow; figure and strip to be saved, inches."""
     from matplotlib.transforms import Bbox
 
     width, height = (float(size) for size in figure.get_size_inches())
@@ -125,14 +117,9 @@ def spaced(number: float) -> str:
 
 
 def scale_bar(panel: Axes, magnification: float, largest: float, low: Array, high: Array) -> None:
-    """Draw a bar below the content that stands for a round error.
+    """Draw a bar that stands for a round error, about as long as the largest, m, below the content.
 
-    Args:
-        panel: in millimetres.
-        magnification: of errors.
-        largest: error, m: the bar is about as long.
-        low: (2,) lower left corner of what was drawn, mm.
-        high: (2,) upper right corner.
+    The panel is in millimetres, as the lower left and upper right corners (2,) of what was drawn.
     """
     bar = round_down(max(largest, 1e-12))
     length = magnification * bar * 1e3

@@ -59,7 +59,6 @@ def expanded(template: Any) -> Iterator[Any]:
 
 _MOST_REPEATS = 1000
 
-FORMAT = "mtcal-procedure/1"
 
 _MAX_POINTS = 1_000_000
 # Names of records: no keys of the file.
@@ -155,20 +154,12 @@ class Procedure(Record):
 
 
 def read_procedure(file: FilePath) -> Procedure:
-    """Read a procedure's file.
-
-    Raises:
-        SessionError: it cannot be read; or as `parse_procedure`.
-    """
+    """Read a procedure's file; a SessionError if it cannot be read, or as for `parse_procedure`."""
     return parse_procedure(read_text(file), str(file))
 
 
 def parse_procedure(text: str, source: str) -> Procedure:
-    """The procedure that a YAML text holds.
-
-    Raises:
-        SessionError: one line with file, line and key of the first defect.
-    """
+    """The procedure that a YAML text holds; a SessionError names file, line and key of the first defect."""
     document = load_yaml(text, source)
     if not isinstance(document.value, dict):
         raise SessionError(f"{source}: must be a mapping with the keys format, session, path and motion")

@@ -67,13 +67,9 @@ class Move:
 def move(
     start: Mapping[str, float], end: Mapping[str, float], limits: Mapping[str, AxisLimits], duration: float = 0.0
 ) -> Move:
-    """The move that takes the wanted time, or the shortest that the axes' limits allow.
+    """The move that takes the wanted time, s, or the shortest that the axes' limits allow, which 0 asks for.
 
-    Args:
-        start: position of each axis, m or rad.
-        end: where the axes go; the same axes as `start`.
-        limits: of each axis that moves.
-        duration: wanted time, s; 0 asks for the shortest.
+    Start and end are positions of the same axes, m or rad; limits are of each axis that moves.
     """
     travels = {name: abs(end[name] - begin) for name, begin in start.items() if abs(end[name] - begin) > _NO_TRAVEL}
     if not travels:
@@ -185,9 +181,8 @@ def check_command(
 ) -> list[tuple[dict[str, float], float]]:
     """A command's points (position of each axis, m or rad, and the time from the start, s) by axis.
 
-    Raises:
-        CalibrationError: an axis that the machine does not have or that is named twice, positions that are not
-            finite, too few or too many, outside the travel, or times that run backwards.
+    A CalibrationError if it names an axis twice or one that the machine does not have, if positions are not finite, too
+    few or too many, or outside the travel, or if times run backwards.
     """
     if len(set(names)) < len(names):
         raise CalibrationError("the command names an axis twice")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a procedure to its plan: all steps, and how long they take."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -38,13 +36,8 @@ class Plan:
 def plan(procedure: Procedure, most: int | None = None) -> Plan:
     """Make the steps of a procedure.
 
-    Args:
-        procedure: what is to be measured.
-        most: refuse more readings than these.
-
-    Raises:
-        SessionError: a target is outside the machine's travel or names an axis that the machine does not have, the
-            path is not one of the method, or there are too many readings.
+    A SessionError: a target is outside the machine's travel or names an axis that the machine does not have, the path
+    is not one of the method, or there are more readings than `most`.
     """
     maker = method_spec(procedure.session.method).steps
     if maker is None:
@@ -67,11 +60,7 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
 
 
 def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:
-    """Speed and acceleration of every axis of the machine, by its small letter.
-
-    Raises:
-        SessionError: the procedure names an axis that the machine does not have.
-    """
+    """Speed and acceleration of every axis, by its small letter; a SessionError if the procedure names another axis."""
     chain = Chain.parse(procedure.session.machine.chain)
     motion: Motion = procedure.motion
     names = [axis.lower() for axis in chain.axes]

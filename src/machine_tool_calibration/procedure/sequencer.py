@@ -6,8 +6,6 @@ call by its token, a beam by its setup and angles, and a reading counts only if 
 axes and the beam had come to rest where the step wants them.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -30,12 +28,7 @@ _RECOVERIES_BEFORE_ERROR = 3
 
 
 class Sequencer:
-    """Runs a plan by events; every method returns what is to be done now.
-
-    Args:
-        plan: the steps.
-        timing: deadlines.
-    """
+    """Runs a plan by events, with deadlines; every method returns what is to be done now."""
 
     def __init__(self, plan: Plan, timing: Timing) -> None:
         self.plan = plan

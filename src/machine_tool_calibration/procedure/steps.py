@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steps of a procedure, one reading each, as each method goes them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -46,10 +44,8 @@ def touch_steps(procedure: Procedure) -> Iterator[Step]:
     """Angle by angle, repetition by repetition, all points; every second repetition backwards if so planned.
 
     A step's position is where the touch begins, `motion.approach` off the surface. `path.points` says where axes stand
-    that the touches leave alone (z); between points Z goes to the upper end of its travel, if the session names it.
-
-    Raises:
-        SessionError: no single height is given, a touch is outside the travel, or it could be meant for two points.
+    that the touches leave alone (z); between points Z goes to the upper end of its travel, if the session names it. A
+    SessionError if no single height is given, a touch is outside the travel, or it could be meant for two points.
     """
     session = procedure.session
     assert isinstance(session, Probing)
@@ -157,12 +153,7 @@ _Run = tuple[str, int, Sequence[int] | None, Sequence[Position], Mapping[str, fl
 
 
 def _steps(
-    procedure: Procedure,
-    runs: Sequence[_Run],
-    *,
-    points: bool,
-    datum_per_run: bool = True,
-    approached: bool = True,
+    procedure: Procedure, runs: Sequence[_Run], *, points: bool, datum_per_run: bool = True, approached: bool = True
 ) -> Iterator[Step]:
     """Steps of runs.
 
@@ -256,11 +247,7 @@ def _held_beam(procedure: Procedure, steps: Iterator[Step], azimuth: Spread | tu
 
 
 def targets_of(procedure: Procedure) -> list[dict[str, float]]:
-    """The targets of one run in their order, checked against the machine.
-
-    Raises:
-        SessionError: a target is outside the travel, or names an axis that the machine does not have.
-    """
+    """The targets of one run in their order; a SessionError if one is outside the travel, or names another axis."""
     axes = {axis.lower() for axis in Chain.parse(procedure.session.machine.chain).axes}
     targets = list(_ordered(procedure.path))
     for name in targets[0]:

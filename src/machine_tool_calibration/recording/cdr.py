@@ -4,8 +4,6 @@
 Only the standard types of ROS 2 Jazzy are read: making a reader from a stranger's definition would run what it says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -64,11 +62,7 @@ class JointState:
 
 
 def joint_state(data: bytes) -> JointState:
-    """The content of a JointState.
-
-    Raises:
-        RecordingError: damaged.
-    """
+    """The content of a JointState; a RecordingError if it is damaged."""
     message = decode(JOINT_STATE, data)
     stamp = message.header.stamp
     names, positions = tuple(message.name), np.asarray(message.position, dtype=np.float64)
@@ -76,20 +70,12 @@ def joint_state(data: bytes) -> JointState:
 
 
 def text(data: bytes) -> str:
-    """The content of a std_msgs/String.
-
-    Raises:
-        RecordingError: damaged.
-    """
+    """The content of a std_msgs/String; a RecordingError if it is damaged."""
     return str(decode(TEXT, data).data)
 
 
 def decode(message_type: str, data: bytes) -> Any:
-    """Any standard message, as the `rosbags` library gives it.
-
-    Raises:
-        RecordingError: the type is not a standard one, or the message is damaged.
-    """
+    """Any standard message, as the `rosbags` library gives it; a RecordingError if it is another, or damaged."""
     store = typestore()
     if message_type not in store.fielddefs:
         raise RecordingError(f"{message_type} is not a standard message type; its messages cannot be read")

@@ -77,14 +77,9 @@ def belongs_to_graph(name: str, namespace: str) -> bool:
 
 
 def with_depth(name: str, message_type: str, offered: Qos) -> Qos:
-    """What a publisher offers, with the depth that its topic has in the graph where discovery does not tell it.
+    """What a publisher offers, with the depth that its topic has in the graph where discovery does not tell it (0).
 
     A replay that does not know that `reading` keeps all its messages would latch the last one only.
-
-    Args:
-        name: absolute name, in any namespace.
-        message_type: of the topic.
-        offered: as discovered or recorded; a depth of 0 is not known.
     """
     if offered.depth:
         return offered
@@ -118,15 +113,9 @@ _TYPES = {topic.name: topic.type for topic in GRAPH_TOPICS if topic.name in (SES
 
 
 def find_topics(path: Path, topics: Mapping[str, Topic], names: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Names in the bag of the topics `session` and `reading`.
+    """Names in the bag of the topics `session` and `reading`; `names` by role where it uses other ones.
 
-    Args:
-        path: the bag, for messages.
-        topics: what it holds.
-        names: topic by role (`session`, `reading`) where the bag uses other names.
-
-    Raises:
-        RecordingError: one is missing, or there are several and no name says which.
+    A RecordingError, with the bag's path, if one is missing, or there are several and no name says which.
     """
     names = dict(names or {})
     unknown = [role for role in names if role not in _TYPES]

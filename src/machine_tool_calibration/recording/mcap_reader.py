@@ -5,8 +5,6 @@ Records are parsed by the `mcap` library. Its readers would unpack a chunk to an
 records are found here, chunks unpacked here, and messages, which come by the million, cut out of them.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib
@@ -25,17 +23,6 @@ from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, Schema, Sta
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
-
-__all__ = [
-    "MAGIC",
-    "Channels",
-    "McapReader",
-    "RawMessage",
-    "RawRecord",
-    "messages_in",
-    "records",
-    "unpack",
-]
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -72,9 +59,7 @@ def records(
 ) -> Iterator[RawRecord]:
     """All records from a byte where one begins to the file's footer, without the content of the chunks at `skip`.
 
-    Raises:
-        RecordingError: damaged; the message names the byte.
-        UnfinishedError: the file ends before the footer.
+    A RecordingError names the byte of a damage; an UnfinishedError if the file ends before the footer.
     """
     size = os.fstat(stream.fileno()).st_size
     stream.seek(start)
@@ -114,10 +99,8 @@ def _parse(path: Path, record: RawRecord, read: Callable[[ReadDataStream], Parse
 def unpack(path: Path, record: RawRecord, *, cut: bool = False) -> bytes:
     """Messages and registrations in a record, one after the other: a chunk's content, or the record itself.
 
-    Of a chunk whose end is missing (`cut`) as much as can be unpacked; nothing of a record of another kind.
-
-    Raises:
-        RecordingError: damaged, too large, of another size than declared, or of an unknown compression.
+    Of a chunk whose end is missing (`cut`) as much as can be unpacked; nothing of a record of another kind. A
+    RecordingError if it is damaged, too large, of another size than declared, or of an unknown compression.
     """
     if record.opcode in (Opcode.MESSAGE, *_REGISTRATIONS):
         return _HEAD.pack(record.opcode, record.length) + record.content
@@ -163,11 +146,7 @@ def _pieces(where: str, chunk: Chunk) -> Iterator[bytes]:
 def messages_in(
     path: Path, offset: int, content: bytes, wanted: Collection[int] | None = None
 ) -> Iterator[RawMessage | RawRecord]:
-    """Messages of the wanted channels (all if None), and registrations, in the unpacked content of a record.
-
-    Raises:
-        RecordingError: damaged.
-    """
+    """Messages of the wanted channels (all if None), and registrations, in the unpacked content of a record."""
     at, end = 0, len(content)
     heads, messages = _HEAD.unpack_from, _MESSAGE.unpack_from
     while at < end:
@@ -195,11 +174,7 @@ class Channels:
     kept: int = 0
 
     def take(self, record: RawRecord) -> None:
-        """Register what a schema or channel record says.
-
-        Raises:
-            RecordingError: damaged, or definitions without measure.
-        """
+        """Register what a schema or channel record says; a RecordingError if it is damaged, or beyond measure."""
         if record.opcode == Opcode.SCHEMA:
             schema = _parse(self.path, record, Schema.read)
             self.kept += 0 if schema.id in self.schemas else record.length
@@ -234,9 +209,7 @@ class McapReader:
     def __init__(self, path: Path) -> None:
         """Check the file's ends and read its summary.
 
-        Raises:
-            RecordingError: not an MCAP file of ROS 2, or damaged.
-            UnfinishedError: its end is missing.
+        A RecordingError if it is not an MCAP file of ROS 2, or damaged; an UnfinishedError if its end is missing.
         """
         self.path = path
         if not path.is_file():  # to open a pipe would wait for its writer
@@ -249,11 +222,7 @@ class McapReader:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
     def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[tuple[Channel, RawMessage]]:
-        """The messages of the channels that are wanted (all if None), with their channel.
-
-        Raises:
-            RecordingError: damaged; what came before was whole.
-        """
+        """The messages of the channels that are wanted (all if None), with their channel, up to a damage."""
         known = self.summary.channels.channels
         ids = None if wanted is None else frozenset(i for i, channel in known.items() if wanted(channel))
         skip: Collection[int] = ()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`metadata.yaml` of a rosbag2 folder, version 9, with quality of service as rosbag2 writes it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache

@@ -15,15 +15,10 @@ if TYPE_CHECKING:
 
 
 def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, check: bool = True) -> Session:
-    """The session in a session folder, a rosbag2 folder or an `.mcap` file.
+    """The session in a session folder, a rosbag2 folder or `.mcap` file; a SessionError says what is wrong and where.
 
-    Args:
-        path: where it is.
-        topics: for a recording, names of the topics by role (`session`, `reading`) where they have other names.
-        check: also refuse what is readable but not enough for the method.
-
-    Raises:
-        SessionError: one line that says what is wrong and where.
+    Of a recording, `topics` has the names of topics by role (`session`, `reading`) where they are others. With `check`
+    also what is readable but not enough for the method is refused.
     """
     # here, because the history of a session is read without the libraries that tables of readings need
     from machine_tool_calibration.session.folder import read_session

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag, from a folder or a single MCAP file, read without ROS."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
@@ -46,14 +44,10 @@ class BagReader:
     """Reads a finished bag; messages come in the order in which they were recorded."""
 
     def __init__(self, path: Path) -> None:
-        """Check the bag and read its summary.
+        """Check a rosbag2 folder or a single `.mcap` file, and read its summary.
 
-        Args:
-            path: a rosbag2 folder or a single `.mcap` file.
-
-        Raises:
-            RecordingError: no bag, damaged, or in a storage that is not MCAP.
-            UnfinishedError: the recorder did not end it; the message names `mtcal recover`.
+        A RecordingError if it is none, damaged, or in a storage that is not MCAP; an UnfinishedError, which names
+        `mtcal recover`, if the recorder did not end it.
         """
         self.path = Path(path)
         self.files = bag_files(self.path)
@@ -70,11 +64,7 @@ class BagReader:
         return (self.last - self.first) / 1e9
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages of some topics (all if None).
-
-        Raises:
-            RecordingError: damaged; what came before was whole.
-        """
+        """The messages of some topics (all if None), up to a damage."""
         wanted = None if topics is None else frozenset(topics)
 
         def is_wanted(channel: Channel) -> bool:
@@ -88,21 +78,13 @@ class BagReader:
                 yield Message(topic, self.topics[topic].type, log_time, publish_time, sequence, data)
 
     def decode(self, message: Message) -> Any:
-        """A message of a standard type, as the `rosbags` library gives it.
-
-        Raises:
-            RecordingError: another type, or damaged.
-        """
+        """A message as the `rosbags` library gives it; a RecordingError if it is of another type, or damaged."""
         if not is_readable(self.topics[message.topic]):
             raise RecordingError(f"{self.path}: {message.topic} has the type {message.type!r}, which cannot be read")
         return self.read(message, partial(decode, message.type))
 
     def read(self, message: Message, content: Callable[[bytes], Content]) -> Content:
-        """What a function makes of a message.
-
-        Raises:
-            RecordingError: that of the function, with where the message stands.
-        """
+        """What a function makes of a message; a RecordingError of it says where the message stands."""
         try:
             return content(message.data)
         except RecordingError as error:
@@ -118,9 +100,7 @@ def is_readable(topic: Topic) -> bool:
 def bag_files(path: Path) -> tuple[Path, ...]:
     """The MCAP files of a bag, in their order.
 
-    Raises:
-        RecordingError: no bag, or one that points outside its folder.
-        UnfinishedError: a folder without `metadata.yaml`.
+    A RecordingError if it is no bag, or one that points outside its folder; an UnfinishedError without `metadata.yaml`.
     """
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder")

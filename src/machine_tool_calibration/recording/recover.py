@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A valid bag from what a killed recorder left, or from a damaged file."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import shutil
@@ -12,17 +10,10 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
+from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from machine_tool_calibration.errors import RecordingError, UnfinishedError
-from machine_tool_calibration.recording.mcap_reader import (
-    MAGIC,
-    Channels,
-    RawMessage,
-    RawRecord,
-    messages_in,
-    records,
-    unpack,
-)
+from machine_tool_calibration.recording.mcap_reader import Channels, RawMessage, RawRecord, messages_in, records, unpack
 from machine_tool_calibration.recording.metadata import offered_qos
 from machine_tool_calibration.recording.writer import BagWriter
 
@@ -46,13 +37,8 @@ class Recovered:
 def recover(path: Path, output: Path, report: Callable[[float], object] = lambda share: None) -> Recovered:
     """Write a new bag with all that is whole in an unfinished or damaged one; the old one is only read.
 
-    Args:
-        path: a bag folder or an `.mcap` file.
-        output: the new bag's folder, which must not exist.
-        report: told the share of the files' bytes that is read, at every record.
-
-    Raises:
-        RecordingError: nothing can be saved, or the new bag cannot be written.
+    The new folder must not exist; `report` is told the share of the bytes that is read. A RecordingError if nothing can
+    be saved, or the new bag cannot be written.
     """
     files = _files(path)
     if not any(_has_magic(file) for file in files):

@@ -26,15 +26,7 @@ def session_from_bag(path: Path, topics: Mapping[str, str] | None = None, *, che
     """The session that was recorded, from the topics `session` and `reading`; all others are ignored.
 
     A recording may hold several runs (the procedure was started again, or with another description): the last run that
-    has readings counts.
-
-    Args:
-        path: a rosbag2 folder or an `.mcap` file.
-        topics: names of the topics by role (`session`, `reading`) where they are not found by themselves.
-        check: also refuse what is readable but not enough for the method.
-
-    Raises:
-        SessionError: no such recording, damaged, unfinished, without a measurement, or a defect in the measurement.
+    has readings counts. Topics and check are those of `open_measurement`.
     """
     bag = BagReader(Path(path))
     names = find_topics(bag.path, bag.topics, topics)
@@ -104,18 +96,9 @@ _READINGS = Qos(depth=20000, durability="transient_local")
 
 
 def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace: str = "") -> None:
-    """Write a session as a bag with the topics `session` and `reading`.
+    """Write a session as a bag, which must not exist, with the topics `session` and `reading` in a namespace.
 
-    Every reading is logged at `start` plus its `time`; without times, one second apart.
-
-    Args:
-        session: the measurement.
-        folder: the bag, which must not exist.
-        start: when the session began, ns since 1970.
-        namespace: of the topics.
-
-    Raises:
-        RecordingError: the folder is there already, or cannot be written.
+    Every reading is logged at `start`, ns since 1970, plus its `time`; without times, one second apart.
     """
     prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
     names, table = reading_columns(session)

@@ -27,19 +27,12 @@ _DEPTH = 8
 
 
 def tables(bag: BagReader, topic: Topic, seen: Callable[[int], object] = lambda _: None) -> Iterator[pd.DataFrame]:
-    """A topic's messages in pieces, all with the same columns.
+    """A topic's messages in pieces, all with the same columns; before each piece `seen` is told how many were read.
 
     Every row begins with `log_time` and `publish_time` (ns since 1970). A JointState has a column for each name that
     any message has, a Float64MultiArray a row for each sample, with the columns that its layout names; other fields are
-    named by their path; lists become JSON text. A name that is taken already gets a number.
-
-    Args:
-        bag: the recording.
-        topic: one of its topics.
-        seen: called with the number of messages read so far, before each piece.
-
-    Raises:
-        RecordingError: the type cannot be read, or a message is damaged.
+    named by their path; lists become JSON text. A name that is taken already gets a number. A RecordingError if the
+    type cannot be read, or a message is damaged.
     """
     flatten = {JOINT_STATE: _joint_state, NUMBERS: _numbers}.get(topic.type, _any)
     rows: list[dict[str, Any]] = []
@@ -180,19 +173,10 @@ def file_name(topic: str) -> str:
 def save_tables(
     bag: BagReader, folder: Path, form: str, report: Callable[[str, float], object] = lambda what, share: None
 ) -> tuple[dict[str, Path], list[str]]:
-    """Write each topic's table into a folder.
+    """Write each topic's table (`csv` or `parquet`) into a folder, which must not exist or be empty.
 
-    Args:
-        bag: the recording.
-        folder: must not exist or be empty.
-        form: `csv` or `parquet`.
-        report: told the topic and the share of all messages that is written.
-
-    Returns:
-        The file of each topic, and the topics whose type cannot be read.
-
-    Raises:
-        RecordingError: the folder is not empty or cannot be written, or a message is damaged.
+    The files by topic, and the topics whose type cannot be read; `report` is told topic and share of all messages. A
+    RecordingError if the folder is not empty or cannot be written, or a message is damaged.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -225,10 +209,9 @@ def save_tables(
 
 
 def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
-    """Write a table in pieces; the ending says whether CSV or Parquet. Nothing is left of one that cannot be ended.
+    """Write a table in pieces; the ending says whether CSV or Parquet.
 
-    Raises:
-        RecordingError: it cannot be written, or Parquet is not installed.
+    Nothing is left of one that cannot be ended: a RecordingError.
     """
     part = path.with_name(path.name + ".part")
     try:

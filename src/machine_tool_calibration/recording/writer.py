@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag as rosbag2 writes it: a folder with `metadata.yaml` and MCAP files, by the `mcap` library's writer."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -100,17 +98,10 @@ class BagWriter:
         split_bytes: int = 0,
         split_seconds: float = 0.0,
     ) -> None:
-        """Create the folder, which must not exist or be empty, and the first file.
+        """Create the folder, which must not exist or be empty, and the first file; a RecordingError if it cannot.
 
-        Args:
-            folder: the bag.
-            flush_seconds: longest age of what is not yet written, s.
-            chunk_bytes: size at which a chunk ends.
-            split_bytes: size at which a new file begins; 0 never.
-            split_seconds: likewise duration, by the messages' times, s.
-
-        Raises:
-            RecordingError: the folder holds something or cannot be made.
+        What is not yet written is `flush_seconds` old at most. A chunk ends at a size, and a new file begins at a size
+        or at a duration by the messages' times, s; never for 0.
         """
         self.folder = Path(folder)
         self._flush_seconds = flush_seconds
@@ -177,16 +168,10 @@ class BagWriter:
         encoding: str = "cdr",
         schema_encoding: str | None = None,
     ) -> None:
-        """Register a topic; a second time is ignored.
+        """Register a topic by its absolute name and a type such as `sensor_msgs/msg/JointState`; again is ignored.
 
-        Args:
-            name: absolute name.
-            message_type: such as `sensor_msgs/msg/JointState`.
-            qos: what the publishers offer.
-            definition: text of the message definition with its parts; looked up if None.
-            type_hash: `RIHS01_…`; looked up if None.
-            encoding: of the messages.
-            schema_encoding: form of the definition; `ros2msg`, or empty where it is not known.
+        `qos` is what the publishers offer. The definition, a text with its parts, and its hash `RIHS01_…` are looked up
+        if None; the form of a definition is `ros2msg`, or empty where it is not known.
         """
         if name in self._topics:
             return
@@ -201,17 +186,9 @@ class BagWriter:
         self._register(self._writer(), name)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None, sequence: int = 0) -> None:
-        """Add one serialized message.
+        """Add one serialized message (CDR) to a topic; times in ns, by default sent when it was received.
 
-        Args:
-            topic: a name given to `add_topic`.
-            data: serialized message (CDR).
-            log_time: when it was received, ns.
-            publish_time: when it was sent, ns; `log_time` if None.
-            sequence: number that the publisher gave it.
-
-        Raises:
-            RecordingError: unknown topic, closed, or the disk is full; what was written before stays whole.
+        A RecordingError if it is closed, or the disk is full; what was written before stays whole.
         """
         if topic not in self._topics:
             raise RecordingError(f"{self.folder}: the topic {topic!r} was not registered")
@@ -234,31 +211,19 @@ class BagWriter:
         self.tick()
 
     def tick(self) -> None:
-        """Write what is pending if it is older than `flush_seconds`.
-
-        Raises:
-            RecordingError: the disk is full; what is pending waits.
-        """
+        """Write what is pending if it is older than `flush_seconds`; as `flush` where the disk is full."""
         if time.monotonic() - self._flushed >= self._flush_seconds:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what is pending to the operating system.
-
-        Raises:
-            RecordingError: the disk is full; what is pending waits.
-        """
+        """Hand what is pending to the operating system; a RecordingError where the disk is full: it waits."""
         self._flushed = time.monotonic()
         with self._written():
             self._writer().flush()  # type: ignore[no-untyped-call]
         self._kept = (self._files[-1].messages, dict(self._files[-1].by_topic))
 
     def close(self) -> None:
-        """End the last file and write `metadata.yaml`.
-
-        Raises:
-            RecordingError: it could not be written; `mtcal recover` makes what is there whole.
-        """
+        """End the last file and write `metadata.yaml`; a RecordingError if it cannot be (`mtcal recover` mends it)."""
         if self._closed:
             return
         try:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `mtcal budget` and `mtcal conformity` tell: contributors, verdicts, and the documents for programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -33,11 +31,7 @@ def default_names(budget: Budget) -> list[str]:
 
 
 def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
-    """The largest uncertainty of each quantity, and the root mean square of the position error.
-
-    Raises:
-        ModelError: a name that is not published.
-    """
+    """The largest uncertainty of each quantity, and the root mean square of the position error."""
     out = []
     for name in names:
         out.append(budget.largest(name))
@@ -70,12 +64,7 @@ def unit_of(one: Sum) -> tuple[float, str]:
 
 
 def budget_parts(budget: Budget, names: Sequence[str] = ()) -> Iterator[Part]:
-    """A budget in tables and sentences.
-
-    Args:
-        budget: of which.
-        names: quantities that were asked for; empty for those that are told of every measurement.
-    """
+    """A budget in tables and sentences: of those quantities, or of those that are told of every measurement."""
     yield _contributors(budget)
     sums = chosen_sums(budget, names or default_names(budget))
     detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
@@ -204,11 +193,7 @@ def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
 
 
 def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]:
-    """The budget for programs, SI; what is not determined is None.
-
-    Raises:
-        ModelError: a name that is not published.
-    """
+    """The budget for programs, SI; what is not determined is None. A ModelError if a name is not published."""
     return {
         "format": "mtcal-budget-result/1",
         "provenance": budget.origin.document(),

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A comparison in plain words and tables, in micrometres, and for programs as one JSON document."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -152,11 +150,7 @@ _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.
 def mark_not_determined(
     columns: Sequence[str], rows: Sequence[tuple[str, ...]], uncertain: Sequence[int]
 ) -> tuple[tuple[tuple[str, ...], ...], str]:
-    """Empty those columns of uncertain values that hold no number at all, and say what dashes mean.
-
-    Returns:
-        The rows, and a note.
-    """
+    """The rows without columns of uncertain values that hold no number at all, and a note on what dashes mean."""
     nowhere = [k for k in uncertain if all(row[k] == NOT_DETERMINED for row in rows)]
     shown = tuple(tuple("" if k in nowhere else cell for k, cell in enumerate(row)) for row in rows)
     notes = []

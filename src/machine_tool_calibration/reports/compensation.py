@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller's files would leave of a machine's errors, as a table."""
 
-from __future__ import annotations
-
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.reports.quantities import micrometres, quantity
 from machine_tool_calibration.reports.tables import TextTable, table

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A diagnosis for people: in plain words first, then tables; text only, without a terminal's colours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
@@ -14,7 +11,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import Absorbed
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.planning.what_to_measure import Advice, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import Advice, Conclusions, alias_groups_of
 from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.planning import dominant_words
 from machine_tool_calibration.reports.quantities import (
@@ -32,9 +29,6 @@ from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.planning.what_to_measure import Conclusions
 
 # Errors of position that are not the machine's: a map that takes them up is wrong by them.
 _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
@@ -123,11 +117,7 @@ def diagnosis_report(
 ) -> Report:
     """The diagnosis in words and tables.
 
-    Args:
-        diagnosis: what was found.
-        advice: what to measure next.
-        changes: what candidates change, by id.
-        shown: how many candidates beside the accepted ones; 0 for all.
+    With so many candidates `shown` beside the accepted ones, all for 0; `changes` is what candidates change, by id.
     """
     tables = [
         _candidates(diagnosis, changes, shown),

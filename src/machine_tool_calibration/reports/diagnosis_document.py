@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A diagnosis for programs: the contract's JSON document `mtcal-diagnosis/1`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
@@ -59,10 +57,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
         "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _LEAST_PROBABILITY],
-        "fit": {
-            "before": _fit(diagnosis.fits[0]),
-            "after": _fit(diagnosis.fits[-1]),
-        },
+        "fit": {"before": _fit(diagnosis.fits[0]), "after": _fit(diagnosis.fits[-1])},
         "candidates": [candidate_document(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
         "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],

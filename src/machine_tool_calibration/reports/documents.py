@@ -24,11 +24,7 @@ def picked(record: Any, *names: str) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """The value in the types of JSON: records as objects, arrays as lists, NaN and infinities as None.
-
-    Raises:
-        TypeError: a type that has no place in JSON.
-    """
+    """The value in the types of JSON: records as objects, arrays as lists, NaN and infinities as None."""
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, Enum):
@@ -81,11 +77,7 @@ def _compact(value: Any) -> str:
 
 
 def write_table(table: pd.DataFrame, file: Path, origin: Provenance) -> Path:
-    """Write a table as CSV, after lines with `#` that say what it was made from (`pd.read_csv(file, comment="#")`).
-
-    Returns:
-        The file.
-    """
+    """Write a table as CSV, after lines with `#` that say what it was made from (`pd.read_csv(file, comment="#")`)."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("w", encoding="utf-8", newline="") as stream:
         stream.writelines(f"# {name}: {' '.join(value.split())}\n" for name, value in origin.lines())

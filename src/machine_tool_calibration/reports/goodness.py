@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is said of a fit: how its readings scatter, and what negative coefficients mean."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
@@ -56,10 +54,8 @@ def _both(found: float, declared: float) -> Said:
 def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
     """That the readings speak against rigid axes, where the method has a model that takes none for granted.
 
-    Along a single axis both models are one.
-
-    Args:
-        document: of which `method`, `model`, `p_value` and `error_map` are asked; several sessions have no `model`.
+    Along a single axis both models are one. Of the document `method`, `model`, `p_value` and `error_map` are asked;
+    several sessions have no `model`.
     """
     content = document["error_map"] or {}
     if document.get("model") != "rigid_body" or "free" not in method_spec(document["method"]).models:

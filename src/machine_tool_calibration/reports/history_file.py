@@ -81,8 +81,7 @@ def fingerprint(*sessions: Session) -> str:
 def read_history(path: Path) -> History:
     """The history in a file; an empty one if there is no file.
 
-    Raises:
-        SessionError: one line with file, line and key of the first defect; the file is left as it is.
+    A SessionError names file, line and key of the first defect; the file is left as it is.
     """
     if not path.exists():
         return History()
@@ -100,10 +99,7 @@ def update_history(path: Path, change: Callable[[History], History]) -> History:
     """Read the history, change it, and put the new one in its place.
 
     Whatever happens, the file holds the whole old history or the whole new one; two commands at once wait for each
-    other.
-
-    Raises:
-        SessionError: the file is damaged (and is left as it is), or cannot be written.
+    other. A SessionError if it is damaged, or cannot be written.
     """
     try:
         with _alone(path.parent):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The models of a session that were tried, as tables: quick to load, without any calculation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from machine_tool_calibration.diagnosis.history import Entry

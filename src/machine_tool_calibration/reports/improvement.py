@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model made better, and the models that were tried: for people, and as a document for programs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

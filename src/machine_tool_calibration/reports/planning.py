@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is told before and while something is measured: forecasts, the best plan, what is enough, what comes next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -16,13 +14,7 @@ from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import group_by_reason
-from machine_tool_calibration.reports.quantities import (
-    duration,
-    expanded_text,
-    micrometres,
-    probability,
-    quantity,
-)
+from machine_tool_calibration.reports.quantities import duration, expanded_text, micrometres, probability, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
 from machine_tool_calibration.words import named, say
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a pointer's rotation centre and zero angle are, as tables, as lines to put into files, and as a document."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

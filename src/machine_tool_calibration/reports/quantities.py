@@ -41,13 +41,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
 
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
-    """A value with its unit, and its expanded uncertainty if there is one.
-
-    Args:
-        value: in the unit.
-        unit: SI.
-        uncertainty: standard uncertainty; shown expanded (k = 2).
-    """
+    """A value with its unit (SI), and its expanded uncertainty (k = 2) if there is a standard uncertainty."""
     expanded = 2.0 * uncertainty if uncertainty is not None and math.isfinite(uncertainty) else 0.0
     factor, shown = _scale(unit, max(abs(value), expanded))
     size, after = factor * expanded, f" {shown}" if shown else ""
@@ -56,13 +50,7 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
 
 
 def as_exact(value: float, unit: str, expanded: float | None) -> str:
-    """A value with its unit and as many digits as its expanded uncertainty allows; three without one.
-
-    Args:
-        value: in the unit.
-        unit: SI.
-        expanded: uncertainty in the unit, of which two figures count; None where it is not known.
-    """
+    """A value with its unit (SI) and as many digits as leave its expanded uncertainty two; three without one."""
     factor, shown = _scale(unit, abs(value))
     after = f" {shown}" if shown else ""
     return f"{in_digits_of(factor * (expanded or 0.0), factor * value)}{after}"
@@ -140,12 +128,10 @@ def range_of(low: float, high: float, unit: str) -> str:
 
 
 def residual_change(before: float, after: float) -> Said:
-    """How the residual of a better model stands to that of the first one.
+    """How the residual, RMS, m, of a better model stands to that of the first one.
 
-    Args:
-        before: RMS with the first model, m.
-        after: RMS with the better one, m; larger where unknowns with a variance of their own, such as small angles,
-            had taken up what the better model explains.
+    It is larger where unknowns with a variance of their own, such as small angles, had taken up what the better model
+    explains.
     """
     key = "fit.residual_falls" if after < before else "fit.residual_rises"
     return say(key, before=quantity(before, "m"), after=quantity(after, "m"))
@@ -200,10 +186,7 @@ def declared_words(said: StandardUncertainty) -> str:
 def plus_minus(value: float | None, uncertainty: float | None, factor: float) -> str:
     """A value with its expanded uncertainty (k = 2), of which two figures are shown; never with an exponent.
 
-    Args:
-        value: None where the data does not determine it.
-        uncertainty: standard uncertainty.
-        factor: from SI to the unit shown.
+    The factor is from SI, in which the standard uncertainty is, to the unit shown; None is not determined.
     """
     if value is None or uncertainty is None:
         return NOT_DETERMINED

@@ -5,8 +5,6 @@ SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (
 described where people ask for them, at the attributes of `Fit` with these names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -38,8 +38,7 @@ def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
 def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
     """What stands behind each name in a result: an unknown, a whole table or effect, or what was left out.
 
-    Returns:
-        In words, by the name; nothing for names that say all that is known.
+    Nothing for names that say all that is known.
     """
     whole = [Parameter(name, "m", kind=Kind.MOTION, owner=name) for name in ERROR_MOTIONS]
     whole += [Parameter(name, "rad", kind=Kind.SQUARENESS, owner=name) for name in SQUARENESS]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was found, value by value, and the figures of ISO 230-2, ISO 230-6 and ISO 230-7 as a test report has them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -37,10 +35,7 @@ _FIGURES = (
     ("accuracy", ("A_up", "A_down", "A")),
 )
 _BOTH = ("figure", "up", "down", "both")
-_DIAGONAL = (
-    ("systematic_D", ("E_D_up", "E_D_down", "E_D")),
-    ("reversal_D", ("", "", "B_D")),
-)
+_DIAGONAL = (("systematic_D", ("E_D_up", "E_D_down", "E_D")), ("reversal_D", ("", "", "B_D")))
 
 
 def standard_tables(content: Mapping[str, Any], name: str, most: int | None = None) -> Iterator[Part]:

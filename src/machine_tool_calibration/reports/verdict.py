@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -47,11 +45,7 @@ def verdict_words(
 ) -> Iterator[str]:
     """Paragraphs: the verdict, every effect found, and what the data does not determine.
 
-    Args:
-        diagnosis: what was found.
-        changes: what candidates change, by id.
-        advice: what to measure next.
-        brief: whether only what decides is wanted; the effects are then in a table.
+    Where it is to be `brief` only what decides; the effects are then in a table.
     """
     yield _verdict(diagnosis)
     yield from left_words(diagnosis)

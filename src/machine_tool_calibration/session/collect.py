@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings that come one by one (live, or from a recording) to a session."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables to CSV text by Arrow, whose numbers come back to the last bit; by pandas where there is no Arrow."""
 
-from __future__ import annotations
-
 import csv
 import io
 from typing import TextIO

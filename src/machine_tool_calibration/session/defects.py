@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is wrong with a record that was read, in one line: the first defect, with file, line and key."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Sequence
 from typing import Any, TypeVar, get_args
 

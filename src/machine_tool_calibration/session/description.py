@@ -152,15 +152,12 @@ _ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
 class DiagonalSetup(Setup):
     """A step diagonal or a linear run with a flat mirror.
 
-    Attributes:
-        id: may carry the order of the single-axis moves, as in `ppp_yzx`; without one it is xyz.
-        direction: signs of the motion along x, y, z.
-        start: where the run begins, m.
+    Its id may carry the order of the single-axis moves, as in `ppp_yzx`; without one it is xyz.
     """
 
     kind: Literal["diagonal", "linear"]
-    direction: tuple[Sign, Sign, Sign]
-    start: Vector3
+    direction: tuple[Sign, Sign, Sign]  # of the motion along x, y, z
+    start: Vector3  # where the run begins, m
     mirror: Literal["flat"] = "flat"
 
     @property
@@ -191,17 +188,12 @@ class DirectSetup(Setup):
 
 
 class CircleSetup(Setup):
-    """A circle: its two axes, the centre where it is meant to be, m, the bar's nominal length, m.
+    """A circle: its two axes, the centre where it is meant to be, m, the bar's nominal length, m."""
 
-    Attributes:
-        plane: counter-clockwise is from its first axis towards its second.
-        feed: path speed, m/s, where the readings do not say it in a column `feed`.
-    """
-
-    plane: Literal["XY", "YZ", "ZX"]
+    plane: Literal["XY", "YZ", "ZX"]  # counter-clockwise is from its first axis towards its second
     centre: Vector3
     radius: Positive
-    feed: Positive | None = None
+    feed: Positive | None = None  # path speed, m/s, where the readings do not say it in a column `feed`
 
 
 Said = TypeVar("Said", bound="Description")
@@ -317,11 +309,7 @@ class Direct(Description):
 
     @property
     def sense(self) -> Vector3:
-        """Direction along which the instrument of a procedure reads: that of the first term, as Y of EYX.
-
-        Raises:
-            SessionError: no term says so.
-        """
+        """Direction along which the instrument of a procedure reads: that of the first term, as Y of EYX."""
         name = self.terms[0] if self.terms else ""
         if len(name) != 3 or name[0] != "E" or name[1] not in "XYZ":
             raise SessionError(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A measurement judged as a whole, and what was read held against what is stated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 

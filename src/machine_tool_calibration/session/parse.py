@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The text of `session.yaml` to a description and back, and lists of which points make a feature."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a result comes from: what the measurement says of itself, a hash of its data, software, model and effects."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.session.folder import readings_frame
 from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.version import __version__
 from machine_tool_calibration.words import say, together
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.session.session import Session
 
 SOFTWARE = "machine_tool_calibration"
 # Figures of a hash that pictures and lines of text show.

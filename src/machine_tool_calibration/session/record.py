@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the records of all files have in common, and numbers whose size is not checked."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a session holds, in figures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

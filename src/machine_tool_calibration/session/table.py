@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`observations.csv` to columns of numbers and of text."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping

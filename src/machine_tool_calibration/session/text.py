@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text files from strangers: bounded in size, UTF-8, no NUL bytes."""
 
-from __future__ import annotations
-
 import codecs
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values that descriptions hold: numbers of a size that can have been measured, ids, instruments."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field

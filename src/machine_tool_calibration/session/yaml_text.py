@@ -6,8 +6,6 @@ mappings can come out, an alias cannot multiply without end, and every value kno
 Scalars follow YAML 1.2 (`1e-7` is a number, `on` and `Y` are text).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

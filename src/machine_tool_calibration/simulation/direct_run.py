@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session of an instrument that reads deviations directly."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 import numpy as np

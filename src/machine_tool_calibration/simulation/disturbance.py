@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What effects do to a measurement, in terms of geometry; they add up."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

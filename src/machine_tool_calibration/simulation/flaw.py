@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flaw that can be put into a simulated measurement: an effect of the catalogue, or one in no catalogue."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

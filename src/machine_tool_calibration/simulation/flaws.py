@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every flaw by its id, and those in no catalogue: what a diagnosis must call unexplained."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -71,11 +69,7 @@ FLAWS: Mapping[str, Flaw] = {
 
 
 def find_flaw(name: str) -> Flaw:
-    """The flaw of that id.
-
-    Raises:
-        CalibrationError: there is none; the message names those that are alike.
-    """
+    """The flaw of that id; if there is none, a CalibrationError names those that are alike."""
     if name in FLAWS:
         return FLAWS[name]
     hint = did_you_mean(name, FLAWS) or f"; known are {', '.join(FLAWS)}"
@@ -91,10 +85,8 @@ def choose_flaw(
 ) -> Chosen:
     """A flaw with its size and parameters; what is not given is typical, or drawn from the seed.
 
-    The `scene` is the readings it is meant for, where that matters (`unlisted_step` happens among them).
-
-    Raises:
-        CalibrationError: unknown effect or parameter.
+    The `scene` is the readings it is meant for, where that matters (`unlisted_step` happens among them). A
+    CalibrationError if the effect or a parameter is unknown.
     """
     flaw = find_flaw(name)
     drawn = dict(flaw.draw(np.random.default_rng(seed), scene)) if flaw.draw else {}

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flaws of the machine's position: backlash, reversals, heat, drifts, pitch errors, scale, and error motions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flaws of the instrument, of its place, and of the part: air, dead path, drift, pointer, retroreflector, probe."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -30,10 +28,7 @@ def vapour_pressure(temperature: Array | float, humidity: Array | float) -> Arra
 def refractivity(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.0) -> Array:
     """Refractive index of air minus one, for the helium-neon laser and 450 ppm of carbon dioxide.
 
-    Args:
-        temperature: °C.
-        pressure: Pa.
-        humidity: relative, 0 (dry) … 1.
+    At a temperature, °C, a pressure, Pa, and a relative humidity, 0 (dry) … 1.
     """
     t, p = np.asarray(temperature, float), np.asarray(pressure, float)
     s = HELIUM_NEON**-2

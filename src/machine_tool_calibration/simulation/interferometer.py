@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of a simulated interferometer, from the true positions of simulated axes, and readings of them."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 
@@ -26,28 +24,18 @@ _STARVED = 1_000_000_000  # ns without true positions: the signal is lost
 class SimulatedSource:
     """Exact geometry, noise, and a beam that can be lost.
 
-    Args:
-        site: the simulated world.
-        origin: ROS time at which its time is zero, ns.
-        rate: of the stream, Hz.
-        sample_noise: standard deviation of a single sample's own noise, m.
-        keep: how many true positions are kept; two are enough where there is no stream between the readings.
-
-    Attributes:
-        optics: what the instrument looks at.
-        blocked: whether something stands in the beam.
-        hardware_id: of the instrument.
-        setup: id of the present setup, and `setup_index` its place in the description.
-        first: geometric path of the setup's first reading, m.
+    `origin` is the ROS time at which the site's is zero, ns; the stream has a rate, Hz, and each sample a noise of its
+    own, m (standard deviation). So many true positions are kept; two are enough where there is no stream between the
+    readings.
     """
 
     def __init__(self, site: Site, origin: int, rate: float, sample_noise: float, keep: int = 4000) -> None:
         self.site = site
         self.hardware_id = "simulated interferometer"
-        self.optics: Optics = OnTool(site)
-        self.blocked = False
-        self.setup, self.setup_index = "", 0
-        self.first: float | None = None
+        self.optics: Optics = OnTool(site)  # what it looks at
+        self.blocked = False  # whether something stands in the beam
+        self.setup, self.setup_index = "", 0  # id of the present setup, and its place in the description
+        self.first: float | None = None  # geometric path of the setup's first reading, m
         self._origin, self._step = origin, round(_NANO / rate)
         self._sample_noise = sample_noise
         self._poses: deque[Pose] = deque(maxlen=keep)
@@ -80,8 +68,7 @@ class SimulatedSource:
     def set_setup(self, stamp: int, setup: str, index: int, beam: Beam | None = None) -> str:
         """The setup at which the instrument stands from a time on, and the true beam where it has a pointer.
 
-        Returns:
-            From where to where it was moved, in words; empty if it was not.
+        From where to where it was moved is returned in words; empty if it was not.
         """
         before = self.setup
         if setup != before:
@@ -129,11 +116,7 @@ class SimulatedSource:
         return np.asarray(paths + self.site.added(moment, replace(one, change=one.path - self.first)))
 
     def need_answers(self) -> None:
-        """Refuse a reading as long as it is not known where the target and the beam are.
-
-        Raises:
-            NotYet: nothing has come yet, or nothing since the last command.
-        """
+        """Refuse a reading (NotYet) as long as it is not known where the target and the beam are."""
         if self.optics.aims and self._beam is NO_BEAM:
             raise NotYet("other", "no beam: the rotary pointer has not pointed anywhere yet")
         if not self._poses:
@@ -149,11 +132,7 @@ class SimulatedSource:
     # --- simulated time: a reading without a stream
 
     def window(self, length: float) -> Window:
-        """The reading over the newest `length` s of the present dwell.
-
-        Raises:
-            NotYet: the axes or the beam are not where a reading is possible.
-        """
+        """The reading over the newest `length` s of the present dwell; NotYet where none is possible."""
         if self.blocked:
             self.lose("the beam is blocked")
             raise NotYet("beam", self._lost)

@@ -13,8 +13,6 @@
 Everything takes many moments at once as well (a stretch of the displacement stream).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -28,22 +26,14 @@ from machine_tool_calibration.simulation.sensors import Pointer
 
 
 class LiveMachine:
-    """A machine whose errors depend on time, temperature and direction.
-
-    Args:
-        machine: true errors, without those of the flaws.
-        flaws: what is put in.
-        environment: temperatures, pressure and humidity over time.
-
-    Attributes:
-        machine: true errors, those of the flaws (extra error motions, squareness) included.
-    """
+    """A machine, given without its flaws, whose errors depend on time, temperature and direction."""
 
     def __init__(
         self, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
     ) -> None:
         self.machine, self.flaws, self.environment = machine, tuple(flaws), environment or Environment()
         fixed = self.disturbance(self.scene(0.0, np.zeros(3)))
+        # with the flaws' extra error motions and squareness
         self.machine = machine.with_tables(fixed.tables).with_squareness(fixed.squareness)
 
     def scene(
@@ -57,16 +47,11 @@ class LiveMachine:
         setup: int = 0,
         start: float = 0.0,
     ) -> Scene:
-        """The conditions of one or more moments.
+        """The conditions of one or more moments: s since the start of the session, a number or (n,).
 
-        Args:
-            time: s since the start of the session, a number or (n,).
-            position: commanded x, y, z, (3,) or (n, 3), m.
-            direction: sign of the last move by axis letter; +1 where absent.
-            angle: of the rotary axis, rad.
-            axis: the rotary axis.
-            setup: index of the instrument's setup.
-            start: time of that setup's first reading, s.
+        Positions are commanded x, y, z, (3,) or (n, 3), m; directions signs of the last move by axis letter, +1 where
+        absent; `angle` is that of the rotary axis, rad, `setup` the instrument's, and `start` the time of its first
+        reading, s.
         """
         at = np.atleast_2d(np.asarray(position, float))
         n = max(len(at), np.size(time))

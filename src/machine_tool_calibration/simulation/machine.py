@@ -86,16 +86,10 @@ class VirtualMachine:
     def position(
         self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
     ) -> Array:
-        """Actual position of the functional point in the workpiece frame (rotary axes at zero).
+        """(n, 3) actual position of the functional point, workpiece frame, rotary axes at zero, for commands (n, 3), m.
 
-        Args:
-            command: (n, 3) commanded x, y, z, m.
-            shift: how far an axis's carriage is off its command along its own motion, by letter, (n,) m
-                (backlash, thermal expansion, pitch error).
-            errors: further error motions of an axis, by letter, (n, 6) EX … EC, m and rad.
-
-        Returns:
-            (n, 3), m.
+        By axis letter: `shift` (n,), m, how far its carriage is off its command along its own motion (backlash, thermal
+        expansion, pitch error); `errors` (n, 6), its further error motions EX … EC, m and rad.
         """
         at = np.atleast_2d(np.asarray(command, float))
         point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
@@ -154,22 +148,13 @@ class VirtualMachine:
         return np.asarray(own + more)
 
     def on_table(self, point: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
-        """Where a point of the table really is in the machine frame.
+        """(n, 3) where points of the table, (n, 3) or (3,), m, really are in the machine frame, at angles (n,), rad.
 
-        q = line + T (E + R Rot(s·(angle + shift)) p): Rot the nominal rotation about the axis, s the
-        rotation sign, R the rotation of (EA, EB, EC) and E = (EX, EY, EZ) at `angle`, T and `line` the
-        axis average line's orientation and position. To first order it is the nominal position +
-        E + (EA, EB, EC) x nominal position (Zhang et al. 2015, Eq. (7)); ECC is positive about +Z,
-        whichever sense a positive command has.
-
-        Args:
-            point: (n, 3) or (3,) in the table frame, m.
-            angle: (n,) commanded angle, rad.
-            axis: the rotary axis.
-            shift: actual minus commanded angle in the axis's own sense, rad (backlash).
-
-        Returns:
-            (n, 3), m.
+        q = line + T (E + R Rot(s·(angle + shift)) p): Rot the nominal rotation about the axis, s the rotation sign, R
+        the rotation of (EA, EB, EC) and E = (EX, EY, EZ) at `angle`, T and `line` the axis average line's orientation
+        and position. To first order it is the nominal position + E + (EA, EB, EC) x nominal position (Zhang et al.
+        2015, Eq. (7)); ECC is positive about +Z, whichever sense a positive command has. `shift` is the actual minus
+        the commanded angle in the axis's own sense, rad (backlash).
         """
         angle = np.atleast_1d(np.asarray(angle, float))
         p = np.broadcast_to(np.asarray(point, float), (len(angle), 3))
@@ -177,18 +162,15 @@ class VirtualMachine:
         if axis in self.motions:
             error = self.motions[axis](angle)
             q = rotate(q, error[:, 3:]) + error[:, :3]
-        return self._line(q, axis)
+        tilt = _of_axis(self.average_line, "ABC", axis)
+        placed: Array = (rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis)
+        return placed
 
     def table_direction(self, vector: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
         """A direction fixed to the table, (n, 3) or (3,), as it really lies in the machine frame, (n, 3)."""
         origin = self.on_table(np.zeros(3), angle, axis, shift)
         turned: Array = self.on_table(vector, angle, axis, shift) - origin
         return turned
-
-    def _line(self, q: Array, axis: str) -> Array:
-        tilt = _of_axis(self.average_line, "ABC", axis)
-        placed: Array = (rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis)
-        return placed
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
         """The same machine with further error motions (`EXX`, table) added."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """True errors of a machine as a YAML document: tables, squareness, axis average line, or random ones from a seed."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -45,17 +43,9 @@ def random_machine(
     *,
     rotation_sign: int = 1,
 ) -> VirtualMachine:
-    """A machine with smooth random error motions, the same for the same seed.
+    """A machine with smooth random error motions of some sizes, the same for the same seed or source of chance.
 
-    Args:
-        chain: chain of axes.
-        travel: lower and upper end of each linear axis by letter (either case), m.
-        seed: seed, or a source of chance.
-        amplitudes: sizes of the errors.
-        rotation_sign: sense of the rotary axes.
-
-    Raises:
-        ModelError: a linear axis of the chain has no travel.
+    Each linear axis of the chain must have a travel, its lower and upper end by letter (either case), m.
     """
     chain = Chain.parse(chain) if isinstance(chain, str) else chain
     rng = np.random.default_rng(seed)
@@ -139,8 +129,7 @@ def build_machine(
 ) -> VirtualMachine:
     """The machine of a spec; the arguments are for what the spec does not say.
 
-    Raises:
-        CalibrationError: no chain, an error motion of an axis that the chain lacks, unfit tables.
+    A CalibrationError if there is no chain, an error motion is of an axis that it lacks, or tables are unfit.
     """
     text = spec.chain or chain
     if text is None:
@@ -179,19 +168,14 @@ def build_machine(
 
 
 def read_machine(path: Path | str) -> MachineSpec:
-    """The machine described in a YAML file.
-
-    Raises:
-        CalibrationError: the file cannot be read or a key or value is wrong; the message names it.
-    """
+    """The machine described in a YAML file; a CalibrationError names the key or value that is wrong."""
     return read_record(Path(path), MachineSpec)
 
 
 def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] = ()) -> AnyRecord:
     """A record from a YAML file; `unnamed` as for `first_defect`.
 
-    Raises:
-        CalibrationError: the file cannot be read, or a key or value is wrong; one line names file, line and key.
+    A CalibrationError if the file cannot be read, or a key or value is wrong; one line names file, line and key.
     """
     document = load_yaml(read_text(path), str(path))
     content = document.value if document.value is not None else {}

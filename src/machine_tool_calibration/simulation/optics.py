@@ -4,8 +4,6 @@
 A target is where the light turns round; its path is computed from the true geometry at that moment.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -38,15 +36,10 @@ class Pose:
 
 
 class Optics(ABC):
-    """How the instrument sees its target: by default a fixed beam, wide enough, on what the tool carries.
+    """How the instrument sees its target: by default a fixed beam, wide enough, on what the tool carries."""
 
-    Attributes:
-        body: whose true pose counts: `functional_point` or `table`.
-        aims: whether a pointer directs the beam; otherwise it is fixed for each setup, and no beam is told.
-    """
-
-    body = "functional_point"
-    aims = False
+    body = "functional_point"  # whose true pose counts: this, or the `table`
+    aims = False  # whether a pointer directs the beam; otherwise it is fixed for each setup, and no beam is told
 
     def target(self, pose: Pose, beam: Beam, moment: Scene) -> Array:
         """(3,) where the target is, m, machine frame."""
@@ -165,11 +158,7 @@ class Bar(Optics):
 
 
 def make_optics(site: Site, description: Description) -> Optics:
-    """The optics of a session's method.
-
-    Raises:
-        CalibrationError: the method has no interferometer.
-    """
+    """The optics of a session's method; a CalibrationError if that has no interferometer."""
     match description:
         case TrackingInterferometer():
             return OnTool(site, description)

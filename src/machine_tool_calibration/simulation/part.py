@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A part on the table of the simulated workshop, touched point by point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -31,12 +29,8 @@ class SimulatedPart:
     def trigger(self, touch: NominalTouch, c: float, z: float, time: float, setup: int) -> float:
         """Displacement at which the probe triggers, along the outward normal from the nominal surface, m.
 
-        Args:
-            touch: as planned.
-            c: commanded angle, rad.
-            z: commanded height, m.
-            time: s since the origin of the site's time.
-            setup: index of the setup.
+        Of a touch as planned, at a commanded angle c, rad, and height z, m, `time` after the origin of the site's time,
+        s.
         """
         normal, own = np.array([[*touch.normal, 0.0]]), [touch.point]
         direction = {axis: -1.0 if way > 0 else 1.0 for axis, way in zip("XY", touch.normal, strict=True)}

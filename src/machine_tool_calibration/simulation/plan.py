@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every simulated method offers, and the common part of every plan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from string import ascii_uppercase

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plan of any method."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated
 

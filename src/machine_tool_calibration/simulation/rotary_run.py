@@ -36,13 +36,9 @@ _STATIONS = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.
 
 
 def sighted(actual: Array, source: Array, axis: str, turned: Array) -> Sight:
-    """What a tracker reads of retroreflectors on a table, which turn with it.
+    """What a tracker at (n, 3) reads of retroreflectors that really are at (n, 3), m, and turn with a table.
 
-    Args:
-        actual: (n, 3) where they really are, m.
-        source: (n, 3) where the tracker stands, m.
-        axis: letter of the table's axis.
-        turned: (n,) angle of the table, counter-clockwise about it, rad.
+    `turned` (n,) is the angle of the table, counter-clockwise about its axis, rad.
     """
     line, path = actual - source, distance(actual, source)
     first, second = (("ABC".index(axis) + k) % 3 for k in (1, 2))

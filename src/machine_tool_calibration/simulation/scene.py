@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Under which conditions each reading is taken: commands, directions, time, and the temperatures of the workshop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated instruments: laser interferometer on a flat mirror, tracking interferometer, touch-trigger probe."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 
@@ -12,16 +10,10 @@ from machine_tool_calibration.simulation.motions import cross
 
 
 def mirror_path(source: Array, beam: Array, mirror: Array, normal: Array) -> Array:
-    """(n,) length of the beam from its source to a plane mirror, m.
+    """(n,) length of the beam from its source to a plane mirror, m; vectors are (n, 3), or (3,) if the same for all.
 
-    Where the ray source + L beam meets the plane through `mirror` with `normal`: L = n.(m - s) / (n.l). A
-    mirror that moves by d changes it by n.d / (n.l) (Ibaraki and Hata 2010, with a tilted mirror).
-
-    Args:
-        source: (n, 3) or (3,) where the beam leaves the laser, m.
-        beam: (n, 3) or (3,) unit vector l of the beam.
-        mirror: (n, 3) a point of the mirror's plane, m.
-        normal: (n, 3) or (3,) the mirror's normal n.
+    Where the ray source + L beam, of unit vector l, meets the plane through `mirror` with `normal`: L = n.(m - s) /
+    (n.l). A mirror that moves by d changes it by n.d / (n.l) (Ibaraki and Hata 2010, with a tilted mirror).
     """
     line = np.einsum("...i,...i->...", np.broadcast_to(normal, np.shape(mirror)), mirror - source)
     slope = np.einsum("...i,...i->...", *np.broadcast_arrays(normal, beam))
@@ -89,16 +81,9 @@ class Pointer(Record):
     radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     def beam(self, azimuth: Array, elevation: Array, station: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
-        """Origin and direction of the true beam.
+        """(n, 3) origin, m, and (n, 3) unit direction of the true beam, from commanded angles (n,), rad.
 
-        Args:
-            azimuth: (n,) commanded, rad.
-            elevation: (n,) commanded, rad.
-            station: (n, 3) true rotation centre, m.
-            turn: further turn of the azimuth, rad.
-
-        Returns:
-            (n, 3) origin, m, and (n, 3) unit direction.
+        `station` is the true rotation centre (n, 3), m, and `turn` a further turn of the azimuth, rad.
         """
         direction = beam_direction(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
         back: Array | float = 0.0

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a spec to a session, with the truth behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -67,14 +65,9 @@ class Simulated:
 def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, extra: Sequence[Chosen] = ()) -> Simulated:
     """The session of a spec; the same spec gives the same numbers.
 
-    Args:
-        spec: what to simulate.
-        machine: the machine itself instead of the spec's: the same one for several measurements.
-        extra: flaws that are in no list, beside the spec's effects.
-
-    Raises:
-        CalibrationError: an effect that does not exist or does not occur in this method, a machine that
-            does not fit the plan.
+    `machine` is one for several measurements, in place of the spec's own; `extra` flaws are in no list. A
+    CalibrationError: an effect that does not exist or does not occur in this method, a machine that does not fit the
+    plan.
     """
     children = np.random.SeedSequence(spec.seed).spawn(len(_STREAMS))
     rng = {name: np.random.default_rng(child) for name, child in zip(_STREAMS, children, strict=True)}

@@ -6,8 +6,6 @@ that restarts sees it again. What is random (the machine's errors, the environme
 from the seed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -74,14 +72,7 @@ NO_BEAM = Beam(np.full(3, np.nan), np.full(3, np.nan))
 
 
 class Site(LiveMachine):
-    """The simulated world.
-
-    Args:
-        spec: what is true.
-
-    Raises:
-        CalibrationError: the machine cannot be built or an effect is unknown.
-    """
+    """The simulated world; a CalibrationError if the machine cannot be built or an effect is unknown."""
 
     def __init__(self, spec: SiteSpec) -> None:
         self.spec = spec
@@ -131,14 +122,10 @@ class Site(LiveMachine):
         setup: int = 0,
         start: float = 0.0,
     ) -> Scene:
-        """The conditions of one moment.
+        """The conditions of one moment, s since the origin of the site's time.
 
-        Args:
-            time: s since the origin of the site's time.
-            position: commanded, of each axis by its small letter, m or rad; 0 where absent.
-            direction: sign of each axis's last move, likewise; +1 where absent.
-            setup: index of the instrument's setup.
-            start: when that setup's first reading was taken, s.
+        By small letters of axes their commanded positions, m or rad, 0 where absent, and the signs of their last moves,
+        +1 where absent; `setup` is the instrument's, and `start` when its first reading was taken, s.
         """
         axis = self.table_axis or "C"
         return self.scene(
@@ -194,11 +181,7 @@ class Site(LiveMachine):
 
 
 def read_site(path: str) -> SiteSpec:
-    """The site described in a YAML file; the usual one for an empty path.
-
-    Raises:
-        CalibrationError: the file cannot be read, or a key or value is wrong.
-    """
+    """The site described in a YAML file, which must be right; the usual one for an empty path."""
     if not path:
         return SiteSpec()
     return read_record(Path(path), SiteSpec)

@@ -26,11 +26,7 @@ _TIMES = 1e4
 
 
 def refuse_implausible(spec: SimulationSpec) -> None:
-    """Refuse lengths that were not meant in metres, and effects of an absurd size.
-
-    Raises:
-        CalibrationError: the first of them, with what may have been meant.
-    """
+    """Refuse lengths that were not meant in metres, and effects of an absurd size; say what may have been meant."""
     for name, value in _lengths(spec):
         if abs(value) > _LARGEST_ERROR:
             meant = f"did you mean {value * 1e-6:.3g}, which is {value:.3g} µm?"
@@ -61,20 +57,12 @@ _COMMA = re.compile(r",(?![^\[]*\])")  # not one inside a list
 
 
 def read_spec(path: Path | str) -> SimulationSpec:
-    """The simulation that a YAML file describes.
-
-    Raises:
-        CalibrationError: one line that names file, line and key.
-    """
+    """The simulation that a YAML file describes; a CalibrationError names file, line and key."""
     return read_record(Path(path), SimulationSpec, ALL_METHODS)
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """`key=value` with a value in YAML, such as `repeats=3` or `stations=[[0, 0, 0], [1, 0, 0]]`.
-
-    Raises:
-        CalibrationError: no `=` or a value that is not YAML.
-    """
+    """`key=value` with a value in YAML, such as `repeats=3` or `stations=[[0, 0, 0], [1, 0, 0]]`."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise CalibrationError(f"{text!r} is not KEY=VALUE")
@@ -82,11 +70,7 @@ def parse_setting(text: str) -> tuple[str, Any]:
 
 
 def parse_effect(text: str) -> dict[str, Any]:
-    """`ID` or `ID:size=2e-6,tau=900` as the mapping of a `FlawSpec`.
-
-    Raises:
-        CalibrationError: something after the colon is not `key=value`.
-    """
+    """`ID` or `ID:size=2e-6,tau=900` as the mapping of a `FlawSpec`; else CalibrationError."""
     name, _, rest = text.partition(":")
     spec: dict[str, Any] = {"id": name.strip()}
     parameters: dict[str, Any] = {}
@@ -106,20 +90,11 @@ def spec_from(
     effects: Sequence[Mapping[str, Any]] = (),
     fields: Mapping[str, Any] | None = None,
 ) -> SimulationSpec:
-    """A spec from options, on top of one that was read from a file.
+    """A spec from options, on top of one that was read from a file, if there is one.
 
-    Args:
-        base: the file's spec, if there is one.
-        method: method of a plan without preset.
-        preset: name of a plan in `PRESETS`.
-        plan: keys of the plan that differ.
-        machine: YAML file of the machine's true errors.
-        effects: mappings of `FlawSpec`; they add to the file's.
-        fields: other fields of `SimulationSpec` that differ.
-
-    Raises:
-        CalibrationError: an unknown preset or method, a value out of range or implausible, neither file nor method nor
-            preset.
+    A plan by its preset, or else its method, with keys that differ; the YAML file of a machine's true errors; effects
+    as mappings of `FlawSpec`, which add to the file's; and other fields that differ. A CalibrationError: an unknown
+    preset or method, a value out of range or implausible, neither file nor method nor preset.
     """
     planned = _planned(base, method, preset)
     content: dict[str, Any] = base.model_dump(exclude_unset=True, exclude={"plan"}) if base is not None else {}

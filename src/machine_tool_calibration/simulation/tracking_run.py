@@ -37,14 +37,10 @@ Line = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
 
 
 def sighted(actual: Array, origin: Array, azimuth: Array, dimension: int, held: Array | None = None) -> Sight:
-    """What an interferometer reads of a retroreflector on the spindle.
+    """What an interferometer reads of a retroreflector on the spindle, which really is at (n, 3), m.
 
-    Args:
-        actual: (n, 3) where the retroreflector really is, m.
-        origin: (n, 3) of the beam, m.
-        azimuth: (n,) as commanded, rad.
-        dimension: of the measurement, 2 or 3.
-        held: (n, 3) direction of a beam that is held on it; None for one that follows the target.
+    From the beam's origin (n, 3), m, and azimuth (n,) as commanded, rad, in so many dimensions; `held` (n, 3) is the
+    direction of a beam that is held on it, None for one that follows the target.
     """
     path = distance(actual, origin) if held is None else sensed_path(actual, origin, held)
     direction = (actual - origin) / path[:, None] if held is None else held

@@ -12,8 +12,6 @@ between them is (the position errors are made of the motions): that any error of
 called changed has at most the chance `LEVEL`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -14,8 +14,6 @@ The odds of a change against none bound how often a steady machine raises an ala
 that they ever exceed K is at most 1 / K (Ville's inequality), were the uncertainties right.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -8,8 +8,6 @@ and the sizes are JSON, description and readings the text of `session.yaml` and 
 after the other, is the entry's.
 """
 
-from __future__ import annotations
-
 import datetime
 import io
 import json

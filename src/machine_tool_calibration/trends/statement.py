@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one measurement states of the machine, so that it can be held against another one of the same machine."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field

@@ -32,15 +32,10 @@ class Verbatim(str):
 
 
 class Said(str):
-    """A text in English that can be said in other languages too.
+    """A text in English that can be said in other languages too."""
 
-    Attributes:
-        key: of the text; of several texts together what stands between them.
-        values: what is put in, by name; the texts that stand together.
-    """
-
-    key: str
-    values: Mapping[str, Any] | tuple[str, ...]
+    key: str  # of the text; of several texts together what stands between them
+    values: Mapping[str, Any] | tuple[str, ...]  # what is put in, by name; the texts that stand together
 
     def __str__(self) -> str:
         """Itself, so that a picture, which takes the text of whatever it is given, keeps what it can be told from."""
@@ -63,11 +58,9 @@ def figures(value: float, count: int = 3) -> str:
 
 
 def say(key: str, /, **values: Any) -> Said:
-    """The text of a key in English, with values put in; of two forms that for one where `n` is 1.
+    """The text of a key (`room.name`) in English, with values put in; of two forms that for one where `n` is 1.
 
-    Args:
-        key: `room.name`, as in the catalogues.
-        values: numbers and names; texts among them are said in the language of the whole.
+    Texts among the values are said in the language of the whole.
     """
     return _said(words("en")(key, **values), key, values)
 
@@ -103,15 +96,10 @@ def _said(text: str, key: str, values: Mapping[str, Any] | tuple[str, ...]) -> S
 
 @dataclass(frozen=True)
 class Words:
-    """The words of a language.
+    """The words of a language."""
 
-    Attributes:
-        language: its code, ISO 639-1.
-        texts: by key; of two forms the first is for one.
-    """
-
-    language: str
-    texts: Mapping[str, str | list[str]]
+    language: str  # its code, ISO 639-1
+    texts: Mapping[str, str | list[str]]  # by key; of two forms the first is for one
 
     def __call__(self, key: str, /, **values: Any) -> str:
         """The text of a key, with values put in."""
@@ -136,11 +124,7 @@ class Words:
 
 @cache
 def words(language: str) -> Words:
-    """The words of a language.
-
-    Raises:
-        CalibrationError: there is no catalogue of it.
-    """
+    """The words of a language; a CalibrationError if there is no catalogue of it."""
     if language not in LANGUAGES:
         raise CalibrationError(f"there is no language {language!r}; there are {', '.join(LANGUAGES)}")
     content = yaml.load(_FILES[language].read_text(encoding="utf-8"), Loader=_LOADER)

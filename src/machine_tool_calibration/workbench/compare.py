@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that holds the model against its readings, and sets readings aside."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from html import escape

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that finds what the model lacks, and lays the pattern of an effect over the residuals."""
 
-from __future__ import annotations
-
 from functools import partial
 from html import escape
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that hands over: the report, tables, documents, and files for a controller with what they would leave."""
 
-from __future__ import annotations
-
 from functools import partial
 from html import escape
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is handed over of a model: the report, tables, and files for a controller."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,11 +35,7 @@ def reported(
     diagnosis: bool,
     progress: Progress,
 ) -> list[Path]:
-    """Write the report of a model.
-
-    Returns:
-        The files.
-    """
+    """Write the report of a model; the files."""
     measured = Measured(
         subject.without((), model.kept).sessions, subject.chosen(model), tuple(history) if len(history) > 1 else ()
     )
@@ -51,11 +45,7 @@ def reported(
 
 
 def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]:
-    """Write what a model found: errors with their U, every reading with its residual, and the document for programs.
-
-    Returns:
-        The files.
-    """
+    """Write what a model found: errors with their U, every reading with its residual, and the document for programs."""
     result, origin, held = model.fit.result, model.fit.result.provenance, model.comparison
     errors = write_table(tidy(result), folder / TABLES[0], origin)
     progress("readings", 0.5)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page where the model is made better: what was added, before and after, and the error falling."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page beside a running graph, live or replayed: readings as they come, its nodes, the map, its services."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence
@@ -17,6 +15,7 @@ from bokeh.models import ColumnDataSource, Span
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
+from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.quantities import expanded_text, micrometres, millimetres, quantity
@@ -28,7 +27,6 @@ from machine_tool_calibration.workbench.look import (
     choice,
     html_table,
     new_figure,
-    setup_color,
     tables,
     text,
     zero_line,
@@ -67,14 +65,11 @@ class Thinned:
 
     Which one of those beside each other varies: procedures repeat themselves, and every eighth reading could be that of
     one and the same target.
-
-    Attributes:
-        step: how many stand for one that is drawn.
     """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self.step = 1
+        self.step = 1  # how many stand for one that is drawn
 
     def grow(self, total: int) -> bool:
         """There are so many now; whether other ones are drawn than before."""
@@ -368,12 +363,7 @@ def _where(feed: Feed, states: Sequence[NodeState]) -> str:
 
 
 def node_table(states: Sequence[NodeState], now: float) -> str:
-    """How the nodes are, as HTML.
-
-    Args:
-        states: of the nodes.
-        now: s of the clock that `NodeState.at` is of.
-    """
+    """How the nodes are, as HTML; `now` is of the clock that `NodeState.at` is of."""
     rows = []
     for one in states:
         silent = one.silent(now)

@@ -22,8 +22,10 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.result import ErrorMap, Result
 from machine_tool_calibration.nodes.heard import Heard, Offer, Published
+from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.session.collect import Reading, live_session
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.workbench.models import Progress
 from machine_tool_calibration.workbench.process import Calculation
@@ -50,11 +52,7 @@ class LiveMap:
 
     @staticmethod
     def of_session(session: Session, variant: str | None, own: Sequence[PhysicalEffect]) -> LiveMap:
-        """Calculated from readings.
-
-        Raises:
-            CalibrationError: they do not allow it.
-        """
+        """Calculated from readings; a CalibrationError if they do not allow it."""
         result = complete.identify(FitRequest((session,), None, variant, (), tuple(own)))
         assert isinstance(result, Result)  # of a single session
         readings = result.fit.model.observations.readings
@@ -91,18 +89,6 @@ class Feed:
 
     The map that is shown is the newest: the one that the estimator published, or one that is calculated here whenever
     readings have come since, so that it is there without an estimator, as in a replay, and no node is kept busy.
-
-    Attributes:
-        heard: of the graph.
-        domain: ROS domain id; None for that of the environment.
-        namespace: of the graph; empty for none.
-        trouble: why nothing is heard; empty if nothing is wrong.
-        map: the newest map of the present session; None as long as there is none.
-        number: grows with every map.
-        fall: of every map of the present session, its readings, its determined coordinates, and the largest U (95 %)
-            of one of them, m.
-        calculating: since when a map is being calculated, and from how many readings; 0 if none is.
-        why_not: why there is no map of the newest readings; empty if there is.
     """
 
     def __init__(
@@ -113,14 +99,17 @@ class Feed:
         namespace: str = "",
     ) -> None:
         self._own, self._variant = own, variant
+        # the ROS domain's id, that of the environment if None; and the namespace of the graph
         self.domain, self.namespace = domain, namespace.strip("/")
-        self.heard = Heard()
-        self.trouble = ""
-        self.map: LiveMap | None = None
-        self.number = 0
+        self.heard = Heard()  # of the graph
+        self.trouble = ""  # why nothing is heard
+        self.map: LiveMap | None = None  # the newest map of the present session
+        self.number = 0  # grows with every map
+        # of every map of the present session, its readings, its determined coordinates, and the largest U (95 %) of one
+        # of them, m
         self.fall: list[tuple[int, int, float]] = []
-        self.why_not = ""
-        self.calculating = (0.0, 0)
+        self.why_not = ""  # there is no map of the newest readings, in words
+        self.calculating = (0.0, 0)  # since when a map is being calculated, and from how many readings; 0 if none is
         self._client: Client | None = None
         self._starting: threading.Thread | None = None
         self._working: threading.Thread | None = None
@@ -131,11 +120,7 @@ class Feed:
         self._kept: tuple[tuple[int, int], Path] | None = None
 
     def look(self, now: float) -> None:
-        """Somebody looks: listen, and begin to calculate the map anew where that is due.
-
-        Args:
-            now: s of a clock that never jumps.
-        """
+        """Somebody looks, `now` by a steady clock, s: listen, and calculate the map anew where that is due."""
         if self._starting is None:
             self._starting = threading.Thread(target=self._start, name="listener's start", daemon=True)
             self._starting.start()
@@ -171,8 +156,7 @@ class Feed:
     def keep(self) -> Path:
         """A file or folder with the readings so far: the graph's own recording if it is finished, else a new session.
 
-        Raises:
-            CalibrationError: they do not suffice, or cannot be written.
+        A CalibrationError if they do not suffice, or cannot be written.
         """
         count = self.heard.count
         if self._kept is not None and self._kept[0] == count and self._kept[1].exists():
@@ -184,8 +168,6 @@ class Feed:
 
     def _recording(self, session: Session) -> Path | None:
         """What the recorder has written, if it is finished and holds every reading that was heard."""
-        from machine_tool_calibration.recording.open import open_measurement
-
         recorder = self.heard.newest("recorder")
         path = Path(recorder.entries.get("bag", "")) if recorder else Path()
         if not path.is_absolute() or not path.exists():
@@ -256,7 +238,6 @@ def _session(description: str, readings: Sequence[Reading], *, check: bool = Tru
 
 def _written(session: Session) -> Path:
     from machine_tool_calibration.nodes.measurement import free_folder  # needs ROS 2, as what was heard does
-    from machine_tool_calibration.session.folder import write_session
 
     folder = free_folder("live", None)
     write_session(session, folder)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One look for all pages: figures, tables of text, colours that the colour-blind distinguish."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,32 +17,6 @@ from bokeh.plotting import figure
 
 from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.reports.tables import TextTable
-
-__all__ = [
-    "BUTTON",
-    "CSS",
-    "DIM",
-    "bar_button",
-    "beside",
-    "choice",
-    "controls",
-    "draw_stations",
-    "folded",
-    "html_table",
-    "in_order",
-    "legend_above",
-    "new_figure",
-    "packed",
-    "paragraphs",
-    "setup_color",
-    "stations_of",
-    "tables",
-    "tell_faults",
-    "text",
-    "typed_out",
-    "when_changed",
-    "zero_line",
-]
 
 CSS = """
 body { font-family: Helvetica, Arial, sans-serif; font-size: 13px; margin: 0; background: #fff; color: #111; }

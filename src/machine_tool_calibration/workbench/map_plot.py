@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map of position errors as a plot: magnified arrows with their expanded uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,9 +30,8 @@ def magnification(maps: Sequence[ErrorMap]) -> float:
 def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:
     """A map as columns of a plot: places `x y z`, ends of the magnified errors `x1 y1 z1`, `wx wy wz`: width of U, mm.
 
-    Returns:
-        Those, and errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is
-        drawn, NaN in what is said.
+    And errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is drawn, NaN
+    in what is said.
     """
     error, wide = np.nan_to_num(found.error), 2 * np.nan_to_num(found.uncertainty)
     out = {}
@@ -47,11 +44,7 @@ def map_arrows(found: ErrorMap, factor: float) -> dict[str, np.ndarray]:
 
 
 class MapPlot:
-    """Shows one map after the other.
-
-    Attributes:
-        plot: Bokeh's figure.
-    """
+    """Shows one map after the other."""
 
     def __init__(self, color: str) -> None:
         source = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})

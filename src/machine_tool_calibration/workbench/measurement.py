@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of what was measured: what is there, where stations and targets are, what is suspicious."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from html import escape
 
@@ -49,9 +47,7 @@ class MeasurementPage:
             plot.scatter(*view, source=source, size=4, color="color", alpha=0.7, **DIM)
             draw_stations(plot, self._stations, *view)
         self.view = pn.Column(
-            self._words,
-            beside(*self._plots.values(), self._setups, self._more),
-            sizing_mode="stretch_width",
+            self._words, beside(*self._plots.values(), self._setups, self._more), sizing_mode="stretch_width"
         )
 
     def refresh(self) -> None:

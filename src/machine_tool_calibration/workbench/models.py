@@ -4,8 +4,6 @@
 What is here goes from process to process, so that the page can calculate in another one and end it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -133,18 +131,9 @@ class Subject:
         kept: frozenset[int],
         found: Mapping[int, float] | None = None,
     ) -> Model:
-        """A model, fitted.
+        """A model, fitted: it has in `words` what the one before has not; a ModelError if the data does not allow it.
 
-        Args:
-            before: what it is made from.
-            words: what it has and that one has not.
-            chosen: it, whatever readings it was fitted to.
-            aside: numbers of the readings that are left out.
-            kept: numbers of those that are known to be sound.
-            found: see `Model.found`.
-
-        Raises:
-            ModelError: the data does not allow it.
+        Whatever readings `chosen` was fitted to, the numbers of those `aside` are left out, and those `kept` are sound.
         """
         measurement = self.without(aside, kept)
         chosen = replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True)
@@ -154,12 +143,10 @@ class Subject:
         return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept, found=found or {})
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str], found: Mapping[int, float]) -> list[Model]:
-        """Models of a history, each made from the one before.
+        """Models of a history, each made from the one before; `prints` are fingerprints of the sessions.
 
-        Args:
-            entries: them.
-            prints: fingerprints of the sessions.
-            found: beside the first model. What one with effects has not set aside belongs to the rest beside these.
+        `found` (see `Model.found`) is that beside the first model. What one with effects has not set aside belongs to
+        the rest beside these.
         """
         models: list[Model] = []
         for entry in entries:
@@ -175,13 +162,7 @@ class Subject:
         return models
 
     def entries(self, models: Sequence[Model], prints: Sequence[str], made: str) -> list[Entry]:
-        """Models as entries of a history.
-
-        Args:
-            models: each made from the one before.
-            prints: fingerprints of the sessions.
-            made: date and time, ISO 8601.
-        """
+        """Models, each made from the one before, as entries of a history that were `made` at a time, ISO 8601."""
         data = fingerprint(*self.measurement.sessions)
         return [
             entry_of(one.step, data, prints, made, "workbench", number=one.number or k)
@@ -252,11 +233,7 @@ def diagnosed(subject: Subject, model: Model, progress: Progress) -> Diagnosis:
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
-    """Set aside and add what a diagnosis names, one by one, as `mtcal improve` does.
-
-    Returns:
-        The models, each made from the one before.
-    """
+    """Set aside and add what a diagnosis names, as `mtcal improve` does: models, each made from the one before."""
     away = subject.deviations(found.set_aside)
     aside = model.by_user | away.keys()
     models = [model]
@@ -280,16 +257,9 @@ def planned(
     angular: float,
     progress: Progress,
 ) -> tuple[Outlook | None, Outlook, str]:
-    """What a procedure would tell by itself, and that in the words of `mtcal plan`.
+    """What a procedure would tell by itself, and that in the words of `mtcal plan`; first what a model tells now.
 
-    Args:
-        subject: for the user's own effects.
-        model: of which to say what is known now as well; None if that is known.
-        procedure: what would be measured.
-        variant: of its method's model.
-        warming: of the air, K per hour.
-        angular: errors of the machine that are assumed, rad.
-        progress: told what is being done.
+    While the air warms by so many K per hour, with angular errors of the machine of so many rad.
     """
     found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
     now = None if model is None else current(subject.measurement.sessions[0], model.fit.result.error_map)

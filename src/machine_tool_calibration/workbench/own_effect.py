@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A form for an effect of the user's own by its formula, checked as it is typed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from html import escape
@@ -28,11 +26,7 @@ def addable(state: State) -> list[str]:
 
 
 def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
-    """Unknowns from a line such as `b m -2e-5 2e-5, q 1/K -1 1`: name, unit (SI), smallest and largest value.
-
-    Raises:
-        ModelError: a part that is not so made.
-    """
+    """Unknowns from a line such as `b m -2e-5 2e-5, q 1/K -1 1`: name, unit (SI), smallest and largest value."""
     out: dict[str, dict[str, Any]] = {}
     for part in (part.split() for part in line.split(",") if part.strip()):
         try:
@@ -46,11 +40,7 @@ def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
 
 
 class OwnEffect:
-    """The form.
-
-    Attributes:
-        view: what is shown.
-    """
+    """The form."""
 
     def __init__(self, state: State, known: Callable[[str], None]) -> None:
         self._state, self._known = state, known
@@ -70,11 +60,7 @@ class OwnEffect:
         self.view = folded("An effect of your own by its formula", fields, self._said)
 
     def effect(self) -> FormulaEffect:
-        """What the form says.
-
-        Raises:
-            ModelError: it cannot be, or not with this measurement; one line that says why.
-        """
+        """What the form says; a ModelError says why it cannot be, or not with this measurement."""
         name, formula, linear, shape = self._typed.values()
         made = formula_effect(
             {

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One window: what is open, what runs, and the pages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
@@ -48,21 +46,10 @@ def window(
     feed: Feed,
     live: bool = False,
 ) -> Any:
-    """A new window with its own state.
+    """A new window with its own state, as Panel serves it; arguments as of `serve`.
 
     The place of every block of every page is a root of the document: whatever changes in a block, a browser lays out
     the whole root that it is in, figures of hidden pages too, which took seconds.
-
-    Args:
-        targets: a session, a recording, or a folder of such; or several sessions and recordings of one
-            machine; none for a window that only listens at first.
-        own: effects of the user's own.
-        variant: of the method's model; its default if absent.
-        feed: what is heard of a running graph.
-        live: begin with the page that shows it.
-
-    Returns:
-        What Panel serves.
     """
     page = pn.Template(_TEMPLATE)
     for number, root in enumerate(_Window(targets, own, variant, feed, live).roots):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that says what the next measurement would tell, how long it takes, and what it looks like."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -12,6 +10,7 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.dominant import ANGULAR
 from machine_tool_calibration.planning.outlook import Outlook
+from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.plots.style import round_down, spaced
 from machine_tool_calibration.reports.planning import outlook_table
 from machine_tool_calibration.reports.quantities import duration
@@ -27,7 +26,6 @@ from machine_tool_calibration.workbench.look import (
     folded,
     legend_above,
     new_figure,
-    setup_color,
     stations_of,
     tables,
     text,

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A form for a measuring procedure: one that the package brings or a file, with other stations, runs and targets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +27,9 @@ def changed_procedure(
     dwell: float | None = None,
     counts: Mapping[str, int] | None = None,
 ) -> str:
-    """A procedure's text with some of its choices made otherwise.
+    """The text of a procedure's content with other setups (ids; all if absent), repeats, and time at each target, s.
 
-    Args:
-        content: of its file.
-        setups: ids of those that are measured; all if absent.
-        repeats: runs of each setup.
-        dwell: time at each target, s.
-        counts: of the targets along each axis of its grid; `blocks` of a step diagonal.
+    And with so many targets along each axis of its grid (`counts`); `blocks` of a step diagonal.
     """
     session = dict(content["session"])
     if setups is not None:
@@ -63,17 +57,12 @@ def _counts(content: Mapping[str, Any]) -> dict[str, int]:
 
 
 class ProcedureForm:
-    """The form.
-
-    Attributes:
-        view: what is shown.
-        text: of the procedure as the form says; empty where it is none.
-    """
+    """The form."""
 
     def __init__(self, ready: Callable[[bool], None]) -> None:
         self._ready = ready
         self._content: dict[str, Any] = {}
-        self.text = ""
+        self.text = ""  # of the procedure as the form says; empty where it is none
         self._name = pn.widgets.Select(name="Procedure", options=["", *procedure_names()], width=190)
         self._file = pn.widgets.TextInput(name="or its file", placeholder="my_procedure.yaml", width=190)
         self._setups = pn.widgets.CheckBoxGroup(name="Setups", inline=True)
@@ -101,11 +90,7 @@ class ProcedureForm:
         return str(self._content.get("name", "measurement"))
 
     def procedure(self) -> Procedure:
-        """What the form says.
-
-        Raises:
-            SessionError: it is no procedure; one line that says why.
-        """
+        """What the form says; a SessionError says in one line why it is no procedure."""
         return parse_procedure(self.text, self.name)
 
     def _read(self, name: str) -> None:
@@ -151,7 +136,6 @@ class ProcedureForm:
         self._ready(True)
 
     def _fail(self, error: Exception) -> None:
-        from html import escape
 
         self.text = ""
         self._said.object = f'<p class="error" role="alert">{escape(str(error))}</p>'

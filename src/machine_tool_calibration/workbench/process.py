@@ -48,10 +48,8 @@ class Calculation:
     def outcome(self, progress: Callable[[str, float], object]) -> Any:
         """Do it, and wait for it.
 
-        Raises:
-            CalibrationError: what the calculation raised, or it was ended.
-            OSError: likewise.
-            FaultError: it failed otherwise.
+        A CalibrationError or OSError that the calculation raised, or that it was ended; a FaultError if it failed
+        otherwise.
         """
         process = _Process.free()
         with self._lock:

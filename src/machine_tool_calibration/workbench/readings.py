@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The readings of one window for all plots, so that a selection in one lights up in every other."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,8 +13,9 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
+from machine_tool_calibration.plots.residuals import color as setup_color
 from machine_tool_calibration.plots.style import round_down
-from machine_tool_calibration.workbench.look import packed, setup_color
+from machine_tool_calibration.workbench.look import packed
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
 
@@ -41,28 +40,21 @@ class Readings:
 
     Each page draws from a source of its own, which holds what that page needs: a browser works on every plot whose
     source changes, a hidden one too.
-
-    Attributes:
-        data: the columns.
-        labels: of each covariate by its column.
-        ranked: the columns of covariates, those first that the first model's residuals follow.
-        magnification: of the residuals that are drawn as arrows; 0 where they cannot be, as at a single place.
-        planes: in which the readings extend, or are sensed.
-        arrows: what they show, in words.
     """
 
     def __init__(self, state: State) -> None:
-        self.data: dict[str, Any] = {}
-        self.labels: dict[str, str] = {}
-        self.ranked: list[str] = []
+        self.data: dict[str, Any] = {}  # the columns
+        self.labels: dict[str, str] = {}  # of each covariate by its column
+        self.ranked: list[str] = []  # the columns of covariates, those first that the first model's residuals follow
+        # of the residuals that are drawn as arrows; 0 where they cannot be, as at a single place
         self.magnification = 0.0
         self._state = state
         self._measurement: object = None
         self._number = np.zeros(0, dtype=np.int64)
         self._place = np.zeros((0, 3))
         self._arrow: dict[str, Array] = {}
-        self.planes: list[str] = ["xy"]
-        self.arrows = "Residuals"
+        self.planes: list[str] = ["xy"]  # in which the readings extend, or are sensed
+        self.arrows = "Residuals"  # what they show, in words
         self._sources: dict[str, ColumnDataSource] = {}
         self._page = ""
         self._chosen: list[int] = []
@@ -111,8 +103,7 @@ class Readings:
     def show_pattern(self, trial: Model | None) -> Array:
         """Lay what a model with one effect more would take out over the residuals; nothing if there is none.
 
-        Returns:
-            (n,) that, µm, NaN where a reading is not in the model.
+        (n,) that, µm, NaN where a reading is not in the model.
         """
         if trial is None:
             pattern = np.full(len(self._number), np.nan)
@@ -140,11 +131,7 @@ class Readings:
             self._sources[self._page].selected.indices = self._chosen
 
     def select_rows(self, words: str) -> None:
-        """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`.
-
-        Raises:
-            CalibrationError: no reading is in one of these.
-        """
+        """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`."""
         rows = [name.rpartition(":") for name in self.data.get("row", ())]
         chosen: set[int] = set()
         for part in map(str.strip, words.split(",")):
@@ -228,11 +215,7 @@ class Readings:
         }
 
     def show_side_by_side(self, before: Model, after: Model) -> float:
-        """Arrows of the residuals of two models to one scale, in columns `before:xy:u`, `after:xy:u` and so on.
-
-        Returns:
-            The magnification.
-        """
+        """Arrows of the residuals of two models, in columns `before:xy:u`, `after:xy:u` …; their magnification."""
         both = {"before": self._residual(before), "after": self._residual(after)}
         factor = self._magnification(*both.values())
         for name, residual in both.items():

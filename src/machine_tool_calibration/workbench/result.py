@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page that shows what was found: the errors with their uncertainty, as numbers and drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import panel as pn
 

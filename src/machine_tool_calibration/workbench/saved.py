@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that a page writes: where they are, and links by which the browser downloads them."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -34,25 +32,16 @@ PATTERNS = [(r"/saved/([\w-]+)/[^/]+", _Download)]
 
 
 class Saved:
-    """The folder into which a page writes, and what it has written.
-
-    Attributes:
-        folder: a field for it.
-        list: the files with their links.
-    """
+    """The folder into which a page writes, and what it has written."""
 
     def __init__(self, name: str, width: int = 480) -> None:
         self.folder = pn.widgets.TextInput(name=name, width=width)
-        self.list = text()
+        self.list = text()  # the files with their links
         self._mine: set[Path] = set()
 
     @property
     def place(self) -> Path:
-        """The folder.
-
-        Raises:
-            CalibrationError: none is given.
-        """
+        """The folder; a CalibrationError if none is given."""
         if not self.folder.value.strip():
             raise CalibrationError("give the folder into which it is to be saved")
         return Path(self.folder.value.strip()).expanduser()
@@ -60,8 +49,7 @@ class Saved:
     def claim(self, paths: Sequence[Path]) -> None:
         """Take files for this window, which may overwrite them from now on, also where their writing was stopped.
 
-        Raises:
-            CalibrationError: a file is there that is not from here.
+        A CalibrationError if one is there that is not from here.
         """
         for path in paths:
             if path.exists() and path not in self._mine:
@@ -80,12 +68,7 @@ class Saved:
         self.list.object = f"<p>Saved:</p><ul style='margin:0'>{''.join(links)}</ul>"
 
     def write(self, folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
-        """Write files and offer them.
-
-        Raises:
-            CalibrationError: a file is there that was not written from here.
-            OSError: it cannot be written.
-        """
+        """Write files and offer them; a CalibrationError if one is there that was not written from here."""
         paths = [folder / name for name in files]
         self.claim(paths)
         folder.mkdir(parents=True, exist_ok=True)

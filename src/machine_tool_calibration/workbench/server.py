@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The server of the pages: this machine only, and only for who knows the token in its address."""
 
-from __future__ import annotations
-
 import logging
 import secrets
 from collections.abc import Callable, Sequence
@@ -65,24 +63,14 @@ def serve(
     port: int = 0,
     ready: Callable[[str], None],
 ) -> None:
-    """Serve until the process is interrupted.
+    """Serve until the process is interrupted; an OSError if the port is taken.
 
     The token is the first part of every path that is answered, pages, scripts and websocket alike: whoever does not
-    know it is told that there is nothing. The scripts come from the installed packages.
-
-    Args:
-        targets: a session, a recording, or a folder of such; or several sessions and recordings of one
-            machine; none where only a running graph is shown.
-        own: effects of the user's own.
-        variant: of the method's model; its default if absent.
-        live: begin with the page Live.
-        domain: ROS domain id of the graph that the page Live listens to; None for that of the environment.
-        namespace: of that graph.
-        port: to listen on; one that is free for 0.
-        ready: told the address, with the token, for a browser.
-
-    Raises:
-        OSError: the port is taken.
+    know it is told that there is nothing. The scripts come from the installed packages. Targets are a session, a
+    recording, or a folder of such, or several sessions and recordings of one machine, with effects of the user's own
+    and a variant of the method's model; none where only a running graph is shown, of a ROS domain (that of the
+    environment if None) and namespace, on the page Live that `live` begins with. `ready` is told the address, with the
+    token, for a browser; the port is one that is free for 0.
     """
     quieten()
     pn.extension(raw_css=[CSS], notifications=False)

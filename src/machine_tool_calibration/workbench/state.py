@@ -15,6 +15,7 @@ from machine_tool_calibration.diagnosis.improve import words_set_aside
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
+from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.reports.history_file import history_path, update_history
 from machine_tool_calibration.reports.quantities import rounded
 from machine_tool_calibration.session.session import Session
@@ -23,7 +24,6 @@ from machine_tool_calibration.workbench.models import Model, Opened, Progress, S
 
 def measurements_in(folder: Path) -> list[Path]:
     """Sessions and recordings that lie in a folder, itself first if it is one."""
-    from machine_tool_calibration.recording.open import is_session_folder
     from machine_tool_calibration.recording.reader import is_bag
 
     def holds(path: Path) -> bool:
@@ -57,24 +57,15 @@ class Job:
 
 
 class State:
-    """One window's work. Everything that changes it tells those who watch it.
-
-    Attributes:
-        paths: of the measurement; several are of one machine. Empty before one is open.
-        subject: the measurement with all its readings.
-        models: on the way from the first one to the one in use.
-        furthest: the last of them before any was undone.
-        diagnosis: of the model in use, with what follows from it; None before it was made.
-        remark: what the page should say.
-    """
+    """One window's work. Everything that changes it tells those who watch it."""
 
     def __init__(self, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> None:
-        self.paths: tuple[Path, ...] = ()
-        self.models: list[Model] = []
-        self.furthest: Model | None = None
+        self.paths: tuple[Path, ...] = ()  # of the measurement; several are of one machine
+        self.models: list[Model] = []  # on the way from the first one to the one in use
+        self.furthest: Model | None = None  # the last of them before any was undone
         self.variant = variant
-        self.diagnosis: Diagnosis | None = None
-        self.remark = ""
+        self.diagnosis: Diagnosis | None = None  # of the model in use, with what follows from it
+        self.remark = ""  # what the page should say
         self.history = History()
         self._kept = True
         self._given = tuple(own)
@@ -88,11 +79,7 @@ class State:
 
     @property
     def subject(self) -> Subject:
-        """The measurement with all its readings, and the user's own effects.
-
-        Raises:
-            CalibrationError: none is open.
-        """
+        """The measurement with all its readings, and the user's own effects; a CalibrationError if none is open."""
         if self._subject is None:
             raise CalibrationError("no measurement is open")
         return self._subject
@@ -104,11 +91,7 @@ class State:
 
     @property
     def model(self) -> Model:
-        """The one in use.
-
-        Raises:
-            CalibrationError: none is open.
-        """
+        """The one in use; a CalibrationError if none is open."""
         if not self.models:
             raise CalibrationError("no measurement is open")
         return self.models[-1]
@@ -175,14 +158,10 @@ class State:
         aside: Iterable[int] | None = None,
         variant: str | None = None,
     ) -> Job:
-        """Fit the model in use with a change.
+        """Fit the model in use with a change: effects added and taken by their ids, another variant, other readings.
 
-        Args:
-            add: ids of effects.
-            take: ids of effects that it has.
-            variant: of the method's model; that of the model in use if absent.
-            aside: numbers of all readings that are to be set aside; those of the model in use if absent. What a search
-                had set aside and is put back is kept: no search sets it aside again.
+        `aside` are numbers of all readings that are to be set aside; variant and these are those of the model in use if
+        absent. What a search had set aside and is put back is kept: no search sets it aside again.
         """
         now = self.model
         rows = now.aside if aside is None else frozenset(aside)
@@ -232,11 +211,7 @@ class State:
         return Job(partial(_quiet, self.subject.on_the_way, way, self._prints, self.models[0].found), use)
 
     def improved(self) -> Job:
-        """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does.
-
-        Raises:
-            CalibrationError: there is no diagnosis yet.
-        """
+        """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does."""
         if self.diagnosis is None:
             raise CalibrationError("there is no diagnosis of this model yet: make one first")
         work = partial(improved, self.subject, self.model, self.diagnosis)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work beside the page: in a process of its own, with its progress, a button that ends it, and its errors said."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable
@@ -58,11 +56,7 @@ class Work:
         self._words.object = f'<span class="error" role="alert">{escape(" ".join(said.split()))}</span>'
 
     def alone(self, act: Callable[[], object]) -> bool:
-        """Do something at once, unless something runs, whose outcome is for the page as it is.
-
-        Returns:
-            Whether it was done.
-        """
+        """Do something at once, unless something runs, whose outcome is for the page as it is; whether it was done."""
         if self._job is not None:
             self.say("One thing at a time: wait for what is running, or stop it.")
             return False
@@ -70,12 +64,9 @@ class Work:
         return True
 
     def run(self, what: str, job: Job, otherwise: Callable[[], object] = lambda: None) -> None:
-        """Do something beside the page.
+        """Do something beside the page, `what` in words: a calculation in a process of its own, then what takes it.
 
-        Args:
-            what: is being done, in words.
-            job: the calculation, done in a process of its own, and what takes the outcome, on the page again.
-            otherwise: is done where that was not begun, was stopped, or failed: a field tells again what is there.
+        `otherwise` is done where that was not begun, was stopped, or failed: a field tells again what is there.
         """
         if not self.alone(partial(self._begin, what, job, otherwise)):
             otherwise()

@@ -35,11 +35,7 @@ def _judged(direct: SimpleNamespace, kind: str, runs: int, **plan: Any) -> tuple
 
 @pytest.mark.parametrize(
     ("kind", "plan"),
-    [
-        ("iso230_2", {"repeats": 3}),
-        ("iso230_2", {"repeats": 3, "datum": "offset"}),
-        ("straightness", {"repeats": 3}),
-    ],
+    [("iso230_2", {"repeats": 3}), ("iso230_2", {"repeats": 3, "datum": "offset"}), ("straightness", {"repeats": 3})],
 )
 def test_lines_over_many_runs(direct: SimpleNamespace, kind: str, plan: dict[str, Any], many: Any) -> None:
     normalised, ratio, chi = _judged(direct, kind, many.count, **plan)

@@ -83,13 +83,7 @@ def test_no_terms_and_missing_readings(direct: SimpleNamespace) -> None:
 
 
 @pytest.mark.parametrize(
-    ("terms", "message"),
-    [
-        (["EXQ"], "EXQ"),
-        (["EXX", "EXX"], "twice"),
-        (["ECC"], "no linear axis C"),
-        (["Q0Z"], "Q0Z"),
-    ],
+    ("terms", "message"), [(["EXQ"], "EXQ"), (["EXX", "EXX"], "twice"), (["ECC"], "no linear axis C"), (["Q0Z"], "Q0Z")]
 )
 def test_terms_that_the_machine_does_not_have(direct: SimpleNamespace, terms: list[str], message: str) -> None:
     with pytest.raises(ModelError, match=message):

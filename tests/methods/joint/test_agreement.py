@@ -12,12 +12,7 @@ from scipy import stats
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.methods.joint.agreement import (
-    Contradiction,
-    _log_tail,
-    _Scores,
-    _sentence,
-)
+from machine_tool_calibration.methods.joint.agreement import Contradiction, _log_tail, _Scores, _sentence
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec

@@ -91,11 +91,7 @@ def test_the_machines_unknowns_are_one_column_and_others_one_for_each_session(jo
     assert screened.names == ("tracker/own.0", "common.0", "common.1", "run/own.0")
     none = [np.zeros((1, b.shape[1])) for b in blocks]
     columns = np.vstack(
-        [
-            np.column_stack([one[:1], none[1]]),
-            np.column_stack([one, two]),
-            np.column_stack([none[0], two[1:]]),
-        ]
+        [np.column_stack([one[:1], none[1]]), np.column_stack([one, two]), np.column_stack([none[0], two[1:]])]
     )
     expected = dense(joint, columns)
     assert expected[-1, -1] == pytest.approx(joint.solution.chi_square, rel=1e-6)

@@ -35,14 +35,7 @@ def test_normalised_errors_over_many_runs(rotary: SimpleNamespace, many: Any) ->
     assert (ratio < 1.0 + many.off(0.1)).all()
 
 
-@pytest.mark.parametrize(
-    "plan",
-    [
-        {"repeats": 3},
-        {"both_ways": True, "sign": -1},
-        {"missing": 0.05},
-    ],
-)
+@pytest.mark.parametrize("plan", [{"repeats": 3}, {"both_ways": True, "sign": -1}, {"missing": 0.05}])
 def test_variants_over_some_runs(rotary: SimpleNamespace, plan: dict[str, object], many: Any) -> None:
     some = many.part(0.4)
     errors, stated, chi = _judged(rotary, some.count, **plan)

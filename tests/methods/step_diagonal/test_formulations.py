@@ -3,12 +3,7 @@
 
 import numpy as np
 import pytest
-from papers.formulations import (
-    conventional,
-    identify_by_formulation,
-    increments,
-    new,
-)
+from papers.formulations import conventional, identify_by_formulation, increments, new
 
 from machine_tool_calibration.errors import ModelError
 

@@ -68,12 +68,7 @@ def test_translations_reach_the_bound_with_right_uncertainties(reproducible, fit
 CASES = {
     "none": (0.0, {"repeats": 2}, 0.8, 0.06),
     "2 urad, three orders": (2e-6, {"orders": ("xyz", "yzx", "zxy")}, 1.0, 0.1),
-    "5 urad away from zero": (
-        5e-6,
-        {"step": (0.05, 0.03, 0.02), "blocks": 10, "corner": (-0.2, 0.1, -0.15)},
-        1.0,
-        0.2,
-    ),
+    "5 urad away from zero": (5e-6, {"step": (0.05, 0.03, 0.02), "blocks": 10, "corner": (-0.2, 0.1, -0.15)}, 1.0, 0.2),
     "10 urad, 600 mm": (1e-5, {"step": (0.05, 0.05, 0.05), "repeats": 2}, 1.0, 0.1),
 }
 

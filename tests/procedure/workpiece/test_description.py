@@ -144,10 +144,7 @@ def test_dxf_ellipse_and_unit(read, drawing):
         ("- {kind: pin, centre: [0, 0], diameter: 12, count: 4, hue: 1}\n", r"line 4: unknown key 'features\[0\].hue'"),
         ("- {kind: gear}\n", r"features\[0\]: input tag 'gear'"),
         ("- {kind: pin, centre: [1e308, 0], diameter: 12, count: 4}\n", r"features\[0\].centre\[0\] must be at most"),
-        (
-            "- {kind: pin, centre: [0, 0], diameter: 5e-324, count: 4}\n",
-            r"features\[0\].diameter must be at least",
-        ),
+        ("- {kind: pin, centre: [0, 0], diameter: 5e-324, count: 4}\n", r"features\[0\].diameter must be at least"),
         (
             "- {kind: line, start: [0, 0], end: [1e6, 0], material: left, spacing: 1e-6}\n",
             "an outline of more than 100000 points: is the spacing of 1e-09 m right",

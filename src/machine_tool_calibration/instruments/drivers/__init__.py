@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drivers of real displacement instruments: what takes the simulated instrument's place."""
 
-from __future__ import annotations
-
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -21,13 +19,10 @@ LARGEST_FILE = 1 << 20
 
 
 def load_driver(file: Path) -> Driver:
-    """The driver that a YAML file describes, not yet opened.
+    """The driver that a YAML file describes, not yet opened; a CalibrationError says what is wrong in it and where.
 
-    The key `driver` names it: `ascii_line`, or a plugin of the entry-point group `machine_tool_calibration.drivers`,
-    a callable that takes the file's content as a mapping and returns a `Driver`.
-
-    Raises:
-        CalibrationError: the file cannot be read, or something in it is wrong; the message says what and where.
+    The key `driver` names it: `ascii_line`, or a plugin of the entry-point group `machine_tool_calibration.drivers`, a
+    callable that takes the file's content as a mapping and returns a `Driver`.
     """
     source = str(file)
     document = load_yaml(read_text(file, LARGEST_FILE), source)

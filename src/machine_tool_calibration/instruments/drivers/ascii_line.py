@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Driver of an instrument that sends its readings as lines of ASCII text, over TCP or a serial port."""
 
-from __future__ import annotations
-
 import math
 import re
 import threading
@@ -16,13 +14,11 @@ from machine_tool_calibration.instruments.drivers.transport import Transport, co
 
 
 class LineSplitter:
-    """Cuts a stream of bytes into lines.
+    """Cuts a stream of bytes into lines at a terminator.
 
-    Args:
-        terminator: what ends a line.
-        max_length: a longer line is dropped up to its end and handed out cut, so that it can be counted.
-        skip_first: the first line is dropped: a stream is joined in the middle of a line, and the end of a number is
-            a number too.
+    A line that is longer than `max_length` is dropped up to its end and handed out cut, so that it can be counted. With
+    `skip_first` the first line is dropped: a stream is joined in the middle of a line, and the end of a number is a
+    number too.
     """
 
     def __init__(self, terminator: bytes, max_length: int, *, skip_first: bool) -> None:
@@ -88,13 +84,7 @@ SHOWN = 60
 class AsciiLineDriver:
     """Reads lines, asks for them where the instrument does not stream, and makes a lost link again.
 
-    Args:
-        settings: the instrument's protocol.
-        clock: gives the time of a sample, s.
-        connect: opens the link; `transport.connect` unless a test gives another.
-
-    Attributes:
-        hardware_id: of the instrument.
+    `clock` gives the time of a sample, s.
     """
 
     def __init__(

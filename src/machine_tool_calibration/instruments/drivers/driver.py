@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a driver of a displacement instrument is, for the node that publishes its readings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -47,11 +45,7 @@ class Driver(Protocol):
     """
 
     def open(self) -> None:
-        """Connect.
-
-        Raises:
-            InstrumentError: the instrument cannot be reached. It may be tried again.
-        """
+        """Connect; an InstrumentError if the instrument cannot be reached, which may be tried again."""
 
     def read(self, timeout: float) -> list[Sample]:
         """Every sample that has arrived; waits for the first one at most `timeout` seconds, else returns none."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bytes to and from an instrument: a TCP connection or a serial port."""
 
-from __future__ import annotations
-
 import os
 import select
 import socket
@@ -36,14 +34,9 @@ class Transport(Protocol):
 
 
 def connect(connection: Connection, timeout: float) -> Transport:
-    """Open the link.
+    """Open the link; an InstrumentError if that cannot be done.
 
-    Args:
-        connection: where the instrument is.
-        timeout: for the connection to be made and for each piece of data to be sent, s.
-
-    Raises:
-        InstrumentError: it cannot be opened.
+    `timeout` is for the connection to be made and for each piece of data to be sent, s.
     """
     if connection.tcp is not None:
         return TcpTransport(connection.tcp, timeout)

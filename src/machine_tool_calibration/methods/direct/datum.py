@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an instrument that reads deviations leaves open, and only as much datum as the readings need."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

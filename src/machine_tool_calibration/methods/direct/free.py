@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Position errors of every place by itself: what is read of a machine of whose axes nothing is taken for granted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,11 +45,7 @@ class PointErrors(MachineTable):
 
 
 def point_errors(chain: Chain, position: Array, sensed: BoolArray) -> tuple[PointErrors, ...]:
-    """The errors of the places of readings (n, 3) along those axes that are `sensed` (3,).
-
-    Raises:
-        ModelError: the places are too many.
-    """
+    """The errors of the places of readings (n, 3) along those axes that are `sensed` (3,); ModelError if too many."""
     places = position[distinct_places(position)[0]]
     axes = [axis for axis, seen in zip("xyz", sensed, strict=True) if seen]
     if len(places) * len(axes) > _MOST:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session of direct deviations that cannot be what it says."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 

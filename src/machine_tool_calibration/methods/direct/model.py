@@ -9,8 +9,6 @@ residuals.
 What a fit says of it are position errors, tables, and the figures of ISO 230-2 runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deviations that are read directly."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

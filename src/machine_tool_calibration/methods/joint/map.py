@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One error map of several sessions, and what its straight lines between nodes may be wrong by."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

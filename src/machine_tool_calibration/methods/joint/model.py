@@ -8,8 +8,6 @@ that it had left out because it could not tell them from others. The angular err
 random functions are such motions too (`small_angles`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

@@ -8,8 +8,6 @@ smooth random function of its axis's position that is zero next to the axis's ze
 possible for these is drawn from the readings of all sessions, and what is published is the mean over it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Datum of the probing self-calibration: the paper's eleven conditions, Eqs. (16)(17), where the touches fix them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

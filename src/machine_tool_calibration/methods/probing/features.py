@@ -14,8 +14,6 @@ changes by per unit of each input; every draw then is a product with it. The nor
 each point's readings, apart from the solver's elimination, so that the draws also check the closed form.
 """
 
-from __future__ import annotations
-
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ linear function of its points' errors e along their outward normals n: for a cir
 from the middle of its points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

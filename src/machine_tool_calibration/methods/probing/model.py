@@ -14,8 +14,6 @@ EXC, EYC, ECC: displacement and turn of the table at this index. ECC as in Eq. (
 A fit says of it the workpiece and its form, the linear axes on their grid, and C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

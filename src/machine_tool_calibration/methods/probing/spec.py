@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The probing of a part on a rotary table: its traits, and touches against the part as it is described."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Any, ClassVar
@@ -52,7 +50,7 @@ class ProbingSpec(MethodSpec):
     remounted = ""
     model = "machine_tool_calibration.methods.probing.model"
     models: ClassVar = {
-        "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
+        "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors"
     }
     turned_part = ("the probe", ("probe_pretravel",))
     reads_deviations = probes_surface = True

@@ -7,8 +7,6 @@ Directions that the readings fix better are not touched, so over a large turn th
 all, and a stated uncertainty that is far too small does no harm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

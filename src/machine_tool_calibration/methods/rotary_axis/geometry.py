@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rotary table with targets, seen from stations: what was read where (Zhang et al. 2015, Eq. (7))."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ the error motions, so a nominal place that is wrong by more than stated does no 
 A fit says of it error motions, errors of the targets, and where the axis average line stands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rotary axis by multilateration: its traits, and readings against stations and targets as they are stated."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import ClassVar

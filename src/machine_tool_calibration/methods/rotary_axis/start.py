@@ -4,8 +4,6 @@
 Sessions that contradict their own geometry there are refused, with the common mistake that explains it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -84,7 +82,7 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
 
 def _from_tilted(table: TableReadings, stations: Array, targets: Array, start: Start) -> Start:
     turned = [_turned(stations, table.axis, tilt) for tilt in _tilts()]
-    rough = [_misfit(table, places, targets) for places in turned]
+    rough = [float(np.median(np.abs(_off(table, places, targets)))) for places in turned]
     posed = [_posed(table, turned[k], targets) for k in np.argsort(rough)[:_TRIES]]
     # The nearest to where the rotation is as stated is the one that fits; a mirror image may fit as well.
     tries = [_fitted(table, places, targets) for places in posed]
@@ -118,10 +116,6 @@ def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
     vector = np.zeros(3)
     vector[(along + 1) % 3], vector[(along + 2) % 3] = tilt
     return np.asarray(Rotation.from_rotvec(-vector).apply(stations))
-
-
-def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
-    return float(np.median(np.abs(_off(table, stations, targets))))
 
 
 def _fitted(

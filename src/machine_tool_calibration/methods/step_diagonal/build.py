@@ -22,8 +22,6 @@ has it. The mean of a slope is determined only if the mirror stayed as it was: a
 same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

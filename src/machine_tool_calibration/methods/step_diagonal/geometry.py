@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs of a step diagonal: beam, order of the single-axis moves, block positions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ not determine that one, at the last one with which most of the map is determined
 laser that is aligned on the machine's own motion; squareness and straightness do not depend on it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial

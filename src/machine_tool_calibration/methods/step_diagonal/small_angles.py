@@ -36,8 +36,6 @@ A fit needs one size: it takes the mean covariance of the random functions over 
 search for missing effects are based on it; what is published is the mean over all (`SmallAngles`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step diagonal: its traits, and readings against the runs as they are stated."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Iterator
 from typing import ClassVar

@@ -6,8 +6,6 @@ and its dead path (Ibaraki et al. 2014, Eqs. (2)-(4)). Directions are calculated
 little more than the readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -21,11 +19,7 @@ MAP_DATUM = say("datum.map")
 
 
 class NetworkMotion:
-    """Common motions of targets and stations: shifts along and turns about the axes, about the targets' centre.
-
-    Attributes:
-        count: t, 3 in the plane and 6 in space.
-    """
+    """Common motions of targets and stations: shifts along and turns about the axes, about the targets' centre."""
 
     def __init__(self, targets: Array) -> None:
         """Take centre and size from the targets (n, d)."""
@@ -33,7 +27,7 @@ class NetworkMotion:
         self._size = float(np.abs(targets - self._centre).max()) or 1.0
         self._d = targets.shape[1]
         self._turns = [(0, 1)] if self._d == 2 else [(1, 2), (2, 0), (0, 1)]
-        self.count = self._d + len(self._turns)
+        self.count = self._d + len(self._turns)  # 3 in the plane and 6 in space
 
     def at(self, position: Array) -> Array:
         """(d, t, n) displacement of places (d, n) by a unit of each motion; a turn moves the farthest target by 1."""

@@ -6,8 +6,6 @@ error motions and squareness; what these cannot explain stays in the residuals. 
 error in the datum in which they have no common motion, and the stations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracking interferometer: its traits, and readings against the stations as they are stated."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import ClassVar
 

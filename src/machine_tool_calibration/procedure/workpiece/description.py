@@ -92,27 +92,18 @@ class Circle(Record):
 
 
 class _Drawn(Record):
-    name: str = "work"
-    closed: bool = True
-    material: Material
-    spacing: Length
-    clearance: NotNegative = 0.0
+    name: str = "work"  # of the feature
+    closed: bool = True  # whether the last corner is joined to the first
+    material: Material  # `inside` for a block, `outside` for a pocket; `left` or `right` for an open one
+    spacing: Length  # distance of points
+    clearance: NotNegative = 0.0  # what the stylus keeps from other walls
 
 
 class Outline(_Drawn):
-    """A polygon.
-
-    Attributes:
-        name: of the feature.
-        vertices: x, y of the corners in their order.
-        closed: whether the last one is joined to the first.
-        material: `inside` for a block, `outside` for a pocket; `left` or `right` for an open one.
-        spacing: distance of points.
-        clearance: what the stylus keeps from other walls.
-    """
+    """A polygon."""
 
     kind: Literal["outline"]
-    vertices: Annotated[tuple[Vector2, ...], Field(min_length=2)]
+    vertices: Annotated[tuple[Vector2, ...], Field(min_length=2)]  # x, y of the corners in their order
 
     def contour(self, unit: float) -> Contour:
         """The polygon, m; corners given twice are taken once."""
@@ -183,8 +174,7 @@ def points_yaml(points: Sequence[WorkpiecePoint]) -> str:
 def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
     """A procedure's text with these points as its workpiece; comments are lost.
 
-    Raises:
-        SessionError: the file is no procedure of probing, or does not allow these points.
+    A SessionError if the file is no procedure of probing, or does not allow these points.
     """
     if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
@@ -220,8 +210,7 @@ class Workpiece(Record):
 def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
     """The points of the workpiece that a file describes.
 
-    Raises:
-        SessionError: one line with file, line and key of the first defect; or as `workpiece_points`.
+    A SessionError names file, line and key of the first defect, or is that of `workpiece_points`.
     """
     document = load_yaml(read_text(file), str(file))
     workpiece = validated(Workpiece, document.value, str(file), document, unnamed=_KINDS)
@@ -231,9 +220,8 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
 def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint, ...]:
     """Points with outward normals, numbered from 0 in the order of the features; files are named from a folder.
 
-    Raises:
-        SessionError: a file cannot be used, an open outline is said to have an inside, a hole is too small for the
-            stylus, or no point can be touched.
+    A SessionError if a file cannot be used, an open outline is said to have an inside, a hole is too small for the
+    stylus, or no point can be touched.
     """
     unit = _UNITS[workpiece.unit]
     radius = 0.5 * (workpiece.stylus_diameter or 0.0) * unit

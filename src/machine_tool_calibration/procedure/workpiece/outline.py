@@ -176,15 +176,10 @@ def _near(a: tuple[float, float], b: tuple[float, float]) -> bool:
 
 
 def probe_points(contour: Contour, material: Material, spacing: float) -> Touched:
-    """Equally spaced points of a contour, none of them on a corner.
+    """Points of a contour at equal distances near the wanted one, m; none on a corner, and one at least between two.
 
-    Args:
-        contour: the outline.
-        material: where the material is: `inside` or `outside` of a closed contour, `left` or `right` of its travel.
-        spacing: wanted distance of points between two corners, m; there is one at least.
-
-    Raises:
-        SessionError: inside or outside of an open contour, or points without number.
+    The material is `inside` or `outside` of a closed contour, `left` or `right` of its travel. A SessionError: inside
+    or outside of an open contour, or points without number.
     """
     if sum(segment.length for segment in contour.segments) > _MOST_POINTS * spacing:
         raise SessionError(f"an outline of more than {_MOST_POINTS} points: is the spacing of {spacing:g} m right?")

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outlines from a CSV file of corners or a DXF drawing (by ezdxf, an optional dependency).
+"""Outlines from a CSV file of corners or a DXF drawing (by ezdxf).
 
 Lines, arcs, circles and polylines with bulges are taken exactly; ellipses and splines as polygons that are nowhere
 farther from them than a ten-thousandth of a millimetre.
 """
-
-from __future__ import annotations
 
 import io
 import itertools
@@ -27,10 +25,8 @@ _FARTHEST = 1e6  # in the unit of the file
 def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
     """Read one outline, of corners in columns x and y, with so many metres per unit of the file.
 
-    They are separated by commas or, then also with decimal commas, by semicolons.
-
-    Raises:
-        SessionError: the file cannot be read, or a corner is no pair of numbers; the message names file and row.
+    They are separated by commas or, then also with decimal commas, by semicolons. A SessionError names the file and the
+    row that is no pair of numbers.
     """
     text = read_text(file, LARGEST_TABLE)
     semicolons = ";" in next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
@@ -69,20 +65,12 @@ _LARGEST_DXF = 256 << 20  # bytes
 
 
 def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[Contour]:
-    """Read all outlines of a drawing's model space.
+    """Read all outlines of a drawing's model space, or those on one layer, with so many metres per unit.
 
-    Args:
-        file: the drawing.
-        unit: metres per unit; what the drawing says if absent.
-        layer: only what is on this layer; all if absent.
-
-    Raises:
-        SessionError: ezdxf is not installed, the file is no DXF, its unit is not known, or nothing is in it.
+    That is what the drawing says if absent. A SessionError if it is no DXF, its unit is not known, or nothing is in it.
     """
-    try:
-        ezdxf, const = import_module("ezdxf"), import_module("ezdxf.lldxf.const")
-    except ImportError:
-        raise SessionError(f"{file}: reading DXF needs the package ezdxf: pip install ezdxf") from None
+    # here, because few parts come as a drawing; by name, because its types are not complete
+    ezdxf, const = import_module("ezdxf"), import_module("ezdxf.lldxf.const")
     try:
         if file.stat().st_size > _LARGEST_DXF:
             raise SessionError(f"{file}: is larger than {_LARGEST_DXF >> 20} MB")

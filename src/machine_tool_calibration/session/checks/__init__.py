@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks that a session is enough for its method and free of what cannot be right."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import first_true

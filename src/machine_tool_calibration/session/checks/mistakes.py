@@ -11,8 +11,6 @@ says what its geometry makes of places, beams and displacements, and how far the
 is commanded contradicts by a single row; of what is read, only by more than gross errors do.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -29,10 +27,7 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures
 
 LENGTHS = "like millimetres; lengths are in metres"
-UNITS = (
-    (1e-3, f"displacement looks {LENGTHS}"),
-    (1e-6, f"displacement looks {LENGTHS.replace('milli', 'micro')}"),
-)
+UNITS = ((1e-3, f"displacement looks {LENGTHS}"), (1e-6, f"displacement looks {LENGTHS.replace('milli', 'micro')}"))
 SENSES = (
     (-1.0, "displacement has the opposite sign; it grows with the path from the instrument"),
     (0.5, "displacement looks like twice the change of path"),

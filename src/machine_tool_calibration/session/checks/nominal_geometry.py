@@ -9,8 +9,6 @@ The papers ask for 3 stations in the plane and 4 in space (Ibaraki et al. 2014, 
 three targets. What a session leaves undetermined is the estimator's to find and name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np

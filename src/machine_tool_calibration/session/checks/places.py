@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stations and targets that are found elsewhere than they are stated to be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

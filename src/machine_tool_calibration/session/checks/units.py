@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Magnitudes that no machine tool has: millimetres, degrees, kelvin, hectopascals or percent by mistake."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np
