@@ -19,6 +19,10 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
 
+# Share of an interval by which a position is off a node by rounding: the next node is not read there.
+_ON_NODE = 1e-6
+
+
 def interpolation(nodes: Array, position: Array) -> Array:
     """Weights of the nodes at each position (the probing paper's Eqs. (8)(9)).
 
@@ -36,6 +40,7 @@ def interpolation(nodes: Array, position: Array) -> Array:
         return weights
     right = np.clip(np.searchsorted(nodes, position, side="right"), 1, k - 1)
     share = (position - nodes[right - 1]) / (nodes[right] - nodes[right - 1])
+    share = np.where(np.abs(share - np.round(share)) < _ON_NODE, np.round(share), share)
     columns = np.arange(len(position))
     weights[right - 1, columns] = 1.0 - share
     weights[right, columns] = share
