@@ -13,7 +13,7 @@ import panel as pn
 from tornado.web import HTTPError, RequestHandler
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.workbench.look import text
+from machine_tool_calibration.workbench.look import NO_WIDER, text
 
 # What may be downloaded, by the part of its address that nobody guesses.
 _OFFERED: dict[str, Path] = {}
@@ -42,7 +42,7 @@ class Saved:
     """
 
     def __init__(self, name: str, width: int = 480) -> None:
-        self.folder = pn.widgets.TextInput(name=name, width=width)
+        self.folder = pn.widgets.TextInput(name=name, width=width, styles=NO_WIDER)
         self.list = text()
         self._mine: set[Path] = set()
 
