@@ -287,7 +287,7 @@ def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES)
 
 
 def parameters_table(document: Mapping[str, Any], fit: JointFit, most: int | None = None) -> TextTable:
-    """The unknowns that are no values of a table or map: effects, squareness, places, zeros; all of them, or so many."""
+    """The unknowns that are no values of a table or map: effects, squareness, places, zeros; all, or the first."""
     unknowns = fit.assembly.unknowns
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.

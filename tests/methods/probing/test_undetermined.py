@@ -221,8 +221,9 @@ def test_quarter_turns_are_named_where_they_hide_the_part(make):
 def test_rounded_quarter_turns_give_no_numbers_made_of_rounding(make):
     """A square block at angles with six decimals: what X does along its own walls alone is not determined."""
     places = np.linspace(-0.08, 0.08, 9)
-    walls = [[(s, 0.08, 0.0, 1.0), (0.08, s, 1.0, 0.0), (s, -0.08, 0.0, -1.0), (-0.08, s, -1.0, 0.0)] for s in places]
-    block = [PartPoint(id=str(k), position=p[:2], normal=p[2:]) for k, p in enumerate(sum(walls, []))]
+    walls = [(s, side, 0.0, np.sign(side)) for s in places for side in (-0.08, 0.08)]
+    walls += [(y, x, ny, nx) for x, y, nx, ny in walls]
+    block = [PartPoint(id=str(k), position=p[:2], normal=p[2:]) for k, p in enumerate(walls)]
     turns = tuple(np.round(degrees(0, 90, 180, 270), 6))
     document = make(points=tuple(block), grid=tuple(np.arange(-2, 3) * 0.04), angles=turns).identified()
     assert "EXX(-0.04)" in named(document)

@@ -22,9 +22,9 @@ from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings, places_among
 
-# Sine of the angle between normal and radius below which a touch says nothing of the turn of the table, and of that
-# between normal and an axis's perpendicular below which it says nothing of what the axis does along itself: a drawing's
-# rounded coordinates must not make the angle of C seem to be seen on a disc, nor a quarter turn that X is seen on Y's wall.
+# Sine of the angle between normal and radius below which a touch says nothing of the turn of the table, and share of a
+# normal along an axis below which it says nothing of what happens along that: rounded coordinates and angles must not
+# make the angle of C seem to be seen on a disc, nor X on a wall across Y.
 _NO_LEVER = 1e-4
 
 
