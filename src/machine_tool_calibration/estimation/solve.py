@@ -144,7 +144,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
     for count in range(2, _MAX_STEPS + 1):
         normal = base.normal(damping)
         moved = base.after(normal.step)
-        if max(normal.gain, base.unsettled) < _GAIN and not damping:
+        if normal.gain < _GAIN and base.unsettled < _GAIN + 1e-9 * base.cost and not damping:
             return base.solution(normal, moved, normal, count)
         trial = Linearised.at(problem, moved[0], moved[1])
         if not trial.cost <= base.cost + _GAIN + 1e-9 * base.cost:
