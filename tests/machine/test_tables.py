@@ -18,6 +18,10 @@ def test_weights_at_nodes_between_and_beyond():
     assert np.allclose(weights.sum(axis=0), 1.0)
 
 
+def test_a_place_off_a_node_by_rounding_reads_no_other():
+    assert interpolation(NODES, np.array([0.1 + 1e-10, 0.3 - 1e-9])).T.tolist() == [[0, 1, 0], [0, 0, 1]]
+
+
 def test_one_node_holds_everywhere():
     assert interpolation(np.array([0.2]), np.array([-1.0, 0.2, 5.0])).tolist() == [[1.0, 1.0, 1.0]]
 

@@ -52,6 +52,12 @@ def test_a_shift_is_taken_out_of_a_line_with_its_uncertainty() -> None:
     assert found.p_value == pytest.approx(special.chdtrc(1, 2 / 25))
 
 
+def test_maps_of_which_the_common_motion_leaves_nothing_are_not_said_to_agree() -> None:
+    first = np.array([[3e-6, NAN, NAN], [NAN, NAN, NAN]])
+    with pytest.raises(ModelError, match=r"too little in common \(1 point\).*nothing is left to compare"):
+        compare_maps(LINE, first, np.zeros((2, 3)), (alone(3e-6, (2, 3), False), alone(4e-6, (2, 3), True)))
+
+
 def test_shift_and_turn_of_a_plane_are_no_difference() -> None:
     turn = 1e-5
     second = np.column_stack([1e-6 * np.sin(9 * np.arange(4)), 1e-6 * np.cos(7 * np.arange(4)), np.full(4, NAN)])
@@ -90,14 +96,6 @@ def test_maps_of_a_plane_are_drawn_where_they_were_found_and_listed() -> None:
     assert not found.agree and found.document()["maps"] == ["new", "old"]
     assert found.headline == "new and old contradict each other at 4 points"
     assert "E_n" in found.report()
-
-
-def test_a_single_point_has_nothing_but_the_motion() -> None:
-    first = np.array([[5e-6, 1e-6, NAN]])
-    roots = (alone(1e-6, (1, 3), False), alone(1e-6, (1, 3), True))
-    found = compare_maps(np.zeros((1, 3)), first, np.zeros((1, 3)), roots)
-    assert found.normalised[0, :2] == pytest.approx([0.0, 0.0])
-    assert found.p_value is None
 
 
 def test_nothing_in_common_is_one_line() -> None:

@@ -35,7 +35,7 @@ from machine_tool_calibration.workbench import models
 from ..told import Verb
 
 # One of each method, and of each kind where a method has several.
-KINDS = ("tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate")
+KINDS = ("tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate", "ball_bar")
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ from machine_tool_calibration.session.description import StandardUncertainty
         (0.0, "m^2", 2.7e-7, "0.00 ± 0.54 mm²"),
         (4e-10, "m^2", 2e-11, "400 ± 40 µm²"),
         (-1.72e-4, "rad", 1.64e-4, "-170 ± 330 µrad"),
+        (5.06e-20, "m", None, "0 µm"),
     ],
 )
 def test_quantities(value: float, unit: str, uncertainty: float | None, text: str) -> None:

@@ -108,6 +108,11 @@ FILE_DEFECTS: list[tuple[str, Callable[[bytes], bytes], str]] = [
         "observations.csv line 1: a bare carriage return; end lines with a line feed",
     ),
     (C, lambda data: data.replace(b",x,", b",time,", 1), "observations.csv line 1: column 'time' stands twice"),
+    (
+        C,
+        lambda data: data.split(b"\n", 1)[1],
+        "observations.csv line 1: numbers where the names of the columns should stand: is the header missing?",
+    ),
     (C, lambda data: data.replace(b",x,", b",,", 1), "observations.csv line 1: column 4 has no name"),
     (
         C,

@@ -182,6 +182,7 @@ BEAM = {
     "azimuth from another zero": (columns(azimuth=lambda v: v + 0.17), "azimuth is 0.17 rad too large throughout"),
     "a station that stands metres away": (entry("setups", 0, position=moved(0, 2.0)), "of setup 'A' is"),
     "x twice": (columns(x=lambda v: 2.0 * v), "x looks doubled"),
+    "x of the other sign": (columns(x=lambda v: -v), "x looks of the opposite sign"),
     "azimuth in degrees": (columns(azimuth=DEGREES), "degrees"),
     "azimuth clockwise": (columns(azimuth=lambda v: -v), "clockwise"),
 }

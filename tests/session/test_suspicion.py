@@ -47,6 +47,14 @@ def approached(session: Session) -> Session:
     return session.with_readings(replace(session.readings, columns=columns))
 
 
+def test_a_column_of_an_axis_that_was_not_filled_in() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_3d"], seed=3)).session
+    assert not suspicions([session])
+    columns = {**session.readings.columns, "x": 0.0 * session.readings.columns["x"]}
+    (says,) = suspicions([session.with_readings(replace(session.readings, columns=columns))])
+    assert "mm off what the same station read at the same place: is a column of the axes not filled in?" in says
+
+
 CASES = [
     (lambda s: with_readings(s, lambda d: 0.0 * d), "all 22 readings are 0: was the instrument read?"),
     (lambda s: with_readings(s, lambda d: 0.0 * d + 3e-6), "all 22 readings are 3e-06 m: was the instrument read?"),

@@ -224,6 +224,19 @@ def beside_a_graph(page: "playwright.Page", hidden: Path, domain: int) -> None:
     assert taken["displacement"].tolist() == given["displacement"].tolist()
 
 
+def test_no_page_is_wider_than_a_phone(address: str, browser: "playwright.Browser") -> None:
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    page.set_default_timeout(WAIT)
+    page.goto(address)
+    page.get_by_text("288 readings, residual").wait_for()
+    for title in ("Measurement", "Result", "Compare", "Diagnose", "Improve", "Plan", "Export", "Live"):
+        page.get_by_role("button", name=title, exact=True).click()
+        page.get_by_role("heading", name=title, exact=True).wait_for()
+        # Plots are laid out when they are drawn.
+        page.wait_for_timeout(1500)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, title
+
+
 def test_without_the_token_there_is_nothing(address: str) -> None:
     path = urlsplit(address).path
     token = path.split("/")[1]

@@ -58,12 +58,13 @@ class Linearised:
     local: Sequence[Array]  # per part, (d, n_points) the points' own
     total: Array  # (m + 1, m + 1) reduced Gram matrix of the shared unknowns and the residual
     squares: Array  # (m,) squared norms of the unknowns' columns before the points were eliminated
+    unsettled: float  # by how much the points' own unknowns would make the sum of squares smaller
 
     @classmethod
     def at(cls, problem: Problem, theta: Array, local: Sequence[Array]) -> Linearised:
         """Linearise there."""
         total, squares = gram(problem, theta, local)
-        return cls(problem, theta, local, total, squares[:-1])
+        return cls(problem, theta, local, total, squares[:-1], float(squares[-1]) - float(total[-1, -1]))
 
     @property
     def cost(self) -> float:
@@ -137,7 +138,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
     for count in range(2, _MAX_STEPS + 1):
         normal = base.normal(damping)
         moved = base.after(normal.step)
-        if normal.gain < _GAIN and not damping:
+        if normal.gain < _GAIN and base.unsettled < _GAIN + 1e-9 * base.cost and not damping:
             return base.solution(normal, moved, normal, count)
         trial = Linearised.at(problem, moved[0], moved[1])
         if not trial.cost <= base.cost + _GAIN + 1e-9 * base.cost:
@@ -151,7 +152,10 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
         if little >= _OFTEN:
             normal = base.normal(damping)
             return base.solution(normal, base.after(normal.step), base.normal(), count)
-    raise ModelError(f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets")
+    raise ModelError(
+        f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets, and whether there "
+        "are enough of both (`mtcal info` says what each model needs)"
+    )
 
 
 def local_steps(problem: Problem, theta: Array, local: Sequence[Array], step: Array) -> tuple[Array, ...]:

@@ -16,6 +16,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
+# Share of an interval by which a position is off a node by rounding: the next node is not read there.
+_ON_NODE = 1e-6
+
 
 def interpolation(nodes: Array, position: Array) -> Array:
     """(k, n) weights of increasing nodes (k,) at each position (n,) of a table (the probing paper's Eqs. (8)(9)).
@@ -29,6 +32,7 @@ def interpolation(nodes: Array, position: Array) -> Array:
         return weights
     right = np.clip(np.searchsorted(nodes, position, side="right"), 1, k - 1)
     share = (position - nodes[right - 1]) / (nodes[right] - nodes[right - 1])
+    share = np.where(np.abs(share - np.round(share)) < _ON_NODE, np.round(share), share)
     columns = np.arange(len(position))
     weights[right - 1, columns] = 1.0 - share
     weights[right, columns] = share

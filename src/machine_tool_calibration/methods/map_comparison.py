@@ -121,6 +121,12 @@ def compare_maps(
     both = free[0] - free[1]
     # A component of which the motion leaves nothing has rounding alone.
     kept = np.einsum("qs,qs->q", span, span) < 1.0 - _ROUNDING_SHARE
+    if not kept.any():
+        n = int(there.any(axis=1).sum())
+        raise ModelError(
+            f"the maps have too little in common ({n} point{'s' if n > 1 else ''}): the motion between their datums "
+            "takes up every difference, and nothing is left to compare"
+        )
     difference = np.where(kept, difference, 0.0)
     spread = [np.where(kept, np.sqrt(np.einsum("kq,kq->q", row, row)), 0.0) for row in (*free, both)]
     one, two, u_one, u_two, u = (_placed(there, values) for values in (b + difference, b, *spread))

@@ -84,7 +84,8 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     grid, error, u = (numbers(content[key]) for key in ("grid", "position_error", "position_error_u"))
     size = np.linalg.norm(error, axis=1)
     good = np.isfinite(size)
-    poor = good & (2 * np.linalg.norm(u, axis=1) > np.maximum(3 * np.nanmedian(2 * np.linalg.norm(u, axis=1)), 1e-5))
+    expanded = 2 * np.linalg.norm(u, axis=1)
+    poor = good & (expanded > max(3 * float(np.median(expanded[good] if good.any() else 0.0)), 1e-5))
     scale = _magnification(grid, size[good & ~poor])
     xs, ys = np.unique(grid[:, 0]), np.unique(grid[:, 1])
     moved = (grid + scale * error).reshape(len(xs), len(ys), 2) * 1e3

@@ -192,7 +192,7 @@ def result_parts(
         yield document["agreement"]["statement"]
     for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         yield say("result.not_used", n=2 if "," in rows else 1, names=rows, why=reason)
-    tables = (readings_set_aside(document, opened), parameters_table(document, fit))
+    tables = (readings_set_aside(document, opened), parameters_table(document, fit, None if on_page else _MOST_ROWS))
     yield from (table for table in tables if table.rows)
     yield from negative_words(fit, document["effects"])
     namesakes = _namesakes(fit)
@@ -286,15 +286,15 @@ def group_by_reason(entries: Iterable[tuple[str, str]], most: int = _MOST_NAMES)
     ]
 
 
-def parameters_table(document: Mapping[str, Any], fit: JointFit) -> TextTable:
-    """The unknowns that are no values of a table or map: effects, squareness, places, zeros."""
+def parameters_table(document: Mapping[str, Any], fit: JointFit, most: int | None = None) -> TextTable:
+    """The unknowns that are no values of a table or map: effects, squareness, places, zeros; all, or the first."""
     unknowns = fit.assembly.unknowns
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.
     order = {Kind.EFFECT: 0, Kind.SQUARENESS: 1}
     single.sort(key=lambda entry: order.get(unknowns[entry["name"]].kind, 2))
     rows = []
-    for entry in single[:_MOST_ROWS]:
+    for entry in single[:most]:
         name = entry["name"]
         unknown = unknowns[name]
         place = unknown.kind in (Kind.PLACE, Kind.DEAD_PATH)

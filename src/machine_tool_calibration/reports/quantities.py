@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # What stands where the data leaves no number.
 NOT_DETERMINED = "–"
-ROUNDING = 1e-12
+ROUNDING = 1e-11
 """Length or angle that is nothing, m or rad, however many figures the computer has of it."""
 # Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
@@ -43,6 +43,8 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     """A value with its unit (SI), and its expanded uncertainty (k = 2) if there is a standard uncertainty."""
     expanded = 2.0 * uncertainty if uncertainty is not None and math.isfinite(uncertainty) else 0.0
+    if unit in ("m", "rad") and max(abs(value), expanded) < ROUNDING:
+        value, expanded = 0.0, 0.0
     factor, shown = _scale(unit, max(abs(value), expanded))
     size, after = factor * expanded, f" {shown}" if shown else ""
     number = in_digits_of(size, factor * value)

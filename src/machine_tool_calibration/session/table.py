@@ -19,6 +19,7 @@ _MAX_LINE = 1 << 20
 _MAX_BYTES = 4 << 30
 _MAX_ROWS = 20_000_000
 _MAX_COLUMNS = 1000
+_NUMBER = re.compile(r"[-+]?[0-9.]+([eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,8 @@ def _header(where: str, text: str) -> tuple[str, ...]:
         raise SessionError(f"{where}: not a header of column names: {error}") from None
     if len(names) > _MAX_COLUMNS:
         raise SessionError(f"{where}: {len(names)} columns, more than the {_MAX_COLUMNS} that are accepted")
+    if sum(_NUMBER.fullmatch(name) is not None for name in names) > len(names) / 2:
+        raise SessionError(f"{where}: numbers where the names of the columns should stand: is the header missing?")
     for index, name in enumerate(names):
         if not name:
             raise SessionError(f"{where}: column {index + 1} has no name")

@@ -53,7 +53,7 @@ class ExportPage:
         self._picture = pn.pane.PNG(None, sizing_mode="scale_width", max_width=1000, alt_text="errors before and after")
         self._keep = bar_button("Save the files", self._save_files, "primary", disabled=True)
         self.view = pn.Column(
-            self._saved.folder,
+            controls(self._saved.folder),
             self._saved.list,
             text("<h3>Report to hand over</h3>"),
             controls(

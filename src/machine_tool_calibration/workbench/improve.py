@@ -127,7 +127,7 @@ class ImprovePage:
         }
         declared = self._state.models[0].each[0].noise.declared
         self._declared.location = 1e6 * declared
-        self._fall.title.text = f"The error from model to model (dotted: declared, {quantity(declared, 'm')})"
+        self._fall.title.text = f"Error by model (dotted: declared, {quantity(declared, 'm')})"
 
     def _draw(self) -> None:
         """Before and after, side by side and to the same scale."""

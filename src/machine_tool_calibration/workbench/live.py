@@ -100,7 +100,7 @@ class LivePage:
         self._offers: tuple[tuple[Offer, ...], tuple[str, ...]] = ((), ())
         self._where, self._nodes, self._answers, self._setups = text(), text(), text(), text()
         self._map_words, self._refusing = text(), text()
-        self._bar = pn.indicators.Progress(value=0, max=100, width=240, height=16, margin=(10, 6))
+        self._bar = pn.indicators.Progress(value=0, max=100, width=130, height=16, margin=(10, 6))
         self._count = text()
         self._take = bar_button("Open in the other pages", self._take_over, "primary", disabled=True)
         self._services = pn.FlexBox(sizing_mode="stretch_width")

@@ -188,9 +188,13 @@ def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value")
     widget.param.watch(lambda event: _locked(partial(act, event.new)), what)
 
 
+NO_WIDER = {"min-width": "0", "max-width": "calc(100vw - 30px)"}
+"""Style of a field that would be wider than a phone."""
+
+
 def choice(name: str, act: Callable[[Any], object], **more: Any) -> Any:
     """A list to choose from, and what is done with what is chosen."""
-    made = pn.widgets.Select(name=name, **more)
+    made = pn.widgets.Select(name=name, styles=NO_WIDER, **more)
     when_changed(made, act)
     return made
 

@@ -48,7 +48,7 @@ class MapPlot:
 
     def __init__(self, color: str) -> None:
         source = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})
-        self.plot: Any = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
+        self.plot: Any = new_figure("", "x, mm", "y, mm", hover=_HOVER, match_aspect=True, height=330)
         self._source = source
         self._base = self.plot.scatter("x", "y", source=source, size=4, color="#999999")
         self._arrows = self.plot.segment("x", "y", "x1", "y1", source=source, color=color, line_width=1.4)

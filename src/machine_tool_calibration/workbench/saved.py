@@ -11,7 +11,7 @@ import panel as pn
 from tornado.web import HTTPError, RequestHandler
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.workbench.look import text
+from machine_tool_calibration.workbench.look import NO_WIDER, text
 
 # What may be downloaded, by the part of its address that nobody guesses.
 _OFFERED: dict[str, Path] = {}
@@ -35,7 +35,7 @@ class Saved:
     """The folder into which a page writes, and what it has written."""
 
     def __init__(self, name: str, width: int = 480) -> None:
-        self.folder = pn.widgets.TextInput(name=name, width=width)
+        self.folder = pn.widgets.TextInput(name=name, width=width, styles=NO_WIDER)
         self.list = text()  # the files with their links
         self._mine: set[Path] = set()
 

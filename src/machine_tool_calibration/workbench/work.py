@@ -26,9 +26,9 @@ class Work:
         self._job: object | None = None
         self._calculation: Calculation | None = None
         self._otherwise: Callable[[], object] = lambda: None
-        self._bar = pn.indicators.Progress(value=0, max=100, width=220, height=16, visible=False, margin=(10, 6))
+        self._bar = pn.indicators.Progress(value=0, max=100, width=110, height=16, visible=False, margin=(10, 6))
         self._stop = bar_button("Stop", self.stop, "danger", visible=False)
-        self._words = text("", min_width=200)
+        self._words = text("", min_width=140)
         self.view = pn.Row(self._words, self._bar, self._stop)
         tell_faults(self._document, self.fail)
         # For a window that was closed nobody waits.

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.probing.datum import _from_outside, null_space
-from machine_tool_calibration.simulation.probing_run import cam, cross, pins
+from machine_tool_calibration.simulation.probing_run import PartPoint, cam, cross, pins
 
 PICO = 1e-12
 OUTER = {f"{name}({sign}0.11)" for name in ("EXX", "EYX", "EXY", "EYY", "ECY") for sign in ("", "-")}
@@ -216,6 +216,20 @@ def test_quarter_turns_are_named_where_they_hide_the_part(make):
     why = {entry["why"] for entry in quarters["not_determined"] if entry["name"].startswith("workpiece point")}
     assert len(why) == 1
     assert "quarter turns apart" in why.pop()
+
+
+def test_rounded_quarter_turns_give_no_numbers_made_of_rounding(make):
+    """A square block at angles with six decimals: what X does along its own walls alone is not determined."""
+    places = np.linspace(-0.08, 0.08, 9)
+    walls = [(s, side, 0.0, np.sign(side)) for s in places for side in (-0.08, 0.08)]
+    walls += [(y, x, ny, nx) for x, y, nx, ny in walls]
+    block = [PartPoint(id=str(k), position=p[:2], normal=p[2:]) for k, p in enumerate(walls)]
+    turns = tuple(np.round(degrees(0, 90, 180, 270), 6))
+    document = make(points=tuple(block), grid=tuple(np.arange(-2, 3) * 0.04), angles=turns).identified()
+    assert "EXX(-0.04)" in named(document)
+    given = [entry["standard_uncertainty"] for entry in document["parameters"]]
+    assert given
+    assert max(given) < 1e-4
 
 
 NAMES = ("a", "b", "c", "d")

@@ -2,10 +2,12 @@
 """What was not read, or not well: named where it is not determined, and without harm to the rest."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
 
 FIVE = ((-0.4, -0.3, -0.1), (0.8, -0.2, 0.0), (0.1, 0.9, -0.1), (0.3, 0.2, 1.1), (0.9, 0.9, 0.5))
@@ -56,6 +58,18 @@ def test_three_stations_place_a_target_in_space(simulated, truth, edit):
     assert 0.75 < normalised(result, truth(made), slice(None)) < 1.25
     u = result.error_map.uncertainty
     assert u[::5].mean() > u[1::5].mean()
+
+
+def test_three_stations_in_a_plane_with_targets_are_no_fit(simulated):
+    """Targets beside the plane of their stations wander off, while all that is shared has come to rest."""
+    made = simulated(3, "tracking", stations=((-0.5, -0.3, 0.1), (0.9, -0.2, 0.05), (0.2, 0.9, 0.1)))
+    setups = tuple(
+        one.model_copy(update={"position": tuple(v + 2e-3 for v in one.position), "position_uncertainty": None})
+        for one in made.session.description.setups
+    )
+    described = made.session.description.model_copy(update={"setups": setups})
+    with pytest.raises(ModelError, match="whether there are enough of both"):
+        identify(replace(made.session, description=described))
 
 
 @pytest.mark.parametrize("pointing", ["open_loop", "tracking"])

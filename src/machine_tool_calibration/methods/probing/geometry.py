@@ -20,8 +20,9 @@ from machine_tool_calibration.session.checks.nominal_geometry import turned
 from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings, places_among
 
-# Sine of the angle between normal and radius below which a touch says nothing of the turn of the table: a drawing's
-# rounded coordinates must not make the angle of C seem to be seen on a disc.
+# Sine of the angle between normal and radius below which a touch says nothing of the turn of the table, and share of a
+# normal along an axis below which it says nothing of what happens along that: rounded coordinates and angles must not
+# make the angle of C seem to be seen on a disc, nor X on a wall across Y.
 _NO_LEVER = 1e-4
 
 
@@ -58,6 +59,7 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
     position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
     at, along = turned(position[point], angle), turned(normal[point], angle)
+    along[np.abs(along) < _NO_LEVER] = 0.0
     zero = np.zeros(len(angle))
     return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), table_lever(at, along))
 

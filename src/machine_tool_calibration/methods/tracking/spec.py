@@ -31,13 +31,15 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 )
 from machine_tool_calibration.session.checks.places import allowed
 from machine_tool_calibration.session.description import Place, TrackingInterferometer
-from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
+from machine_tool_calibration.session.judgements import GROSS, Held, Judgement, Supposition
 from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session, distinct_places
 from machine_tool_calibration.words import say
 
 # By how much the beam's axis may miss the retroreflector's centre, and a path be off, beside the station's place, m.
 _MISSED, _ERROR = 0.02, 0.01
+# By how much readings of one station, in one repeat, at one place may differ, m: no machine reproduces so badly.
+_AGAIN = 0.001
 # Share of a station's beams that may point elsewhere: they are commanded, but single ones are set aside like a reading.
 _SINGLE = 0.03
 # Share of an azimuth's error within which it is the same at all readings.
@@ -119,8 +121,14 @@ class TrackingSpec(MethodSpec):
         )
 
     def suspicious(self, session: Session) -> Iterator[str]:
-        """An azimuth that all stations count from another zero: the map's turn would take up only its first order."""
+        """Readings at one place that differ, and an azimuth that all stations count from another zero.
+
+        Of the latter the map's turn would take up only the first order.
+        """
         description = session.description.as_a(TrackingInterferometer)
+        off = _off_again(session)
+        if (count := int((off > _AGAIN).sum())) > GROSS * len(off):
+            yield say("suspicion.again", n=count, count=len(off), off=f"{1e3 * off.max():.3g}")
         used = np.unique(session.readings.setup)
         if description.pointing != "open_loop" or len(used) < 2:
             return
@@ -193,6 +201,17 @@ def _path_mistakes(session: Session, description: TrackingInterferometer) -> Ite
     yield with_columns(session, f"x, y and z look {LENGTHS}", **metres)
     yield from exchanged_axes(session, description.dimension)
     yield from badly_exchanged(session, _off_path, "setup")
+
+
+def _off_again(session: Session) -> Array:
+    """(k,) displacements off the middle one that the same station read in the same repeat at the same place, m."""
+    readings = session.readings.select(np.isfinite(session.readings.displacement))
+    place = distinct_places(readings.position())[1]
+    group = np.unique(np.column_stack([readings.setup, readings.repeat, place]), axis=0, return_inverse=True)[1]
+    group = group.reshape(-1)  # of one shape in every version of NumPy
+    order = np.lexsort((readings.displacement, group))
+    first, count = np.unique(group[order], return_index=True, return_counts=True)[1:]
+    return np.asarray(np.abs(readings.displacement - readings.displacement[order][first + count // 2][group]))
 
 
 def _azimuth_off(session: Session, setup: int) -> Array:

@@ -135,7 +135,7 @@ _FEWEST = 3  # readings: fewer are single whatever their share
 # Share of a setup's readings that may be left, and of those that contradict, where a mistake explains them: the ends.
 _LEFT, _CONTRADICTING_LEFT = 0.06, 0.2
 # What a column may have been multiplied by.
-_TIMES = ((2.0, "doubled"), (0.5, "halved"), (-1.0, "of the opposite sign"))
+_TIMES = ((-1.0, "of the opposite sign"), (2.0, "doubled"), (0.5, "halved"))
 
 
 Expected = Callable[[Session], Iterable[Held]]
