@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.marginal import noise_variance
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.iso230_2 import diagonal_tests
@@ -95,8 +96,14 @@ class StepDiagonalModel(MethodModel):
         rows = [weight_row(place, constraint.weights, len(place)) for constraint in self.constraints]
         offsets = (self.observations.run == np.arange(len(self.offsets))[:, None]).astype(float)
         columns = np.concatenate([offsets, plain.dense(), *(term.columns for term in self.spread.terms)]) / self.sigma
-        right = columns @ ((self.observations.readings.displacement - self.nominal) / self.sigma)
-        posterior = normal_posterior(self.spread.nodes, columns @ columns.T, right, np.array(rows))
+        measured = (self.observations.readings.displacement - self.nominal) / self.sigma
+        # Readings that scatter more than declared even with free angles are no angles.
+        size = np.maximum(np.linalg.norm(columns, axis=1), np.finfo(float).tiny)
+        best, _, rank, _ = np.linalg.lstsq((columns / size[:, None]).T, measured)
+        left = measured - best @ (columns / size[:, None])
+        variance = np.maximum(noise_variance(left @ left, len(left) - rank), 1.0)
+        gram, right = columns @ columns.T / variance, columns @ measured / variance
+        posterior = normal_posterior(self.spread.nodes, gram, right, np.array(rows))
         spread = replace(self.spread, posterior=posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
