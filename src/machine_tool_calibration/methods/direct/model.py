@@ -251,8 +251,8 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """
     observations, tables, setups = model.observations, model.tables or model.points, model.setups
     own, n = len(setups.parameters), len(observations)
-    # Terms of added effects follow those of the tables; of them only displacements count. What is not sensed has no part
-    # in the map's least squares, and distinguishes no states of an effect.
+    # Terms of added effects follow those of the tables; of them only displacements count. What is not sensed has no
+    # part in the map's least squares, and distinguishes no states of an effect.
     sensed = sensed_axes(observations.direction)
     none = np.zeros((0, n, 3))
     terms = model.terms[len(tables) :]
