@@ -59,7 +59,21 @@ def test_few_of_many_stations():
     point = np.repeat(np.arange(500), 4)
     groups = group_points(point, block)
     places(groups, point, block)
-    assert sum(group.rows.size for group in groups) == len(point)
+    assert sum(group.rows.size for group in groups) <= len(point) / 0.6
+
+
+def test_a_network_whose_stations_see_what_is_near_has_few_groups():
+    """Of 200 stations in a row each sees the targets beside it: nearly every target has a set of its own."""
+    rng = np.random.default_rng(1)
+    along = np.sort(rng.uniform(0.0, 200.0, 600))
+    point, block = np.nonzero(np.abs(along[:, None] - np.arange(200)) < 4.0 + rng.uniform(0.0, 2.0, (600, 1)))
+    repeated = rng.random(len(point)) < 0.1
+    point, block = np.concatenate([point, point[repeated]]), np.concatenate([block, block[repeated]])
+    sets = {tuple(np.sort(block[point == one])) for one in range(600)}
+    groups = group_points(point, block)
+    places(groups, point, block)
+    assert len(groups) < len(sets) / 4
+    assert sum(group.rows.size for group in groups) <= len(point) / 0.6
 
 
 def test_points_that_are_not_in_a_row():

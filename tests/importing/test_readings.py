@@ -83,6 +83,22 @@ def test_what_is_lacking_is_said(without: str, units: dict[str, str], message: s
         import_table(tmp_path / "table.csv", parse_mapping(content, "mapping"))
 
 
+def test_the_setups_of_deviations_need_no_list(tmp_path: Path) -> None:
+    """Sixty runs of an axis: the table names them."""
+    rows = [f"run {k};{10 * j};{k + j}" for k in range(60) for j in range(3)]
+    (tmp_path / "table.csv").write_text("\n".join(["line;x;deviation", *rows, ""]))
+    content = {
+        "table": "readings",
+        "columns": {"setup": "line", "displacement": "deviation"},
+        "units": {"x": "mm", "displacement": "um"},
+        "values": {"gx": "1", "gy": "0", "gz": "0"},
+        "session": {"method": "direct", "machine": {"chain": "w-X-b-t"}, "standard_uncertainty": "1um"},
+    }
+    imported = import_table(tmp_path / "table.csv", parse_mapping(content, "mapping"))
+    assert imported.session.setup_ids == tuple(f"run {k}" for k in range(60))
+    assert imported.session.readings.setup.tolist() == np.repeat(np.arange(60), 3).tolist()
+
+
 def test_a_mapping_and_a_description_that_differ_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

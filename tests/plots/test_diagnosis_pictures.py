@@ -2,6 +2,7 @@
 """Pictures of a diagnosis and of the error falling: for every method, and with the numbers that they are of."""
 
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -75,6 +76,22 @@ def test_files(tmp_path: Path) -> None:
     table = pd.read_csv(candidates, comment="#")
     assert table["effect"][0] == "backlash_y"
     assert (table["rms_after"] <= table["rms_before"] * 1.001).all()
+
+
+def test_what_varied_with_wrong_readings_only_is_drawn_before_them_alone() -> None:
+    """A temperature that was another one while the beam was broken."""
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=7)).session
+    readings = session.readings
+    wrong = np.arange(len(readings)) % 23 == 3
+    columns = {k: v for k, v in readings.columns.items() if "temperature" not in k and k != "air_pressure"}
+    columns["motor"] = np.where(wrong, 40.0, 30.0)
+    displacement = readings.displacement + np.where(wrong, 1e-4, 0.0)
+    found = improve(session.with_readings(replace(readings, columns=columns, displacement=displacement)))
+    assert any(found.steps[-1].set_aside)
+    figure = draw_improvement(found)
+    before, after = figure.axes[1:3]
+    assert "motor" in before.get_xlabel()
+    assert not np.isfinite(after.lines[0].get_xdata()).any()
 
 
 def test_without_a_candidate_that_was_added_the_picture_says_less() -> None:

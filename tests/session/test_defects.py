@@ -41,7 +41,7 @@ def test_field(session_folder, defect: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("name", "column"),
     [
-        *[("tracking_2d", column) for column in ("time", "setup", "repeat", "x", "y", "azimuth", "displacement")],
+        *[("tracking_2d", column) for column in ("setup", "repeat", "x", "y", "azimuth", "displacement")],
         *[("rotary_axis", column) for column in ("target", "c")],
         *[("probing_cross", column) for column in ("point", "x", "y", "c")],
         *[("step_diagonal", column) for column in ("x", "y", "z", "displacement")],

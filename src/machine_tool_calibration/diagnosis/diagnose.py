@@ -111,13 +111,15 @@ class Diagnosis:
 
         Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead. What
         does not reproduce from run to run is no contradiction. Deviations that are read directly scatter as the part or
-        the axis does, which nobody declares: only repeats tell how far, and only of a cause that was named.
+        the axis does, which nobody declares: repeats tell how far, or what is left has a pattern and is no scatter.
         """
         first, last, expected, known = self.fits[0].solution, self.fits[-1].solution, 1.0, np.inf
         if any(spec_of(session).reads_machine for session in self.chosen.sessions):
-            if self.noise.from_repeats is None or not self.search.accepted:
+            repeats = self.noise.from_repeats
+            if not self.search.accepted or (repeats is None and not self.search.left):
                 return False
-            expected, known = (self.noise.from_repeats / self.noise.declared) ** 2, self.noise.repeats
+            if repeats is not None:
+                expected, known = (repeats / self.noise.declared) ** 2, self.noise.repeats
         dof, variance = first.degrees_of_freedom, self.search.variance / expected
         chance = special.chdtrc(dof, dof * variance) if np.isinf(known) else special.fdtrc(dof, known, variance)
         if self.noisy or variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_CHANCE:

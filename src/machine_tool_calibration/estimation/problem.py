@@ -18,6 +18,8 @@ from machine_tool_calibration.estimation.elimination import Rows
 
 # Below this share of filled slots it pays to sort the points by what was read of them.
 _FILLED = 0.6
+# Groups of fewer points than this are joined, as far as the slots stay filled to that share.
+_FEW = 64
 # Places in the layers of a table, beside the readings, above which most would be empty.
 _MOST_LAYERS = 4
 
@@ -92,7 +94,7 @@ def _table(point: IntArray, block: IntArray) -> Group | None:
 
 
 def _by_pattern(point: IntArray, block: IntArray) -> list[Group]:
-    """One group for each set of slots that occurs; memory linear in the number of readings."""
+    """One group for each set of slots that occurs, few points together; memory linear in the number of readings."""
     order = np.lexsort((block, point))
     points, first, lengths = np.unique(point[order], return_index=True, return_counts=True)
     groups = []
@@ -106,7 +108,34 @@ def _by_pattern(point: IntArray, block: IntArray) -> list[Group]:
             Group(pattern, np.ascontiguousarray(rows[own].T), points[alike[own]])
             for pattern, own in zip(patterns, members, strict=True)
         ]
-    return groups
+    few = sorted((group for group in groups if len(group.points) < _FEW), key=lambda group: group.block.tolist())
+    return [*(group for group in groups if len(group.points) >= _FEW), *_joined(few)]
+
+
+def _joined(groups: Sequence[Group]) -> list[Group]:
+    """Those with similar slots in one, as far as these stay filled: every group has its overhead."""
+    out: list[Group] = []
+    for group in groups:
+        if out and len(out[-1].points) < _FEW:
+            both = _together(out[-1], group)
+            if np.count_nonzero(both.rows >= 0) >= _FILLED * both.rows.size:
+                out[-1] = both
+                continue
+        out.append(group)
+    return out
+
+
+def _together(one: Group, other: Group) -> Group:
+    """Two groups in one, its slots those that either has."""
+    blocks = np.union1d(one.block, other.block)
+    many = [np.searchsorted(g.block, blocks, "right") - np.searchsorted(g.block, blocks) for g in (one, other)]
+    block, rows = np.repeat(blocks, np.maximum(*many)), []
+    for group in (one, other):
+        own = np.full((len(block), len(group.points)), -1, dtype=np.int64)
+        within = np.arange(len(group.block)) - np.searchsorted(group.block, group.block)
+        own[np.searchsorted(block, group.block) + within] = group.rows
+        rows.append(own)
+    return Group(block, np.concatenate(rows, axis=1), np.concatenate([one.points, other.points]))
 
 
 # Points of one chunk with few columns, as of a tracking interferometer at four stations: few enough to stay in the

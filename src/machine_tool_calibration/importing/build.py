@@ -94,11 +94,14 @@ def _reading_rows(columns: Columns, name: str) -> Rows:
         which = f"which of the setups {', '.join(ids)} a reading is of"
         raise SessionError(f"{columns.table.source}: no column says {which}")
     labels = {role: columns.text(role) for role in _LABELS if columns.has(role)}
+    setup = columns.setups(ids[0] if ids else name)
+    # Of a setup of deviations there is nothing else to say.
+    named = setups is None and columns.mapping.session.get("method") == "direct"
     return Rows(
         numbers=columns.others(()),
-        labels={"setup": columns.setups(ids[0] if ids else name), **labels},
+        labels={"setup": setup, **labels},
         row=np.arange(len(columns.table)),
-        description={},
+        description={"setups": [{"id": entry} for entry in dict.fromkeys(setup.tolist())]} if named else {},
     )
 
 
@@ -143,8 +146,6 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
         numbers = {name: values[order] for name, values in numbers.items()} | {"time": time[order] - np.nanmin(time)}
         labels = {name: values[order] for name, values in labels.items()}
         origin = origin[order]
-    elif len(parts) > 1 and "time" in numbers and not any(columns.has("time") for columns in read):
-        numbers["time"] = np.arange(len(origin), dtype=np.float64)
     return Rows(numbers, labels, origin[:, 1], described, notes), origin
 
 

@@ -235,10 +235,11 @@ def range_rows(columns: Columns) -> Rows:
     numbers |= {} if rotary else {axis: values + columns.origin(axis) for axis, values in numbers.items()}
     named = [*(["target"] if rotary else ()), *(["point"] if columns.has("point") else ())]
     labels: dict[str, np.ndarray] = {"setup": stations} | {name: columns.text(name) for name in named}
-    timed = columns.has("time")
-    numbers["time"] = columns.number("time") if timed else np.arange(len(table), dtype=np.float64)
-    order = "no column of time: readings count as taken in the order of the file, one second apart"
-    notes = [] if timed else [order]
+    notes: list[str] = []
+    if columns.has("time"):
+        numbers["time"] = columns.number("time")
+    else:
+        notes.append("no column of time: what changes with it is not looked for")
     place = _groups(stations, *([labels["target"]] if rotary else ()), *(numbers[a] for a in moved))
     numbers["repeat"] = columns.number("repeat") if columns.has("repeat") else occurrence(place).astype(float)
     numbers |= columns.others((*_NOT_KEPT, *_AXES, *"abc"))

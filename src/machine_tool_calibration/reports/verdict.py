@@ -238,10 +238,10 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.contradicted:
         fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
         ratio = rounded(np.sqrt(fit.reduced_chi_square))
-        if repeats is None:
-            yield say("diagnosis.contradicted", ratio=ratio)
-        else:
+        if repeats is not None:
             yield say("diagnosis.contradicted_repeats", ratio=ratio, repeats=quantity(repeats, "m"))
+        elif not spec_of(diagnosis.chosen.sessions[0]).reads_machine:  # of which the scatter is told in any case
+            yield say("diagnosis.contradicted", ratio=ratio)
     if diagnosis.likely:
         yield together((_likeliest(diagnosis), say("diagnosis.none_accounts")))
 

@@ -262,11 +262,12 @@ def groups_of_unknowns(part: Part, start: tuple[Array, Array], size: int) -> lis
     return [np.flatnonzero(name == one) for one in every[size_of > 1]]
 
 
-def same_place(readings: Readings) -> IntArray:
-    """(n,) index shared by readings that repeat each other, whatever the direction of approach."""
+def same_place(readings: Readings, *, any_setup: bool = False) -> IntArray:
+    """(n,) index shared by readings that repeat each other, whatever the direction of approach (and the setup)."""
     places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
     senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
-    return groups(readings.setup, *places, *senses, *readings.labels.values())
+    setup = [] if any_setup else [readings.setup]
+    return groups(*setup, *places, *senses, *readings.labels.values())
 
 
 class Neighbours:

@@ -80,7 +80,8 @@ def rank_covariates(values: Mapping[str, Array], residual: Array, most: int = _B
 def bins(values: Array, most: int = _BINS) -> IntArray:
     """(n,) number of each value's bin: one for each distinct value where these are few, else equally filled ones."""
     # Positions that differ by rounding are the same.
-    rounded = np.round(values / max(float(np.ptp(values)), 1e-300), 6)
+    extent = float(np.ptp(values)) if len(values) else 0.0
+    rounded = np.round(values / max(extent, 1e-300), 6)
     distinct, number = np.unique(rounded, return_inverse=True)
     if len(distinct) <= most:
         return np.asarray(number.reshape(-1))

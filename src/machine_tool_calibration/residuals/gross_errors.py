@@ -319,7 +319,7 @@ class _Search:
     def _named(self, held: IntArray, fit: _Fit, alike: dict[int, IntArray]) -> list[Outlier]:
         """What is set aside, in words; with what may as well be wrong in its place."""
         rows, place = self.readings.row, same_place(self.readings)
-        near = self.part.point_of_reading() if self.part.dimension else place
+        near = self.part.point_of_reading() if self.part.dimension else same_place(self.readings, any_setup=True)
         gone = np.zeros(self.n, dtype=bool)
         gone[[*held, *alike]] = True
         left = np.bincount(near, ~gone)

@@ -14,10 +14,12 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
+from machine_tool_calibration.methods.direct import model as direct_model
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.model.result import map_change
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.plots.error_map import draw_map, draw_plane
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.session.checks.units import check_units
@@ -154,3 +156,17 @@ def test_places_that_stand_where_deviations_should_are_said_to_be_exchanged() ->
     mixed = session.with_readings(replace(readings, columns=columns, displacement=readings.columns["x"]))
     with pytest.raises(SessionError, match="the columns x and displacement look exchanged"):
         check_units(mixed, Place("session.yaml", "observations.csv"))
+
+
+def test_the_map_is_worked_out_at_its_places_not_at_every_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An axis that is run twelve times there and back is read twenty-four times at each place."""
+    asked = []
+
+    def counted(tables: tuple[MachineTable, ...], position: np.ndarray) -> np.ndarray:
+        asked.append(len(position))
+        return map_field(tables, position)
+
+    monkeypatch.setattr(direct_model, "map_field", counted)
+    plan = PRESETS["iso230_2"].model_copy(update={"repeats": 12})
+    fitted = identify(simulate(SimulationSpec(plan=plan, seed=2)).session)
+    assert set(asked) == {len(fitted.error_map.points)}

@@ -62,7 +62,9 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
     """
     out, outside = [], _Outside(pool)
     for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
-        own = [_structure(c, how, (Shaped((), columns),)) for c, how, columns in _functions(observations)]
+        # Axes that cross in the middle of their travel have no product.
+        functions = [function for function in _functions(observations) if len(function[2])]
+        own = [_structure(c, how, (Shaped((), columns),)) for c, how, columns in functions]
         if len(observations) >= _ENOUGH and np.ptp(observations.clock) > 0:
             residual = pool.residuals[piece] / pool.sigma[piece]
             own += _events(observations, residual, partial(outside.explained, piece=piece))

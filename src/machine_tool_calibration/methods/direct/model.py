@@ -251,21 +251,21 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """
     observations, tables, setups = model.observations, model.tables or model.points, model.setups
     own, n = len(setups.parameters), len(observations)
-    fields = [map_field(tables, observations.position)]
-    # Terms of added effects follow those of the tables; of them only displacements count.
-    for term in model.terms[len(tables) :]:
-        size = len(term.parameters)
-        fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
-    # What is not sensed has no part in the map's least squares, and distinguishes no states of an effect.
+    # Terms of added effects follow those of the tables; of them only displacements count. What is not sensed has no
+    # part in the map's least squares, and distinguishes no states of an effect.
     sensed = sensed_axes(observations.direction)
-    fields = [one * sensed for one in fields]
-    field = np.concatenate(fields)
-    first = _states(observations.position, np.concatenate([np.zeros((0, n, 3)), *fields[1:]]))
-    points, field = observations.position[first], field[:, first]
+    none = np.zeros((0, n, 3))
+    terms = model.terms[len(tables) :]
+    effects = [np.zeros((len(t.parameters), n, 3)) if t.field is None else t.field * sensed for t in terms]
+    first = _states(observations.position, np.concatenate([none, *effects]))
+    points = observations.position[first]
+    # Many readings may be of few places.
+    of_tables = map_field(tables, points) * sensed
+    field = np.concatenate([of_tables, *(one[:, first] for one in effects)])
     told = observations.readings.columns
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
-    common = _common(flat[: len(fields[0])].T @ model.fixed[own:], setups, points, observations.direction)
+    common = _common(flat[: len(of_tables)].T @ model.fixed[own:], setups, points, observations.direction)
     if common.shape[1]:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)

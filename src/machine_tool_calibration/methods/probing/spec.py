@@ -46,7 +46,7 @@ class ProbingSpec(MethodSpec):
     """A part on a rotary table, probed at several angles of C."""
 
     description = Probing
-    always = ("time", "setup", "repeat", "point", "x", "y", "c", "displacement")
+    always = ("setup", "repeat", "point", "x", "y", "c", "displacement")
     remounted = ""
     model = "machine_tool_calibration.methods.probing.model"
     models: ClassVar = {

@@ -40,7 +40,7 @@ class RotarySpec(MethodSpec):
 
     def columns(self, description: RotaryAxis) -> tuple[str, ...]:
         """The target and the angle of the axis under test."""
-        return ("time", "setup", "repeat", "target", rotary_column(description), "displacement")
+        return ("setup", "repeat", "target", rotary_column(description), "displacement")
 
     def enough(self, session: Session, measured: BoolArray, place: Place) -> None:
         """Stations, targets and angles.

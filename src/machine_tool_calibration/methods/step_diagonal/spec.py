@@ -41,7 +41,7 @@ class DiagonalSpec(MethodSpec):
     """A step diagonal."""
 
     description = StepDiagonal
-    always = ("time", "setup", "repeat", "x", "y", "z", "displacement")
+    always = ("setup", "repeat", "x", "y", "z", "displacement")
     needed = 2
     remounted = "the mirror"
     model = "machine_tool_calibration.methods.step_diagonal.build"
