@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The certificate as pages: HTML, and PDF/A-3 that holds the result for programs as well."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a certificate states beside the result: the laboratory, its customer, the item, conditions, who signs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path

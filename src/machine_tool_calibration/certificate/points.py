@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ISO/IEC 17025:2017 asks of a certificate, 7.8.2 to 7.8.6, and what of it nobody has stated."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from operator import attrgetter

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a certificate says in words: facts, statements, conditions, instruments."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import islice
 

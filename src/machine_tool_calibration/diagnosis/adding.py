@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which of the probable effects the model can take, and why it cannot take the others."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What adding an effect does to the residuals and to the machine's map."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

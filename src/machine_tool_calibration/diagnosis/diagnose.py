@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which physical effect is missing? Search, accept, and say what cannot be known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property

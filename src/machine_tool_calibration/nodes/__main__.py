@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs a node: `python -m machine_tool_calibration.nodes estimator`, and what `mtcal-estimator` calls."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

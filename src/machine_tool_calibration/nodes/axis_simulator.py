@@ -6,8 +6,6 @@ where the functional point really is goes to the simulated instruments only. In 
 it jumps to the end of each commanded trajectory, so a measurement runs as fast as the messages do.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Quaternion

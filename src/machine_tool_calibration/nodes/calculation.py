@@ -4,8 +4,6 @@
 They are made beside the node's own thread, too: a large result takes its time to become text.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ and when the motion began, each further one which of the command's points has be
 Before the first command it has no points, and the time since when the axes stand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

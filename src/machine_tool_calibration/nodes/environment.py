@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The environment's topics, kept so that each reading gets what was sensed at its own time."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial

@@ -5,8 +5,6 @@ The map, the residuals, the verdict and all documents are latched, so a program 
 calculations are goals that can be followed and cancelled; readings go on being collected meanwhile.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any

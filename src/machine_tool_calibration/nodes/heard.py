@@ -4,8 +4,6 @@
 One thread hears, others look. Needs no ROS.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from collections import deque

@@ -7,8 +7,6 @@ loses the count: readings are refused until the datum is set again. In simulated
 readings; each reading publishes the samples that it averaged.
 """
 
-from __future__ import annotations
-
 import time
 import uuid
 from array import array

@@ -6,8 +6,6 @@ publication of a topic is waited for before its queue would overflow, so a relia
 speed either.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from pathlib import Path

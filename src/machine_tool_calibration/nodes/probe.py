@@ -9,8 +9,6 @@ then reported, and answered with no number, so that the reading counts as missin
 The readings are absolute: there is no datum to be set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from time import monotonic

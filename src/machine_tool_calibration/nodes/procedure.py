@@ -8,8 +8,6 @@ on request, and states what it waits for. Deadlines run on the wall clock, so th
 clear state in simulated time too.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator's results as messages: map, tables, arrows, residuals, verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `recorder`: writes the graph's topics, or any others, to a bag."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path

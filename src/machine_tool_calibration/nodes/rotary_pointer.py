@@ -7,8 +7,6 @@ command says. Where the beam really goes (true station, zero offsets, radial err
 instrument only.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that the package brings, wherever it was installed, and the help of executables, which is made of them."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

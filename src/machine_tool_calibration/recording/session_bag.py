@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The measurement in a recording, and a session as the recording that its measurement would have left."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace

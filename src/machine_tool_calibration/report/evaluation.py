@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that a report tells of a measurement, calculated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -11,8 +11,6 @@ together are a limit of a single predicted residual, c = limit^2 / 2 (Box and Ti
 step by step; few that only tell of each other by comparing all sets.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import comb
 

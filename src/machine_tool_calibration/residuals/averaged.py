@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of the same places, averaged: what was drilled once and measured often shows the machine once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What residuals can be drawn against: recorded columns, and what follows from the geometry."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

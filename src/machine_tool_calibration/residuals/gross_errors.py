@@ -15,8 +15,6 @@ noise is what is left about them. Readings of which nothing tells which is wrong
 named so. All numbers that decide stand in `residuals/agreement.py`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

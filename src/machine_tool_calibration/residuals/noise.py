@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is known of the noise of the readings, and whether the model fits within it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

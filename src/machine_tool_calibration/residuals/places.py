@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether what a model leaves at a place resembles what it leaves at the places beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import spatial, special
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The readings of one or several sessions below each other, as a diagnosis sees them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of residuals (means, slopes, differences) with their uncertainties, which allow for what the model took up."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

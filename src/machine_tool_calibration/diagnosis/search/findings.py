@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is found of every effect: its probability, size, plausibility, look-alikes, and what could have been found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

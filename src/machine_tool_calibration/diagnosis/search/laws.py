@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws that hold to some percent: by what an effect may differ from its columns times its coefficients."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array

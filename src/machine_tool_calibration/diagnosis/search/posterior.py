@@ -7,8 +7,6 @@ every other effect over all its nonlinear coefficients and scales, until the bes
 the place of one of their members.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property

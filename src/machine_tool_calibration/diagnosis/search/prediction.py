@@ -7,8 +7,6 @@ that what the effect adds to it is by how much its Bayes factor grows when they 
 around the readings at hand loses there what it seems to win.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structure in the residuals, whether or not an effect explains it: functions of every covariate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property, partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nominal circles of a ball bar: arms, angles, and the way round."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray

@@ -5,8 +5,6 @@ All are of radial deviations about the least-squares circle: of one way round fo
 one place and one way round are averaged over the runs before a range is taken, so that it does not grow with them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ of the centre by -u.c, and a bar that is longer than stated by -1 (ISO 230-4:200
 axes cannot be distinguished from the bar's length; differences of the scales can.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Circles with a double ball bar in the planes of two linear axes (ISO 230-4): traits and checks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import ClassVar
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Circles as a procedure: place after place around the centre, counter-clockwise and clockwise in every repeat."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS domain id that no other graph on this machine uses."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of messages that all nodes need: quality of service, stamps, status, trajectories, point clouds."""
 
-from __future__ import annotations
-
 import math
 import time
 from array import array

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base of every node: it survives any message, refuses values of parameters that cannot be, and has a lifecycle."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import time

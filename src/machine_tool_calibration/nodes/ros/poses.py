@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses in messages; apart from the other messages, as scipy takes its time to be imported."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

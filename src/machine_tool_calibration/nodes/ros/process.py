@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frame of every node's process: parameters, start, spin, and a clean stop on SIGINT and SIGTERM."""
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import os

@@ -13,8 +13,6 @@ standard messages has one that fits. So its parts stand side by side, of standar
 - `~/outcome` (`diagnostic_msgs/DiagnosticArray`, latched) in place of its result: id, sentence and values.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 import time

@@ -5,8 +5,6 @@ That follows the convention of `diagnostic_updater` (REP 107): an entry named `<
 an aggregator notices a node that has fallen silent.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 

@@ -7,8 +7,6 @@ is sent and when it arrives, so the times do not depend on when it is taken. Of 
 others keep the machine busy: in simulated time messages and ticks of the clock are put in order by when they were sent.
 """
 
-from __future__ import annotations
-
 import importlib
 import time
 from bisect import bisect_right
