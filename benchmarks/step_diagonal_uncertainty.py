@@ -2,8 +2,8 @@
 """Are the stated uncertainties of a step diagonal right, whatever the machine's angular errors?
 
 Simulated sessions of random machines, fitted with the default model: the mean of ((map - truth) / u)^2, which is 1
-where the uncertainties are right, and the map's error over the smallest possible for a machine known to have no angular
-errors (the Cramer-Rao bound of the model `translations`). Turns of the whole map, which the measurement leaves open, do
+where the uncertainties are right, and the map's error over the uncertainty that the model `translations` states, which
+takes the angles to be zero. Turns of the whole map, which the measurement leaves open, do
 not count.
 
     python benchmarks/step_diagonal_uncertainty.py --sessions 200 --output docs/step_diagonal.md
@@ -84,7 +84,7 @@ def _fitted(model: StepDiagonalModel) -> Profiles:
 
 
 def figures(item: tuple[Case, float, int]) -> tuple[float, float, float]:
-    """Mean squared normalised error, its standard error, and the map's RMS error over the bound."""
+    """Mean squared normalised error, its standard error, and the map's RMS error over that stated without angles."""
     case, angular, sessions = item
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         bound = _fitted(build(simulated(case, angular, _FIRST_SEED).session, "translations"))
@@ -123,13 +123,11 @@ uncertain by {scatter:.2f} (median over the table).
 
 They cannot be right for each size by itself. Where the angular errors are too small to show in the readings the model
 cannot know whether they are there; it states what is right on the average over machines with and without them. For a
-machine without angular errors the uncertainties are then some 14 % too large (0.77). They are up to 16 % too small
-(1.34) for one whose errors are just too small to be seen, and up to 25 % (1.7) if its guideways are so smooth that the
-angles are hardly more than a slope and a bow, which look like straightness. The model `translations`, which takes the
-angles to be zero, is right for the first kind of machine only: with errors of 5 urad its mean is 2.8 for 120 mm and 47
-for 600 mm.
+machine without angular errors the uncertainties are then some 7 % too large (0.88). They are up to 15 % too small
+(1.33) for one whose errors are just too small to be seen, and up to 19 % (1.42) if its guideways are so smooth that the
+angles are hardly more than a slope and a bow, which look like straightness.
 
-RMS error of the map, over the smallest possible one for a machine that is known to have no angular errors:
+RMS error of the map, over the uncertainty that the model `translations` states, which takes the angles to be zero:
 
 | plan | {head} |
 |---|{rule}|

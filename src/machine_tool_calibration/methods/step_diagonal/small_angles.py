@@ -27,10 +27,9 @@ What is expected before any reading:
 The numbers were chosen with the virtual machine alone, over angular errors of 0 to 10 urad, short and long travels, and
 smooth and rough guideways, so that the stated uncertainties are right on the whole. They cannot be right for every size
 by itself: at 120 mm of travel and 0.1 um of noise, 2 urad do not show in the readings and yet make a quarter of the
-map's mean square error. The mean of ((map - truth) / u)^2 over 200 machines and nine plans each (docs/step_diagonal.md)
-is 0.77 without angular errors, 0.93 with 1 urad, 1.02 with 2, 1.06 with 5 and 1.03 with 10 urad; of single plans with
-usual guideways between 0.74 and 1.34, and 1.7 for angles that are hardly more than slopes. Without angular errors the
-map's error is that of the model without them.
+map's mean square error. The mean of ((map - truth) / u)^2 over 100 machines and nine plans each (docs/step_diagonal.md)
+is 0.88 without angular errors, 1.07 with 1 urad, 1.09 with 2, 1.05 with 5 and 1.01 with 10 urad; of single plans
+between 0.83 and 1.33, and 1.42 for angles that are hardly more than slopes.
 
 A fit needs one size: it takes the mean covariance of the random functions over all sizes and shapes. Residuals, the
 search for missing effects are based on it; what is published is the mean over all (`SmallAngles`).
