@@ -178,7 +178,8 @@ def judge_effects(world: World, outcome: Outcome, done: Improvement, accepted: S
 def judge_maps(world: World, outcome: Outcome, first: Mapping[str, Any], told: Mapping[str, Any]) -> None:
     """The first map and the one with what was accepted, against the true one."""
     plain, whole = plain_map(world.session), true_map(world, ())
-    error = partial(distance, unit={n: np.mean([u for key, (_, u) in plain.items() if key[0] == n]) for n, *_ in plain})
+    unit = {n: float(np.mean([u for key, (_, u) in plain.items() if key[0] == n])) for n, *_ in plain}
+    error = partial(distance, unit=unit)
     found, true = values_of(first["error_map"]), true_map(world, rejected(first))
     common = found.keys() & true.keys() & whole.keys() & plain.keys()
     found = {key: found[key] for key in common}

@@ -14,7 +14,9 @@ import argparse
 import os
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -44,15 +46,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, claimed_domain() as domain:
         folder = Path(temporary)
         (folder / "procedure.yaml").write_text(yaml.safe_dump(content))
-        world = {"use_sim_time": True, "time_origin": 1.7e9}
-        special = {
+        world: dict[str, Any] = {"use_sim_time": True, "time_origin": 1.7e9}
+        special: dict[str, dict[str, Any]] = {
             "recorder": {"folder": str(folder / "bag")},
             "procedure": {"use_sim_time": True, "procedure": str(folder / "procedure.yaml")},
             "estimator": {"use_sim_time": True},
         }
         nodes = {name: special.get(name, world) for name in names}
         with Graph(nodes, folder / "log", domain) as graph, Client(domain, watch=graph.check) as operator:
-            status = lambda: operator.procedure.entries  # noqa: E731
+
+            def status(operator: Client = operator) -> Mapping[str, str]:
+                return operator.procedure.entries
+
             assert operator.wait(lambda: status().get("state") == "idle" and not status()["waiting_for"], 60.0)
             operator.wait(lambda: False, 1.0)
             before = {name: processor_time(graph.process_id(name)) for name in names}

@@ -186,14 +186,14 @@ def run_plain(data: Data) -> Answer:
         # The combination of the four readings in which the target's position drops out.
         def det(a: int, b: int, c: int) -> np.ndarray:
             x, y, z = g[:, a], g[:, b], g[:, c]
-            return (
+            return np.asarray(
                 x[0] * (y[1] * z[2] - y[2] * z[1])
                 - x[1] * (y[0] * z[2] - y[2] * z[0])
                 + x[2] * (y[0] * z[1] - y[1] * z[0])
             )
 
         w = np.stack([det(1, 2, 3), -det(0, 2, 3), det(0, 1, 3), -det(0, 1, 2)])
-        return w / np.sqrt(np.einsum("sn,sn->n", w, w))
+        return np.asarray(w / np.sqrt(np.einsum("sn,sn->n", w, w)))
 
     def adjugate(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         h = np.einsum("asn,bsn->abn", g, g)
@@ -333,7 +333,7 @@ def run_gtsam(data: Data) -> Answer:
         if jacobians is not None:
             for k in range(4):
                 jacobians[k] = np.asfortranarray(data.datum[:, 4 * k : 4 * k + 4])
-        return data.datum @ np.concatenate([values.atVector(key) for key in list(this.keys())])
+        return np.asarray(data.datum @ np.concatenate([values.atVector(key) for key in list(this.keys())]))
 
     noise = gtsam.noiseModel.Isotropic.Sigma(1, SIGMA)
 
@@ -420,7 +420,7 @@ def child(name: str, case: Case, runs: int, file: Path) -> None:
         key: getattr(best, key) for key in ("chi_square", "steps", "prepare", "solve", "processor", "covariance")
     }
     figures |= {"peak": status("VmHWM"), "rise": status("VmHWM") - before, "readings": len(data.path)}
-    arrays = {"position": best.position, "target": data.target}
+    arrays: dict[str, Any] = {"position": best.position, "target": data.target}
     if best.uncertainty is not None and best.determined is not None:
         arrays |= {"uncertainty": best.uncertainty, "determined": best.determined}
     np.savez(file, **arrays, figures=np.array(json.dumps(figures)))
@@ -430,7 +430,7 @@ def without_motion(position: np.ndarray, nominal: np.ndarray) -> np.ndarray:
     """Positions turned and shifted onto the nominal ones (Kabsch)."""
     middle, centre = position.mean(axis=0), nominal.mean(axis=0)
     u, _, vt = np.linalg.svd((position - middle).T @ (nominal - centre))
-    return (position - middle) @ (u @ vt) + centre
+    return np.asarray((position - middle) @ (u @ vt) + centre)
 
 
 def compare(case: Case, names: list[str], runs: int) -> None:

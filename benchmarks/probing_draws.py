@@ -15,15 +15,17 @@ import numpy as np
 from papers.study_probing import fit_first_case
 
 from machine_tool_calibration.methods.probing.features import monte_carlo
-from machine_tool_calibration.methods.probing.model import responses
+from machine_tool_calibration.methods.probing.model import ProbingModel, responses
 
 
 def main() -> None:
     """Print times and differences."""
     fit = fit_first_case()
-    n_points = len(fit.model.description.workpiece)
-    closed = np.sqrt(np.diag(responses(fit, fit.model.touches.point, n_points).combine(np.eye(n_points)).covariance))
-    print(f"{n_points} points, {len(fit.model.observations)} touches")
+    model = fit.model
+    assert isinstance(model, ProbingModel)
+    n_points = len(model.description.workpiece)
+    closed = np.sqrt(np.diag(responses(fit, model.touches.point, n_points).combine(np.eye(n_points)).covariance))
+    print(f"{n_points} points, {len(model.observations)} touches")
     print(f"{'touches':14}{'draws':>8}{'best of 5, ms':>15}{'largest difference, in chance':>32}")
     for distribution in ("normal", "rectangular", "triangular"):
         for draws in (1000, 10_000):

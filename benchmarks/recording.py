@@ -88,7 +88,7 @@ def speed(count: int) -> None:
             channel = writer.register_channel(topic, "cdr", schema)
             for i in range(count):
                 writer.add_message(channel, i * 1000, messages[i % 100], i * 1000)
-            writer.finish()
+            writer.finish()  # type: ignore[no-untyped-call]
 
     def read_own(path: Path, topic: str, kind: str) -> int:
         states = JointStateReader()

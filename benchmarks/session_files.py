@@ -10,6 +10,7 @@ import argparse
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def session(count: int) -> Session:
     rng = np.random.default_rng(0)
     description = parse_description(DESCRIPTION, "session.yaml")
     assert isinstance(description, Direct)
-    columns = {"time": np.arange(count) * 0.0123}
+    columns: dict[str, Any] = {"time": np.arange(count) * 0.0123}
     columns |= {axis: rng.integers(0, 51, count) * 0.02 for axis in "xyz"}
     columns |= {f"dir_{axis}": rng.choice([-1.0, 1.0], count) for axis in "xyz"}
     sensed = rng.integers(0, 3, count)

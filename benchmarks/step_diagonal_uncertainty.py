@@ -15,6 +15,7 @@ import argparse
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import threadpoolctl
@@ -36,7 +37,7 @@ from machine_tool_calibration.simulation import (
 
 _ANGLES = (0.0, 1e-6, 2e-6, 5e-6, 1e-5)
 _FIRST_SEED = 9000
-_THREE = {"orders": ("xyz", "yzx", "zxy"), "repeats": 1}
+_THREE: dict[str, Any] = {"orders": ("xyz", "yzx", "zxy"), "repeats": 1}
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Case:
 
 
 _CUBE = DiagonalPlan(step=(0.03,) * 3)
-_BOX = {"step": (0.05, 0.03, 0.02), "blocks": 10, "corner": (-0.2, 0.1, -0.15)}
+_BOX: dict[str, Any] = {"step": (0.05, 0.03, 0.02), "blocks": 10, "corner": (-0.2, 0.1, -0.15)}
 CASES = (
     Case("120 mm, 12 steps", DiagonalPlan()),
     Case("120 mm, 12 steps, three orders", DiagonalPlan(**_THREE)),

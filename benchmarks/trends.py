@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import threadpoolctl
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.priors import ACCEPTED
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
@@ -30,11 +30,11 @@ from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.check import check
 from machine_tool_calibration.trends.explain import ALARM, FEWEST, explain
 from machine_tool_calibration.trends.logbook import Entry, Logbook, entry_of
-from machine_tool_calibration.trends.statement import Size, of_fit, sizes_of
+from machine_tool_calibration.trends.statement import Size, Statement, of_fit, sizes_of
 from machine_tool_calibration.trends.trend import Course, trend
 
 MONTHS, CHANGED = 30, 15
-_DAYS = 30.4 * np.arange(MONTHS)
+_DAYS = 30.4 * np.arange(MONTHS, dtype=np.float64)
 _WITHIN = 2
 _PAIRS = (("iso230_2", None), ("tracking_2d", "rigid_body"), ("grid_plate", None))
 _MODEL, _EFFECT = "rigid_body", "backlash_x"
@@ -94,7 +94,7 @@ def entered(one: Session, label: str) -> Entry:
     return entry_of(one, label, result.document(), sizes_of(result))
 
 
-def first_alarm(value: Array, way: Array, among: int, asked: str) -> int | None:
+def first_alarm(value: Array, way: IntArray, among: int, asked: str) -> int | None:
     """The session after which it is found, of values with a standard uncertainty of 1; None if never."""
     for n in range(FEWEST, MONTHS + 1):
         if getattr(explain(_DAYS[:n], value[:n], np.ones(n), way[:n], among), asked):
@@ -140,12 +140,12 @@ def called_changed(preset: str, model: str | None, pairs: int) -> int:
     """Pairs of sessions of a machine that did not change, of which `mtcal check` calls any error changed."""
     count = 0
     for k in range(pairs):
-        both = []
+        both: list[Statement] = []
         for seed in (100 + 2 * k, 101 + 2 * k):
             spec = SimulationSpec(plan=PRESETS[preset], seed=seed, machine=MachineSpec(seed=7))
             result = identify_sessions(FitRequest((simulate(spec).session,), model=model))
             both.append(of_fit(fitted_sessions(result), str(seed)))
-        count += bool(check(*both).moved)
+        count += bool(check(both[0], both[1]).moved)
     return count
 
 

@@ -11,6 +11,7 @@ What a paper does not print is assumed and said; where a figure does not come ou
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from papers import study_probing, study_rotary_axis, study_step_diagonal, study_tracking
@@ -39,7 +40,7 @@ def main() -> None:
         parser.error(f"no study {unknown[0]!r}; there are {', '.join(STUDIES)}")
     with progress_bar() as progress:
         studies = [
-            STUDIES[name](lambda what, share, name=name: progress(f"{name}: {what}", share))
+            STUDIES[name](partial(lambda name, what, share: progress(f"{name}: {what}", share), name))
             for name in options.names or STUDIES
         ]
     for entry in studies:

@@ -95,7 +95,8 @@ class World:
 
     def showing(self, names: Sequence[str]) -> Session:
         """Readings with nothing but these effects."""
-        return with_change(self.silent, sum((self.signals[name] for name in names), 0.0))
+        assert self.silent is not None
+        return with_change(self.silent, sum((np.asarray(self.signals[name]) for name in names), 0.0))
 
 
 def with_change(session: Session, change: Array | float) -> Session:
@@ -332,7 +333,7 @@ def transient(plan: str, seed: int) -> World:
     rng = np.random.default_rng([seed, 13])
     sigma, runs = 1.5e-6, 18 if plan == "places" else int(rng.integers(300, 600))
     places = (*_LINE, *_LINE[::-1]) if plan == "places" else (_LINE[rng.integers(11)],)
-    clock = rng.uniform(10.0, 30.0) * np.arange(runs * len(places))
+    clock = rng.uniform(10.0, 30.0) * np.arange(runs * len(places), dtype=np.float64)
     fast = clock[-1] * rng.uniform(0.02, 0.12)
     slow, share = fast * rng.uniform(3.0, 15.0), rng.uniform(0.3, 0.7)
     warm = 1.0 - share * np.exp(-clock / fast) - (1.0 - share) * np.exp(-clock / slow)

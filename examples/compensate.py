@@ -24,7 +24,7 @@ from machine_tool_calibration.maps import PositionErrors, error_map_from_message
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Compensate(Node):
+class Compensate(Node):  # type: ignore[misc]  # rclpy comes without types
     """See the module."""
 
     def __init__(self) -> None:

@@ -145,7 +145,7 @@ def prepare(environment: Path, extras: set[str]) -> None:
         stamp.write_text(json.dumps({**wanted, "ros": found["ros"], "extras": sorted(extras)}, indent=1))
 
 
-def read_stamp(stamp: Path) -> dict:
+def read_stamp(stamp: Path) -> dict:  # type: ignore[type-arg]
     """What the environment was made for; empty if it was not finished."""
     try:
         return dict(json.loads(stamp.read_text()))

@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "machine_tool_calibration"
 ROOMS = (
     *("estimation", "residuals", "model", "effects", "methods", "instruments", "machine", "maps.py", "budget"),
-    *("diagnosis", "planning", "procedure/workpiece", "export", "trends"),
+    *("diagnosis", "planning", "procedure", "session", "export", "trends"),
 )
 # What takes long to import and is none of ours: loaded once, before the first child.
 HEAVY = ("hypothesis", "matplotlib.pyplot", "mcap", "numpy", "pandas", "pydantic", "pyarrow", "rich", "scipy.optimize")
