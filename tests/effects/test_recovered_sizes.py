@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects with several coefficients: each comes out as it was put in, within its uncertainty."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.session import Session
@@ -33,6 +35,21 @@ def test_lost_motion_at_every_position() -> None:
     # A polynomial of the third degree follows half a wave of a cosine to 2 % of its height.
     assert np.abs(fitted - truth).max() < 0.02 * 4e-6 + 4 * max(u for _, u in values.values())
     assert np.ptp(truth) > 50 * max(u for _, u in values.values())
+
+
+@pytest.mark.parametrize(("both", "one_way", "count"), [
+    (1, 0, 1),  # one place tells one number
+    (2, 0, 2),
+    (5, 4, 5),  # places read from one side alone tell no play
+    (21, 0, 8),  # the law's own degree, 7
+    (1, 3, 2),  # a slope is allowed for, and its limits hold it
+])
+def test_lost_motion_has_a_number_for_each_place_read_from_both_sides(both: int, one_way: int, count: int) -> None:
+    place = np.r_[np.tile(np.arange(both), 2), both + np.arange(one_way)] * 0.05
+    columns = {"x": place, "dir_x": np.repeat([1.0, -1.0, 1.0], [both, both, one_way])}
+    observations: Any = SimpleNamespace(readings=SimpleNamespace(column=columns.__getitem__))
+    names = [c.name for c in catalogue()["lost_motion_x"].coefficients_for(observations)]
+    assert names == [f"b{k}" for k in range(count)]
 
 
 def test_expansion_behind_the_sensor_tells_its_time_constant() -> None:

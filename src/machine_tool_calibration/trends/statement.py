@@ -107,9 +107,7 @@ class Statement:
 
     @property
     def position_error(self) -> tuple[Array, Array]:
-        """(n, 3) position error at the points and its standard uncertainty, m."""
-        if not len(self.points):
-            return np.zeros((0, 3)), np.zeros((0, 3))
+        """(n, 3) position error at the points and its standard uncertainty, m; only where there are points."""
         members = self.numbers.quantity(POSITION_ERROR).members
         return self.numbers.value[members].reshape(-1, 3), self.numbers.u[members].reshape(-1, 3)
 

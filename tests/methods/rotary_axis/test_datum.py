@@ -75,19 +75,29 @@ def test_motions_that_are_seen_hold_none_of_these() -> None:
     assert all(condition.value == 0.0 for condition in conditions)
 
 
-def test_where_a_motion_is_seen_in_part_the_condition_is_on_that_part() -> None:
-    """Nowhere is the sum of EA and EB over the size seen, as where two targets lie on one line through the axis."""
-    line = np.r_[np.zeros(3), 1.0, 1.0, 0.0] / np.sqrt(2.0)
+@pytest.mark.parametrize(("one", "other", "parts"), [
+    (3, 4, (1.0, 1.0)),  # a line through the axis
+    (1, 5, (0.6, 0.8)),  # a line that is beside it
+])
+def test_where_a_motion_is_seen_in_part_the_condition_is_on_that_part(
+    one: int, other: int, parts: tuple[float, float]
+) -> None:
+    """Nowhere is a turn about a line seen on which both targets lie: turns times the size, and shifts."""
+    scaled = parts / np.linalg.norm(parts)
+    line = np.zeros(6)
+    line[[one, other]] = scaled
     loose = np.tile(np.outer(line, line), (3, 1, 1))
     conditions = motion_constraints(table("C", [0, 1, 2], [0, 0, 0]), LABELS, loose, SIZE)
     names = [label for row in LABELS for label in row]
     rows = np.array([[condition.weights.get(name, 0.0) for name in names] for condition in conditions])
     # What is not seen is not touched by any of them, and what is has no constant.
+    unit = np.repeat([1.0, 1.0 / SIZE], 3)[:, None]
     unseen = np.zeros((6, 3))
-    unseen[3:5] = 1.0
-    np.testing.assert_allclose(rows @ unseen.ravel(), 0.0, atol=1e-12)
+    unseen[[one, other]] = scaled[:, None]
+    np.testing.assert_allclose(rows @ (unit * unseen).ravel(), 0.0, atol=1e-12)
     seen = np.zeros((6, 3))
-    seen[3], seen[4] = 1.0, -1.0
+    seen[one], seen[other] = scaled[1], -scaled[0]
+    seen *= unit
     assert np.abs(rows @ seen.ravel()).max() > 1e-3
     assert np.linalg.matrix_rank(rows) >= 6
 
