@@ -33,6 +33,15 @@ def test_angular_errors_are_a_family_of_their_own(pool: Pool) -> None:
     assert random.sizes[0.0] == NONE
 
 
+def test_of_columns_counts_what_differs_within_a_run(pool: Pool) -> None:
+    columns = np.random.default_rng(2).normal(size=(3, len(pool))) + 0.2 * pool.run
+    expected = np.zeros(3)
+    for run in np.unique(pool.run):
+        mine = columns[:, pool.run == run] / pool.sigma[pool.run == run]
+        expected += mine.var(axis=1) * mine.shape[1]
+    np.testing.assert_allclose(pool.within_runs(columns), expected, rtol=1e-9)
+
+
 def test_random_functions_that_do_not_show_are_no_family() -> None:
     """Beside readings that are declared uncertain by 0.3 mm, angles of some microradians are nothing."""
     simulated = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=3, noise=3e-4)).session

@@ -13,6 +13,7 @@ from scipy.stats import binom
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch, search_effects
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
@@ -51,6 +52,18 @@ def test_a_structure_in_the_span_of_an_effect_is_that_effect() -> None:
     assert look.unknown == pytest.approx(without.unknown)
     assert look.of("backlash_y").probability > 0.9
     assert look.of("backlash_y").probability == pytest.approx(without.of("backlash_y").probability)
+
+
+@pytest.mark.parametrize("effect", ["backlash_y", "pointer_radial_error"])
+def test_what_an_effect_would_leave_of_the_residuals_is_what_a_fit_with_it_leaves(effect: str) -> None:
+    model, found = build_model(session(effect))[0], looked(session(effect)).of(effect)
+    term = effect_term(catalogue()[effect], model.observations, found.shape)
+    before, after = (
+        np.sqrt(np.mean(fit_models([one]).fits[0].residuals ** 2)) for one in (model, model.with_terms((term,)))
+    )
+    # A screening need not be exact, and tells most of what the effect takes away.
+    assert after < 0.5 * before
+    assert found.rms_after == pytest.approx(after, rel=0.05)
 
 
 def test_of_a_structure_what_an_effect_does_is_that_effect() -> None:

@@ -50,10 +50,6 @@ def test_places_that_are_off_by_a_centimetre_are_found(axis: str, sign: int) -> 
     for i, j in ((0, 1), (1, 2), (0, 2)):
         apart = np.linalg.norm(found.targets[i] - found.targets[j])
         assert apart == pytest.approx(np.linalg.norm(true[1][i] - true[1][j]), abs=2e-5)
-    # What no reading tells, a shift of everything along the axis, is where the stated places have it.
-    along = "ABC".index(axis)
-    shift = np.concatenate([found.stations - stations, found.targets - targets])[:, along]
-    assert shift.mean() == pytest.approx(0.0, abs=1e-5)
 
 
 def test_gross_errors_do_not_lead_astray() -> None:

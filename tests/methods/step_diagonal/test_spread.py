@@ -34,7 +34,10 @@ def test_random_functions_are_zero_at_first_and_of_size_one(share):
 
 
 def _by_hand(model):
-    """Weights, means and covariances of the map for every size and shape, the readings' covariance written out."""
+    """Weights, means and covariances of the map, and what is expected of the angles, for every size and shape.
+
+    The readings' covariance is written out.
+    """
     n = len(model.observations)
     offsets = np.zeros((len(model.own), n))
     offsets[model.observations.run, np.arange(n)] = 1.0
@@ -49,7 +52,7 @@ def _by_hand(model):
     outside = unit[:, rank:]  # what no other unknown touches
     residual = model.observations.readings.displacement - model.nominal
     angles = np.concatenate([term.columns for term in model.spread.terms])
-    logs, means, covariances = [np.log(NONE)], [], []
+    logs, means, covariances, priors = [np.log(NONE)], [], [], []
     sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES_TRIED)
     none = (1.0,) * len(model.spread.tables)
     likely = model.spread.posterior.ratios
@@ -79,17 +82,18 @@ def _by_hand(model):
         order = [*names, *(label for labels in model.spread.names for label in labels)]
         place = [order.index(model.parameters[k].name) for k in index]
         means.append(mapping @ (both @ residual)[place])
+        priors.append(prior)
         covariances.append(mapping @ covariance[np.ix_(place, place)] @ mapping.T)
     logs = np.array(logs)
     weights = np.exp(logs - logs.max())
-    return weights / weights.sum(), np.array(means), np.array(covariances)
+    return weights / weights.sum(), np.array(means), np.array(covariances), np.array(priors)
 
 
 @pytest.mark.parametrize(("angular", "seed"), [(3e-6, 5), (1.5e-5, 4)])
 def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed, reproducible):
     plan = {"blocks": 4, "step": (0.05, 0.04, 0.03), "corner": (-0.1, 0.2, 0.0)}
     model = build(exact(seed, noise=1.0, angular=angular, **plan).session)
-    weights, means, covariances = _by_hand(model)
+    weights, means, covariances, priors = _by_hand(model)
     assert weights[1:].sum() > 0.02
     mean = weights @ means
     total = np.tensordot(weights, covariances, axes=1) + (means - mean).T @ ((means - mean) * weights[:, None])
@@ -100,7 +104,12 @@ def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed, reprodu
     assert uncertainty.max() > 1.05 * np.sqrt(np.diag(covariances[0])).max()
     assert profiles.value == pytest.approx(mean, abs=1e-3 * uncertainty.max())
     assert np.sqrt(np.diag(profiles.covariance)) == pytest.approx(uncertainty, rel=2e-3, abs=1e-12)
-    assert model.spread.posterior.probability == pytest.approx(weights[1:].sum(), rel=1e-3)
+    found = model.spread.posterior
+    assert found.probability == pytest.approx(weights[1:].sum(), rel=1e-3)
+    # All that is expected before and after the readings, one error worse than the others where that is probable.
+    expected = np.tensordot(weights, priors, axes=1)
+    assert block_diag(*found.priors) == pytest.approx(expected, rel=2e-3, abs=1e-3 * expected.max())
+    assert found.size**2 == pytest.approx(np.trace(expected) / sum(len(p) for p in found.priors), rel=2e-3)
 
 
 def test_a_declaration_that_is_too_small_does_not_turn_scatter_into_angles(exact):
