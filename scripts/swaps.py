@@ -211,7 +211,7 @@ def catcher(swap: Swap, tree: Path, near: bool, sound: dict[str, bool]) -> str |
                 if sound.get(test, True):
                     return test
                 left_out.append(f"--deselect={test}")
-            if near:
+            if near and tests:
                 break
     finally:
         file.write_text(text)

@@ -54,13 +54,14 @@ def test_places_that_an_axis_came_back_to_are_no_places_of_their_own() -> None:
     assert frequencies(points(np.linspace(0.0, 1e-4, 41))).max() == pytest.approx(1.0 / 5e-6, rel=0.02)
 
 
-def test_of_a_long_axis_long_waves_without_a_gap_and_the_usual_leads() -> None:
-    x = np.linspace(0.0, 1.0, 501)
+@pytest.mark.parametrize("span", [1.0, 4.0])
+def test_of_a_long_axis_long_waves_without_a_gap_and_the_usual_leads(span: float) -> None:
+    x = np.linspace(0.0, span, round(500 * span) + 1)
     found = frequencies(points(x))
-    assert len(found) <= 80 and found[0] == pytest.approx(1.5)
+    assert len(found) <= 80 and found[0] == pytest.approx(1.5 / span)
     step = np.diff(found)
-    long = found[: np.flatnonzero(step > 0.4001)[0] + 1]
-    np.testing.assert_allclose(np.diff(long), 0.4)
+    long = found[: np.flatnonzero(step > 0.4001 / span)[0] + 1]
+    np.testing.assert_allclose(np.diff(long), 0.4 / span)
     beyond = found[len(long) :]
     usual = [1e3 / (lead * share) for lead in (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 32, 40) for share in (1.0, 0.5)]
-    assert set(np.round(beyond, 6)) == {round(f, 6) for f in usual if long[-1] + 0.2 < f <= 250.0}
+    assert set(np.round(beyond, 6)) == {round(f, 6) for f in usual if long[-1] + 0.2 / span < f <= 250.0}

@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.residuals.places import alike_beside_p
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 
@@ -28,6 +31,24 @@ def fitted(plan: str, off: float, *, zone: bool = False) -> Fit:
         change, place = off * session.sigma * np.arange(2), ((x > 0.5 * x.max()) & (y > 0.5 * y.max())).astype(int)
     moved = session.with_readings(replace(readings, displacement=readings.displacement + change[place]))
     return fit_models([build_model(moved)[0]]).fits[0]
+
+
+def test_readings_of_a_plate_that_was_drilled_once_are_averaged_hole_by_hole() -> None:
+    """And by the side from which it was approached."""
+    fit = fitted("grid_plate", 6.0)
+    session = fit.model.observations.session
+    averaged = mean_places(fit)
+    assert averaged is not None and mean_places(fitted("iso230_2", 6.0)) is None
+
+    def keys(one: Session) -> Array:
+        return np.array([one.readings.columns[name] for name in ("x", "y", "gx", "gy", "dir_x", "dir_y")]).T
+
+    holes, expected = keys(averaged[0]), []
+    for hole in holes:
+        mine = (keys(session) == hole).all(axis=1)
+        expected.append(session.readings.displacement[mine].mean())
+    assert len(np.unique(holes, axis=0)) == len(holes) == len(np.unique(keys(session), axis=0))
+    np.testing.assert_allclose(averaged[0].readings.displacement, expected, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "iso230_2", "grid_plate", "step_diagonal"])
