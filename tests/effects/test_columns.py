@@ -197,6 +197,23 @@ def test_columns_are_what_exact_geometry_does(name: str) -> None:
     assert largest > 4e-8
 
 
+@pytest.mark.parametrize(("plan", "names"), [
+    ("rotary_a", "vx vy vz wb wc"),
+    ("rotary_b", "vx vy vz wa wc"),
+    ("rotary_c", "vx vy vz wa wb"),
+    ("probing", "vx vy"),  # a part that is touched in a plane does not see the others
+])
+def test_a_rotary_axis_drifts_as_far_as_the_readings_can_tell(plan: str, names: str) -> None:
+    """Every shift v and turn w, but the one about the axis: time times g.(v + w x p)."""
+    effect, seen = catalogue()["rotary_axis_drift"], observed(plan)
+    assert [c.name for c in effect.coefficients_for(seen)] == names.split()
+    rates = dict(zip(["vx", "vy", "vz", "wa", "wb", "wc"], np.tile(np.eye(3), (2, 1)), strict=True))
+    moved = [rates[n] if n[0] == "v" else np.cross(rates[n], seen.position) for n in names.split()]
+    expected = seen.readings.columns["time"] * np.array([np.sum(seen.table_direction * m, axis=1) for m in moved])
+    np.testing.assert_allclose(effect.columns(seen), expected, rtol=1e-9, atol=1e-9)
+    assert np.linalg.matrix_rank(expected) == len(moved)
+
+
 def test_a_beam_that_follows_its_target_is_not_turned_by_the_zero_of_its_azimuth() -> None:
     chosen = flaw_of("pointer_zero_offset", "tracker")
     assert not simulate(spec("tracker"), extra=[chosen]).truth.signal.any()

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.effect_terms import common_shape
 from machine_tool_calibration.effects.thermal_lag import followed
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DirectPlan, Drift, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
@@ -72,6 +75,16 @@ def test_a_screw_that_warms_up_tells_its_growth_its_fixed_end_and_its_time_const
         value, u = values[name]
         assert abs(value - true) < 4 * u, name
         assert u < 0.3 * abs(true), name
+
+
+def test_a_time_constant_is_found_between_those_that_are_tried_first() -> None:
+    points = tuple((float(x), 0.0, 0.0) for x in np.tile(np.linspace(0.0, 0.5, 11), 30))
+    plan = DirectPlan(kind="points", points=points, terms=(), noise=1e-8)
+    session = session_with("warmup_x", plan, 1e-5, {"tau": 700.0}, machine={"random": None})
+    joint = fit_models([build_model(session)[0]])
+    (tau,), ((size, *_),) = common_shape(joint, catalogue()["warmup_x"], [(100.0,), (1000.0,), (10000.0,)])
+    assert tau == pytest.approx(700.0, rel=0.02) and size == pytest.approx(1e-5, rel=0.02)
+    assert common_shape(joint, catalogue()["warmup_x"], [(400.0,)])[0] == (400.0,)
 
 
 def test_what_follows_between_readings_is_the_solution_of_its_equation() -> None:
