@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict on simulated sessions: nothing missing, one effect, two, one that nobody knows, chips."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -8,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.adding import _explains, _not_themselves, _sized
+from machine_tool_calibration.diagnosis.adding import _explains, _hold, _not_themselves, _sized
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
@@ -37,6 +38,20 @@ def look(plan: str, seed: int, *flaws: FlawSpec, **changes: object) -> Diagnosis
 @pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d", "rotary_axis", "probing_cross"])
 def test_nothing_missing_is_called_adequate(plan: str) -> None:
     assert look(plan, 101).verdict == "adequate"
+
+
+@pytest.mark.parametrize(("name", "after", "message"), [
+    ("position_error_u", [2.0, 2.0, np.nan], ""),
+    ("position_error_u", [2.0, 2.0, 1e4], ""),  # what the map did not have is no loss, however badly it is known
+    ("position_error_u", [2.0, np.nan, np.nan], "together with it 1 values of the map would no longer"),
+    ("EXX_u", [70.0, 70.0, np.nan], "35 times worse"),
+    ("EXX_u", [70.0] * 6, "35 times worse"),  # with a value for either direction of approach
+    ("dead_path_u", [70.0, np.nan, np.nan], ""),  # none of the machine's
+])
+def test_an_effect_may_cost_the_map_neither_values_nor_all_use(name: str, after: list[float], message: str) -> None:
+    maps: Any = [SimpleNamespace(content={name: np.array(u)}) for u in ([2.0, 2.0, np.nan], after)]
+    with pytest.raises(ModelError, match=message) if message else nullcontext():
+        _hold(*maps)
 
 
 def test_what_identify_refuses_is_not_called_adequate() -> None:
