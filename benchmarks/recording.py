@@ -28,11 +28,11 @@ import numpy as np
 from machine_tool_calibration.recording.cdr import (
     JOINT_STATE,
     NUMBERS,
-    JointStateReader,
     decode,
     definition_of,
     encode,
     encode_joint_state,
+    joint_state,
     part,
     typestore,
 )
@@ -91,8 +91,7 @@ def speed(count: int) -> None:
             writer.finish()  # type: ignore[no-untyped-call]
 
     def read_own(path: Path, topic: str, kind: str) -> int:
-        states = JointStateReader()
-        read: Callable[[bytes], object] = states.read if kind == JOINT_STATE else partial(decode, kind)
+        read: Callable[[bytes], object] = joint_state if kind == JOINT_STATE else partial(decode, kind)
         return sum(read(message.data) is not None for message in BagReader(path).messages([topic]))
 
     def read_rosbags(path: Path, topic: str, kind: str) -> int:
@@ -259,7 +258,7 @@ def kill(count: int, seed: int) -> None:
                 [decode(NUMBERS, message.data).data for message in bag.messages(["/instrument/displacement"])]
             )
             assert np.array_equal(samples, np.arange(len(samples))), "a gap"
-            cost = killed - float(JointStateReader().read(last.data).positions[0])
+            cost = killed - float(joint_state(last.data).positions[0])
             costs.append(cost)
             print(f"{number + 1:3}: {report.messages} messages saved, the last {cost:.3f} s lost", flush=True)
     print(f"{count} kills: lost {np.median(costs):.3f} s in the middle, at most {max(costs):.3f} s")

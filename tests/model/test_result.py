@@ -6,7 +6,7 @@ import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.result import ErrorMap, effect_signal, map_change, map_rms
+from machine_tool_calibration.model.result import ErrorMap, Estimate, effect_signal, map_change, map_rms
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 
@@ -25,6 +25,12 @@ def test_maps_that_have_nothing_in_common_have_no_change() -> None:
     assert map_change(one, ErrorMap({}, places + 1.0, one.error, np.ones((2, 3)))) is None
     assert map_rms(nothing) is None
     assert map_rms(known.error) == pytest.approx(1e-6 / np.sqrt(2))
+
+
+def test_a_budget_adds_to_the_variance_of_the_unknowns_that_it_names() -> None:
+    found = Estimate("EXX(0.1)", 1e-6, 3e-6, "m")
+    assert found.with_variance({"EXX(0.1)": 16e-12}).standard_uncertainty == pytest.approx(5e-6)
+    assert found.with_variance({"EYY(0.1)": 16e-12}) == found
 
 
 def test_the_signal_of_an_effect_is_its_own_columns_times_its_own_size() -> None:

@@ -15,6 +15,7 @@ from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct import model as direct_model
+from machine_tool_calibration.methods.direct.datum import silent_directions
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
@@ -170,3 +171,13 @@ def test_the_map_is_worked_out_at_its_places_not_at_every_reading(monkeypatch: p
     plan = PRESETS["iso230_2"].model_copy(update={"repeats": 12})
     fitted = identify(simulate(SimulationSpec(plan=plan, seed=2)).session)
     assert set(asked) == {len(fitted.error_map.points)}
+
+
+def test_no_reading_notices_an_unknown_without_columns_nor_what_two_of_them_share() -> None:
+    columns = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [2e6, 2e6, 0.0, 0.0], [0.0, 0.0, 1e-6, 0.0]])
+    directions, scale = silent_directions(columns)
+    unknown = directions * scale[:, None]
+    assert np.linalg.matrix_rank(directions) == directions.shape[1] == 2
+    np.testing.assert_allclose(columns.T @ unknown, 0.0, atol=1e-9)
+    # The one without columns is among them, whatever the others do.
+    np.testing.assert_allclose(directions @ directions.T @ np.eye(4)[1], np.eye(4)[1], atol=1e-12)
