@@ -112,7 +112,7 @@ def test_what_is_shown_of_a_difference_is_clear_beside_the_scatter() -> None:
     assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 1.0) == pytest.approx((26.0, np.sqrt(15.25)))
     assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 2.5) == pytest.approx((8.0, 2.5))
     # Where the error motion is zero by its definition there is no difference, and no uncertainty to hold it against.
-    assert scores.difference(0, np.array([[0.0, 0.0], [1.0, 0.0]]), 1.0) == pytest.approx((8.0, 1.0))
+    assert scores.difference(0, np.array([[0.0, 0.0], [1.0, 0.0]]), 100.0) == pytest.approx((8.0, 100.0))
 
 
 def test_the_tail_of_a_chi_square_beyond_floating_point_is_that_of_the_exponential() -> None:

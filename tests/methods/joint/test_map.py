@@ -15,7 +15,7 @@ from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import FlawSpec, MachineSpec, RotaryPlan
+from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -80,13 +80,6 @@ def test_effect_of_one_session_only(several: SimpleNamespace) -> None:
     result = identify_sessions(FitRequest((tracker.session, run.session), ("tracker", "run"), effects=("backlash_x",)))
     assert result.effects == ("backlash_x",)
     assert "backlash_x.b" in {p.name for p in result.parameters}
-
-
-def test_of_rotary_axes_alone_there_are_error_motions_and_no_places() -> None:
-    plans = [SimulationSpec(plan=RotaryPlan(), seed=seed, machine=MachineSpec(seed=7)) for seed in (1, 2)]
-    found = identify_sessions(FitRequest([simulate(plan).session for plan in plans], ["a", "b"])).error_map
-    assert found.points.shape == found.error.shape == (0, 3)
-    assert set(found.content["rotary"]) == {"EXC", "EYC", "EZC", "EAC", "EBC", "ECC"}
 
 
 def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
