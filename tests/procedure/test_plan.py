@@ -134,9 +134,11 @@ def test_rotary_axis_measures_each_target_at_every_angle_from_one_zero():
     x, y = -0.1058046, 0.1353414
     turned = (x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle), 0.0)
     assert step.aim == pytest.approx(turned)
-    # and the other way where the session says that its axis turns so
+    # and the other way where the session, or else its machine, says that the axis turns so
     back = (x * math.cos(angle) + y * math.sin(angle), -x * math.sin(angle) + y * math.cos(angle), 0.0)
     assert made("rotary_axis_one_way", rotation_sign=-1)[1].aim == pytest.approx(back)
+    machine = {"chain": "w-C-b-t", "rotation_sign": -1}
+    assert made("rotary_axis_one_way", rotation_sign=None, machine=machine)[1].aim == pytest.approx(back)
 
 
 def test_turning_points_are_approached_from_both_sides():
