@@ -16,7 +16,9 @@ from machine_tool_calibration.model.observations import SAME_POSITION, Observati
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.words import say
 
-_DEGREES = 4
+# Degrees of the polynomial: what a guideway's waves take, where one session alone has so many positions that they show,
+# and otherwise.
+_DEGREES, _ENOUGH_POSITIONS, _FEWER_DEGREES = 7, 10, 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
 _POWERS = ("constant", "power_1", "power_2", "power_3", "power_4")
 # A single axis read again and again at so few positions shows its error at each of them.
@@ -44,6 +46,10 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
     return np.asarray(along if turned is None else along + turned[:, component])
 
 
+def _look(degree: int) -> str:
+    return say(f"coefficient.{_POWERS[degree]}") if degree < len(_POWERS) else say("coefficient.power", n=degree)
+
+
 class ErrorMotionEffect(AxisEffect):
     """A smooth error motion: a polynomial of the axis's position.
 
@@ -69,9 +75,7 @@ class ErrorMotionEffect(AxisEffect):
         super().__init__(name)
         self.motion = parse_motion(name)
         unit, limit = ("rad", 1e-3) if self.motion.is_rotation else ("m", 1e-4)
-        self.coefficients = tuple(
-            Coefficient(f"p{k}", unit, -limit, limit, say(f"coefficient.{_POWERS[k]}")) for k in range(1, _DEGREES + 1)
-        )
+        self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit, _look(k)) for k in range(1, _DEGREES + 1))
         if self.motion.component == self.motion.axis:
             self.contains = (f"scale_{self.axis}", "scale")
         elif not self.motion.is_rotation:
@@ -81,7 +85,9 @@ class ErrorMotionEffect(AxisEffect):
         """Of the polynomial, or as many as a single axis has positions."""
         nodes = self._nodes(observations)
         if nodes is None:
-            return self.coefficients
+            place = np.round(observations.readings.column(self.axis) / SAME_POSITION)
+            alone = observations.covered is None and len(np.unique(place)) >= _ENOUGH_POSITIONS
+            return self.coefficients if alone else self.coefficients[:_FEWER_DEGREES]
         low, high = self.coefficients[0].low, self.coefficients[0].high
         first = self._first(observations)
         return tuple(
@@ -120,11 +126,11 @@ class ErrorMotionEffect(AxisEffect):
             return np.asarray(basis.T[self._first(observations) :] @ table)
         along = sensed_motion(observations, self.motion)
         series = polynomials(observations.readings.column(self.axis), observations.span(self.axis))
-        return np.asarray(series.T * along)
+        return np.asarray(series.T[: len(self.coefficients_for(observations))] * along)
 
 
 def polynomials(position: Array, span: tuple[float, float]) -> Array:
-    """(n, 4) an error motion per unit of each of its coefficients p1 to p4, at positions of its axis, m."""
+    """(n, 7) an error motion per unit of each of its coefficients p1 to p7, at positions of its axis, m."""
     low, high = span
     place = (position - (high + low) / 2) / (((high - low) or 1.0) / 2)
     return np.asarray(np.polynomial.legendre.legvander(place, _DEGREES)[:, 1:])
