@@ -174,7 +174,7 @@ GOOD_ENOUGH, SMALL = 1 / 3, 0.7
 uncertainty of a reading below which that does not matter: then the model is adequate. What is larger than the noise
 never is."""
 
-CONTRADICTED, CONTRADICTED_CHANCE, MOST_OF_THE_EXCESS = 2.0, 1e-9, 1 / 3
+CONTRADICTED, CONTRADICTED_CHANCE, MOST_OF_THE_EXCESS = 2.0, 1e-9, 0.5
 """Weighted mean square from which the readings contradict the best model, the chance of that, and the share of the
 excess that effects must explain to be the cause all the same: more than what does not reproduce and a wrong declaration
 usually come to."""
