@@ -184,6 +184,14 @@ def _shaped(root: Array, gram: Array, right: Array, variance: Array) -> _Shape:
     return _Shape(directions, information, along, likelihood)
 
 
+def _of_errors(
+    places: Sequence[tuple[tuple[float, ...], int]], factors: Sequence[float], shape: int
+) -> tuple[list[Array], Array]:
+    """Covariance of each error of these sizes and of one shape, and a root of all."""
+    each = [(f, *_shapes(*place)[shape]) for f, place in zip(factors, places, strict=True)]
+    return [f**2 * covariance for f, covariance, _ in each], block_diag(*(f * root for f, _, root in each))
+
+
 def normal_posterior(
     nodes: Sequence[tuple[Array, int]],
     matrix: Array,
@@ -213,12 +221,9 @@ def normal_posterior(
     places = [_key(*where) for where in nodes]
     ratios = own_sizes([_mean_root(*place) for place in places], gram, right) if ratios is None else ratios
     tried = [(factors, j, log(weight)) for factors, weight in ratios for j in range(len(_SHAPES))]
-    each = [[f**2 * _shapes(*place)[j][0] for f, place in zip(factors, places, strict=True)] for factors, j, _ in tried]
-    roots = [[f * _shapes(*place)[j][1] for f, place in zip(factors, places, strict=True)] for factors, j, _ in tried]
-    shapes = [_shaped(block_diag(*own), gram, right, variance) for own in roots]
-    prior = np.log((1.0 - NONE) / (len(_SHAPES) * _SIZES_TRIED)) + np.array(
-        [[log_weight] for _, _, log_weight in tried]
-    )
+    covariances, roots = zip(*(_of_errors(places, factors, j) for factors, j, _ in tried), strict=True)
+    shapes = [_shaped(root, gram, right, variance) for root in roots]
+    prior = np.array([[own] for _, _, own in tried]) + log((1.0 - NONE) / (len(_SHAPES) * _SIZES_TRIED))
     logs = np.array([shape.log_likelihood for shape in shapes]) + prior
     weights = np.exp(logs - logsumexp(np.append(logs, np.log(NONE))))
 
@@ -230,7 +235,7 @@ def normal_posterior(
     return AngularPosterior(
         size=float(np.sqrt(weights @ variance @ [np.mean(np.square(factors)) for factors, _, _ in tried])),
         probability=float(weights.sum()),
-        priors=tuple(np.tensordot(weights @ variance, np.array(own), axes=1) for own in zip(*each, strict=True)),
+        priors=tuple(np.tensordot(weights @ variance, np.array(own), axes=1) for own in zip(*covariances, strict=True)),
         ratios=ratios,
         theta=np.concatenate([without.step - shared @ mean, mean]),
         covariance=np.block([[without.covariance + carried @ shared.T, -carried], [-carried.T, spread]]),
