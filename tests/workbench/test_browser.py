@@ -233,7 +233,8 @@ def test_no_page_is_wider_than_a_phone(address: str, browser: "playwright.Browse
         page.get_by_role("button", name=title, exact=True).click()
         page.get_by_role("heading", name=title, exact=True).wait_for()
         # Plots are laid out when they are drawn.
-        page.wait_for_timeout(1500)
+        page.wait_for_function("Bokeh.documents.every(one => one.is_idle)")
+        page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390, title
 
 
