@@ -40,14 +40,17 @@ def test_nothing_missing_is_called_adequate(plan: str) -> None:
     assert look(plan, 101).verdict == "adequate"
 
 
-@pytest.mark.parametrize(("name", "after", "message"), [
-    ("position_error_u", [2.0, 2.0, np.nan], ""),
-    ("position_error_u", [2.0, 2.0, 1e4], ""),  # what the map did not have is no loss, however badly it is known
-    ("position_error_u", [2.0, np.nan, np.nan], "together with it 1 values of the map would no longer"),
-    ("EXX_u", [70.0, 70.0, np.nan], "35 times worse"),
-    ("EXX_u", [70.0] * 6, "35 times worse"),  # with a value for either direction of approach
-    ("dead_path_u", [70.0, np.nan, np.nan], ""),  # none of the machine's
-])
+@pytest.mark.parametrize(
+    ("name", "after", "message"),
+    [
+        ("position_error_u", [2.0, 2.0, np.nan], ""),
+        ("position_error_u", [2.0, 2.0, 1e4], ""),  # what the map did not have is no loss, however badly it is known
+        ("position_error_u", [2.0, np.nan, np.nan], "together with it 1 values of the map would no longer"),
+        ("EXX_u", [70.0, 70.0, np.nan], "35 times worse"),
+        ("EXX_u", [70.0] * 6, "35 times worse"),  # with a value for either direction of approach
+        ("dead_path_u", [70.0, np.nan, np.nan], ""),  # none of the machine's
+    ],
+)
 def test_an_effect_may_cost_the_map_neither_values_nor_all_use(name: str, after: list[float], message: str) -> None:
     maps: Any = [SimpleNamespace(content={name: np.array(u)}) for u in ([2.0, 2.0, np.nan], after)]
     with pytest.raises(ModelError, match=message) if message else nullcontext():

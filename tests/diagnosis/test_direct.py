@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis of plates and axes as workshops measure them."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -17,17 +15,6 @@ from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
-
-
-@pytest.fixture(scope="module")
-def plates() -> ModuleType:
-    """The functions of tests/methods/direct/plates.py."""
-    path = Path(__file__).parents[1] / "methods" / "direct" / "plates.py"
-    spec = importlib.util.spec_from_file_location("direct_plates", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: Any) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis of places that were read once each: axes one at a time, and a machine that is no three rigid axes."""
 
-import importlib.util
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -14,17 +12,6 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
-
-
-@pytest.fixture(scope="module")
-def plates() -> ModuleType:
-    """The functions of tests/methods/direct/plates.py."""
-    path = Path(__file__).parents[1] / "methods" / "direct" / "plates.py"
-    spec = importlib.util.spec_from_file_location("direct_plates", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def in_space(plates: ModuleType, position: np.ndarray, error: np.ndarray, terms: list[str], declared: float) -> Session:

@@ -197,12 +197,15 @@ def test_columns_are_what_exact_geometry_does(name: str) -> None:
     assert largest > 4e-8
 
 
-@pytest.mark.parametrize(("plan", "names"), [
-    ("rotary_a", "vx vy vz wb wc"),
-    ("rotary_b", "vx vy vz wa wc"),
-    ("rotary_c", "vx vy vz wa wb"),
-    ("probing", "vx vy"),  # a part that is touched in a plane does not see the others
-])
+@pytest.mark.parametrize(
+    ("plan", "names"),
+    [
+        ("rotary_a", "vx vy vz wb wc"),
+        ("rotary_b", "vx vy vz wa wc"),
+        ("rotary_c", "vx vy vz wa wb"),
+        ("probing", "vx vy"),  # a part that is touched in a plane does not see the others
+    ],
+)
 def test_a_rotary_axis_drifts_as_far_as_the_readings_can_tell(plan: str, names: str) -> None:
     """Every shift v and turn w, but the one about the axis: time times g.(v + w x p)."""
     effect, seen = catalogue()["rotary_axis_drift"], observed(plan)

@@ -40,13 +40,16 @@ def test_lost_motion_at_every_position() -> None:
     assert np.ptp(truth) > 50 * max(u for _, u in values.values())
 
 
-@pytest.mark.parametrize(("both", "one_way", "count"), [
-    (1, 0, 1),  # one place tells one number
-    (2, 0, 2),
-    (5, 4, 5),  # places read from one side alone tell no play
-    (21, 0, 8),  # the law's own degree, 7
-    (1, 3, 2),  # a slope is allowed for, and its limits hold it
-])
+@pytest.mark.parametrize(
+    ("both", "one_way", "count"),
+    [
+        (1, 0, 1),  # one place tells one number
+        (2, 0, 2),
+        (5, 4, 5),  # places read from one side alone tell no play
+        (21, 0, 8),  # the law's own degree, 7
+        (1, 3, 2),  # a slope is allowed for, and its limits hold it
+    ],
+)
 def test_lost_motion_has_a_number_for_each_place_read_from_both_sides(both: int, one_way: int, count: int) -> None:
     place = np.r_[np.tile(np.arange(both), 2), both + np.arange(one_way)] * 0.05
     columns = {"x": place, "dir_x": np.repeat([1.0, -1.0, 1.0], [both, both, one_way])}

@@ -75,10 +75,13 @@ def test_motions_that_are_seen_hold_none_of_these() -> None:
     assert all(condition.value == 0.0 for condition in conditions)
 
 
-@pytest.mark.parametrize(("one", "other", "parts"), [
-    (3, 4, (1.0, 1.0)),  # a line through the axis
-    (1, 5, (0.6, 0.8)),  # a line that is beside it
-])
+@pytest.mark.parametrize(
+    ("one", "other", "parts"),
+    [
+        (3, 4, (1.0, 1.0)),  # a line through the axis
+        (1, 5, (0.6, 0.8)),  # a line that is beside it
+    ],
+)
 def test_where_a_motion_is_seen_in_part_the_condition_is_on_that_part(
     one: int, other: int, parts: tuple[float, float]
 ) -> None:
