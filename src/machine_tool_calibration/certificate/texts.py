@@ -67,8 +67,9 @@ def procedure(own: Certificate, found: Evaluation) -> Iterator[TextTable]:
     yield TextTable(say("certificate.conditions"), ("", ""), tuple(stated_conditions(own)))
     for session in found.measured.recorded:
         yield set_up(session)
-        (columns,) = islice(session_tables(session, summarize(session)), 1, 2)
-        rows = zip(summarize(session).columns, columns.rows, strict=True)
+        summary = summarize(session)
+        (columns,) = islice(session_tables(session, summary), 1, 2)
+        rows = zip(summary.columns, columns.rows, strict=True)
         told = tuple(row for column, row in rows if column.name.startswith(CONDITIONS))
         yield TextTable(say("certificate.recorded"), columns.columns, told)
     yield TextTable("", ("", ""), ((say("certificate.remarks"), Verbatim(own.remarks)),) if own.remarks else ())

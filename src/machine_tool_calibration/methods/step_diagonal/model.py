@@ -98,9 +98,9 @@ class StepDiagonalModel(MethodModel):
         columns = np.concatenate([offsets, plain.dense(), *(term.columns for term in self.spread.terms)]) / self.sigma
         measured = (self.observations.readings.displacement - self.nominal) / self.sigma
         # Readings that scatter more than declared even with free angles are no angles.
-        size = np.maximum(np.linalg.norm(columns, axis=1), np.finfo(float).tiny)
-        best, _, rank, _ = np.linalg.lstsq((columns / size[:, None]).T, measured)
-        left = measured - best @ (columns / size[:, None])
+        unit = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), np.finfo(float).tiny)
+        best, _, rank, _ = np.linalg.lstsq(unit.T, measured)
+        left = measured - best @ unit
         variance = np.maximum(noise_variance(left @ left, len(left) - rank), 1.0)
         gram, right = columns @ columns.T / variance, columns @ measured / variance
         posterior = normal_posterior(self.spread.nodes, gram, right, np.array(rows))
