@@ -11,7 +11,7 @@ from machine_tool_calibration.certificate.points import missing
 from machine_tool_calibration.certificate.texts import facts, instruments, procedure, statements
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
-from machine_tool_calibration.report.page import pdf, rendered, save, save_pictures
+from machine_tool_calibration.report.page import pdf, rendered, save_all
 from machine_tool_calibration.report.sections import Block, Section, Turnable, in_language, sections
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.values import STANDARDS
@@ -45,17 +45,14 @@ def write_certificate(
     progress("drawing", 0.0)
     enclosed = _enclosed(found, own, words)
     content = _sections(found, own, words, [name for name, *_ in enclosed])
-    for k, file in enumerate(files, start=1):
-        progress(f"writing {file.name}", k / (len(files) + 1))
-        ending = file.suffix.lower()
+
+    def made(ending: str) -> str | bytes:
         if ending == ".xml":
-            save(file, dcc_text(found, own, words))
-        elif ending == ".pdf":
-            text = page(found, own, content, words, for_paper=True)
-            save(file, pdf(text, enclosed, pdf_variant="pdf/a-3u"))
-        else:
-            save(file, page(found, own, content, words, for_paper=False))
-    return [*files, *(save_pictures(content, figures) if figures else ())]
+            return dcc_text(found, own, words)
+        text = page(found, own, content, words, for_paper=ending == ".pdf")
+        return pdf(text, enclosed, pdf_variant="pdf/a-3u") if ending == ".pdf" else text
+
+    return save_all(files, made, content, figures, progress)
 
 
 def page(found: Evaluation, own: Certificate, content: Sequence[Section], words: Words, *, for_paper: bool) -> str:

@@ -41,10 +41,24 @@ def write_report(
     check_endings(files)
     progress("drawing", 0.0)
     content = sections(found, words)
+
+    def made(ending: str) -> str | bytes:
+        return pdf(html(found, content, words, for_paper=True)) if ending == ".pdf" else html(found, content, words)
+
+    return save_all(files, made, content, figures, progress)
+
+
+def save_all(
+    files: Sequence[Path],
+    made: Callable[[str], str | bytes],
+    content: Sequence[Section],
+    figures: Path | None,
+    progress: Callable[[str, float], None],
+) -> list[Path]:
+    """Write files, each made by its ending, and the pictures in a folder if one is given; returns all of them."""
     for k, file in enumerate(files, start=1):
         progress(f"writing {file.name}", k / (len(files) + 1))
-        on_paper = file.suffix.lower() == ".pdf"
-        save(file, pdf(html(found, content, words, for_paper=True)) if on_paper else html(found, content, words))
+        save(file, made(file.suffix.lower()))
     return [*files, *(save_pictures(content, figures) if figures else ())]
 
 
