@@ -35,15 +35,19 @@ def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str,
     a root of the covariance of the model's shared unknowns under its datum; `names` are of the columns.
     """
     m = len(total) - k - 1
-    cross = total[:m, m:].copy()
+    return projected(total[:m, m:].copy(), total[m:, m:], squares[m:], half, names)
+
+
+def projected(cross: Array, inner: Array, squares: Array, half: Array, names: tuple[str, ...] = ()) -> Projected:
+    """The same from the inner products (m, k + 1) of the model's columns with those, and (k + 1, k + 1) of those."""
     # At the solution the residual has nothing left along the model; where the model is nearly degenerate, what the
     # iteration left over would be blown up by the covariance.
     cross[:, -1] = 0.0
     # The covariance itself is not formed: its largest entries would leave rounding in what is told well.
     seen = half.T @ cross
     response = half @ seen
-    gram = total[m:, m:] - seen.T @ seen
-    return Projected((gram + gram.T) / 2, squares[m:], np.diag(total)[m:].copy(), response[:, :k], names)
+    gram = inner - seen.T @ seen
+    return Projected((gram + gram.T) / 2, squares, np.diag(inner).copy(), response[:, :-1], names)
 
 
 _THREADS = 2
@@ -83,25 +87,32 @@ def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
         return list(_pool(os.getpid(), _THREADS).map(lambda chunk: work(*chunk), chunks))
 
 
-def _gram_without_points(part: Part, theta: Array, local: Array) -> tuple[IntArray, Array]:
-    """Places (k,) of the unknowns that a part sees, and their Gram matrix with the residual, of all rows in one."""
+def columns_without_points(part: Part, theta: Array, local: Array) -> tuple[IntArray, Array]:
+    """Places (k,) of the unknowns that a part without points sees; (k + 1, n) their columns and, last, the residual.
+
+    Both over the declared uncertainty, at shared and own unknowns.
+    """
     places = [part.columns(group) for group in range(len(part.groups))]
     used = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *places]))
-    columns = np.zeros((len(used) + 1, sum(layout.rows.size for layout in part.groups)))
-    first = 0
+    columns = np.zeros((len(used) + 1, part.n_readings))
     for group, layout in enumerate(part.groups):
         slots, n = layout.rows.shape
         rows = part.rows(group, slice(0, n), theta, local)
         at, p = np.searchsorted(used, places[group]), len(rows.block)
         for slot in range(slots):
-            mine = slice(first, first + n)
-            first += n
-            columns[at[len(at) - len(rows.dense) :], mine] = rows.dense[:, slot]
+            there = layout.rows[slot] >= 0
+            mine = layout.rows[slot, there]
+            columns[np.ix_(at[len(at) - len(rows.dense) :], mine)] = rows.dense[:, slot, there]
             # One by one: a block may hold an unknown twice, or one of the dense ones.
             for place, column in zip(at[layout.place[slot] * p :], rows.block[:, slot], strict=False):
-                columns[place, mine] += column
-            columns[-1, mine] = rows.residual[slot]
-    return used, columns @ columns.T
+                columns[place, mine] += column[there]
+            columns[-1, mine] = rows.residual[slot, there]
+    return used, columns
+
+
+def is_small(part: Part) -> bool:
+    """Whether a part has no points, nor so many readings that all at once would take memory."""
+    return not part.dimension and part.n_readings <= _UNDIVIDED
 
 
 @single_blas()
@@ -114,9 +125,9 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
     total = np.zeros((m + 1, m + 1))
     squares = np.zeros(m + 1)
     for part, own in zip(problem.parts, local, strict=True):
-        if not part.dimension and part.n_readings <= _UNDIVIDED:
-            index, value = _gram_without_points(part, theta, own)
-            index = np.append(index, m)
+        if is_small(part):
+            index, columns = columns_without_points(part, theta, own)
+            index, value = np.append(index, m), columns @ columns.T
             total[np.ix_(index, index)] += value
             squares[index] += np.diag(value)
             continue

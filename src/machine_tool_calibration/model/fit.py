@@ -14,7 +14,15 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part
-from machine_tool_calibration.estimation.reduction import Projected, gram, project
+from machine_tool_calibration.estimation.reduction import (
+    Projected,
+    columns_without_points,
+    gram,
+    is_small,
+    project,
+    projected,
+    single_blas,
+)
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.marginal_fit import MarginalFit, marginal_fit
 from machine_tool_calibration.model.model import POINTS, MethodModel, Parameter, Term, assemble
@@ -50,6 +58,15 @@ class JointFit(Solved):
         problem = self.assembly.problem
         total, squares = gram(problem, self.solution.theta, self.solution.local)
         return covariance_root(total, squares, problem.constraints)
+
+    @cached_property
+    def columns(self) -> list[tuple[IntArray, Array]] | None:
+        """Of each session `columns_without_points` at the solution; None where one has points, or many readings."""
+        if not all(map(is_small, self.assembly.problem.parts)):
+            return None
+        theta = self.solution.theta
+        pairs = zip(self.assembly.problem.parts, self.solution.local, strict=True)
+        return [columns_without_points(part, theta, own) for part, own in pairs]
 
     @cached_property
     def without_random(self) -> JointFit:
@@ -182,9 +199,28 @@ def screen(fit: Fit, columns: Array) -> Projected:
 
     They are (k, n): the change of each of its readings per unit of each further unknown.
     """
-    names = tuple(Parameter(f"column {j}", "1") for j in range(len(columns)))
-    own = [Term("columns", names, columns)]
-    return screen_joint(fit.joint, [own if k == fit.index else [] for k in range(len(fit.joint.assembly.models))])
+    others = [np.zeros((len(columns), len(model.observations))) for model in fit.joint.assembly.models]
+    return screen_columns(fit.joint, [columns if k == fit.index else own for k, own in enumerate(others)])
+
+
+def screen_columns(joint: JointFit, columns: Sequence[Array]) -> Projected:
+    """The same of k columns over the readings of all sessions, from their (k, n) of each."""
+    k = len(columns[0])
+    if joint.columns is None:
+        shared = tuple(Parameter(f"{j}", "1", shared=True) for j in range(k))
+        return screen_joint(joint, [[Term("columns", shared, own)] for own in columns])
+    cross, inner = np.zeros((joint.assembly.problem.size, k + 1)), np.zeros((k + 1, k + 1))
+    inner[-1, -1] = joint.solution.chi_square
+    with single_blas():
+        for (places, model), own, session in zip(joint.columns, columns, joint.assembly.models, strict=True):
+            # A column of one session alone is zero in the others.
+            seen = np.flatnonzero(own.any(axis=1))
+            scaled = own[seen] / session.sigma
+            cross[np.ix_(places, seen)] += model[:-1] @ scaled.T
+            inner[np.ix_(seen, seen)] += scaled @ scaled.T
+            inner[seen, -1] += scaled @ model[-1]
+        inner[-1] = inner[:, -1]
+        return projected(cross, inner, np.diag(inner), joint.root)
 
 
 def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:

@@ -11,9 +11,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import Projected
-from machine_tool_calibration.model.fit import JointFit, screen_joint
+from machine_tool_calibration.model.fit import JointFit, screen_columns
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
-from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 
@@ -159,9 +158,8 @@ class Pool:
             columns: change of each reading, m.
             random: whether unknowns that are random functions take their share, of the size that they have in the fit.
         """
-        shared = tuple(Parameter(f"{k}", "1", shared=True) for k in range(len(columns)))
-        terms: Sequence[Sequence[Term]] = [[Term("columns", shared, columns[:, piece])] for piece in self.pieces]
-        return screen_joint(self.fit if random else self.fit.without_random, terms)
+        fit = self.fit if random else self.fit.without_random
+        return screen_columns(fit, [columns[:, piece] for piece in self.pieces])
 
     def within_runs(self, columns: Array) -> Array:
         """(k,) squared norms of columns over the declared uncertainty, without the mean of each run."""
