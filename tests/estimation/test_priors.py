@@ -8,8 +8,8 @@ from machine_tool_calibration.estimation import priors
 NUMBERS = {name: value for name, value in vars(priors).items() if name.isupper()}
 PROBABILITIES = (
     *("ALL_REPRODUCES", "EFFECT", "STRUCTURE", "RARE", "BULK", "JUDGED", "SINGLE", "ACCEPTED", "FURTHER", "MAY_BE"),
-    *("LIKELY", "SURE", "ALIKE", "THE_SAME", "LAW", "ABSORBED", "DETECTED", "STRUCTURE_CHANCE", "LACK_OF_FIT_CHANCE"),
-    *("CONTRADICTED_CHANCE", "MOST_OF_THE_EXCESS", "GOOD_ENOUGH", "SMALL", "COURSE", "CURVED", "AS_NOISY"),
+    *("LIKELY", "SURE", "ALIKE", "THE_SAME", "LAW", "ABSORBED", "DETECTED", "STRUCTURE_P", "LACK_OF_FIT_P"),
+    *("CONTRADICTED_P", "MOST_OF_THE_EXCESS", "GOOD_ENOUGH", "SMALL", "COURSE", "CURVED", "AS_NOISY"),
 )
 
 

@@ -98,7 +98,7 @@ def _not_themselves(
     """
     after, out, known = fit_with(names).joint, dict[str, str](), {f.name for f in search.findings if f.rank}
     for name in (name for name in names if search.of(name).candidate.decays):
-        # What it changes that the model does not take up, and the residual.
+        # What it changes that the model does not absorb, and the residual.
         squares = np.diag(Pool(before).screen(effect_signal(after, name)[0][None]).gram)
         special_cases = known.intersection(search.of(name).candidate.contains)
         instead = [tuple(case if n == name else n for n in names) for case in special_cases]
@@ -112,9 +112,9 @@ def _not_themselves(
 
 
 def _sized(fit: JointFit, name: str) -> bool:
-    """Whether the sizes of an effect with a time constant, taken together, stand out of their uncertainty.
+    """Whether the sizes of an effect with a time constant, jointly, stand out of their uncertainty.
 
-    Where they do not, its freedom describes something else, in one place or at one moment.
+    Where they do not, its coefficients describe something else, in one place or at one moment.
     """
     published, every = fit.published, enumerate(fit.assembly.parameters)
     own = [k for k, p in every if p.kind is Kind.EFFECT and p.owner == name and p.unit != "s"]

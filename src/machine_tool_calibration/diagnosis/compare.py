@@ -38,7 +38,7 @@ _LEAST_REDUNDANCY = 0.02
 _LEAST_LEFT = 0.5
 # Half the change of a reading per displacement of an axis, m/m (C: m/rad), from which the axis counts as sensed.
 _LEAST_SENSITIVITY = 5e-7
-# Products of readings and values of a label beyond which these are not told apart.
+# Products of readings and values of a label beyond which these are not distinguished.
 _MOST_COMPARED = 2e7
 _POSITIONS = ("x", "y", "z", "c")
 _WORST = 10
@@ -55,7 +55,7 @@ class Overall:
     rms_residual: float  # root mean square of measured minus predicted, m
     reduced_chi_square: float  # weighted sum of squares over the degrees of freedom
     degrees_of_freedom: int  # readings minus unknowns
-    p_value: float  # chance of so large a sum of squares if the model is right and the declared uncertainty too
+    p_value: float  # probability of so large a sum of squares if the model is right and the declared uncertainty too
 
     @property
     def ratio(self) -> float:
@@ -399,7 +399,7 @@ def _scatter(fit: Fit) -> float:
 
 
 def _p_value(fit: Fit, value: pd.Series[float], uncertainty: pd.Series[float]) -> Array:
-    """Chance of values so far from zero; Student's where the scatter was taken from the residuals."""
+    """Probability of values so far from zero; Student's where the scatter is that of the residuals."""
     ratio = -value.abs() / uncertainty.where(uncertainty > 0.0)
     dof = fit.solution.degrees_of_freedom
     return np.asarray(2.0 * (special.stdtr(dof, ratio) if _scatter(fit) > 1.0 else special.ndtr(ratio)))

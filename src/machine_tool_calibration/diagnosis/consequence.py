@@ -49,7 +49,7 @@ def consequences(
 
     Args:
         diagnosis: the candidates.
-        added: of which the coefficients' uncertainties are told with.
+        added: with which the coefficients' uncertainties are published.
         most: how many candidates beside those accepted.
 
     Returns:

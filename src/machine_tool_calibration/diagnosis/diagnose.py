@@ -120,7 +120,7 @@ class Diagnosis:
                 expected, known = (repeats / self.noise.declared) ** 2, self.noise.repeats
         dof, variance = first.degrees_of_freedom, self.search.variance / expected
         chance = special.chdtrc(dof, dof * variance) if np.isinf(known) else special.fdtrc(dof, known, variance)
-        if self.noisy or variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_CHANCE:
+        if self.noisy or variance <= priors.CONTRADICTED or chance >= priors.CONTRADICTED_P:
             return False
         excess = first.chi_square - dof * expected
         return first.chi_square - last.chi_square < priors.MOST_OF_THE_EXCESS * excess

@@ -38,7 +38,7 @@ class Part(Record):
     label: str  # name of the session
     model: str  # its method's variant
     data: str  # fingerprint of its readings
-    set_aside: tuple[int, ...] = ()  # rows of its readings that were taken for outliers
+    set_aside: tuple[int, ...] = ()  # rows of its readings that were set aside
     kept: tuple[int, ...] = ()  # rows that were said to be sound, however far they stand out
 
 
@@ -56,12 +56,12 @@ class Entry(Record):
     change: str = ""  # what it has and its parent has not, in a few words
     data: str  # fingerprint of the readings; another one means other readings
     used: int  # number of readings in the fit
-    set_aside: tuple[int, ...] = ()  # rows of readings that were taken for outliers, of one session
+    set_aside: tuple[int, ...] = ()  # rows of readings that were set aside, of one session
     kept: tuple[int, ...] = ()  # rows that were said to be sound, however far they stand out, of one session
     rms_residual: Finite  # m
     reduced_chi_square: Finite | None = None  # weighted sum of squared residuals over the degrees of freedom
     degrees_of_freedom: int  # of the fit
-    p_value: Finite | None = None  # chance of so large a sum of squares if model and declared uncertainty are right
+    p_value: Finite | None = None  # probability of so large a sum of squares if model and declaration are right
     map_rms: Finite | None = None  # RMS length of the position errors of the map's points, m
     map_uncertainty_rms: Finite | None = None  # RMS length of their standard uncertainty, m
     map_change_rms: Finite | None = None  # RMS length by which they moved against the parent, m
@@ -169,7 +169,7 @@ class Entry(Record):
 
     @property
     def readings_aside(self) -> int:
-        """How many readings were taken for outliers, of all sessions."""
+        """How many readings were set aside, of all sessions."""
         return len(self.set_aside) + sum(len(part.set_aside) for part in self.sessions)
 
 

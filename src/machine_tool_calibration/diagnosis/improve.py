@@ -48,7 +48,7 @@ class Step:
 
     @property
     def unexplained_at_tool(self) -> float:
-        """RMS length of what the readings saw of the tool point and the model does not explain, m; noise taken off.
+        """RMS length of what the readings saw of the tool point and the model does not explain, m; without the noise.
 
         Only where the model gives the tool point's errors by the machine's: where every point is free, what is left
         are contradictions between readings of the same point.
@@ -68,7 +68,7 @@ class Step:
         """Standard uncertainty (RMS length) left at the tool point, m; None where the method maps no position errors.
 
         That of the map, times the factor by which the readings scatter more than declared, as what the model does not
-        explain is taken to act on the map as noise does (an effect that the model lacks may act more); and what is
+        explain is assumed to act on the map as noise does (an effect that the model lacks may act more); and what is
         seen at the tool point itself and not explained.
         """
         chi = self.reduced_chi_square

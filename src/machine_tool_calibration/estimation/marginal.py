@@ -4,7 +4,7 @@
 y = J theta + sum over families f of tau_f U_f a_f + noise, a_f ~ N(0, sigma^2): the columns U_f are smooth functions of
 time of every run and of every mounting, tau_f their size in units of the noise. J has been projected off (restricted
 likelihood, Patterson and Thompson 1971), so that what remains is a small matrix, whatever the number of readings. The
-variance of the noise is integrated out, with what was declared as knowledge worth a number of readings.
+variance of the noise is integrated out, with the declared one as known from a number of readings.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Gram:
     dof: int  # degrees of freedom of the readings beside the model's unknowns
     # of the last families, where they are known in their own unit: with their prior probabilities
     sizes: tuple[dict[float, float], ...] = ()
-    # readings that what is known of the noise is worth; infinite where it is known
+    # prior degrees of freedom of the noise; infinite where it is known
     prior_dof: float = priors.DECLARED_DOF
 
     @property
@@ -148,9 +148,9 @@ class Marginal:
 
 
 def log_noise(squares: Array | float, dof: int) -> Array:
-    """(..., 2) logarithms of the likelihood of sums of squares by what the declared uncertainty is worth.
+    """(..., 2) logarithms of the likelihood of sums of squares, for each of `priors.NOISE_DOF`.
 
-    Either it holds, as knowledge worth a number of readings, or it says next to nothing (inverse-gamma priors of the
+    Either it holds, as well as so many readings would say it, or it says next to nothing (inverse-gamma priors of the
     variance): what differs by more than was declared is not for that alone what does not reproduce.
     """
     prior, half, logs = _noise_terms(dof)
@@ -165,7 +165,7 @@ def _noise_terms(dof: int) -> tuple[Array, Array, Array]:
 
 
 def noise_variance(squares: Array | float, dof: int) -> Array:
-    """Mean of the noise's variance, over that declared, over what the latter may be worth (`log_noise`)."""
+    """Mean of the noise's variance, over that declared, over its prior degrees of freedom (`log_noise`)."""
     prior = np.array(priors.NOISE_DOF)
     each = (prior + np.expand_dims(squares, -1)) / (prior + dof)
     return np.asarray(np.sum(softmax(log_noise(squares, dof), axis=-1) * each, axis=-1))

@@ -65,7 +65,7 @@ class _Work:
         self.theta_motion = theta_motion
         self.d, self.n = self.local.shape
         self.m, self.t = theta_motion.shape
-        self.loose = solution.loose_directions()
+        self.undetermined = solution.loose_directions()
         self.determined = np.asarray(solution.local_determined[index].all(axis=0))
         # The first pass leaves here the inverse of each point's normal matrix for the second.
         self.covariance = np.empty((self.d, self.d, self.n))
@@ -104,7 +104,7 @@ class _Work:
         normal_inverse = inverse(gram_of_each(rows.local))
         self.covariance[:, :, points] = normal_inverse
         seen, index = _seen(self.part, group, rows)
-        if self.loose.shape[1]:
+        if self.undetermined.shape[1]:
             self.determined[points] &= self.fixed(seen, index, normal_inverse)
         out = np.zeros((self.m + 2 * self.t + 1, self.t))
         if self.t:
@@ -122,7 +122,7 @@ class _Work:
 
     def fixed(self, seen: Array, index: IntArray, normal_inverse: Array) -> BoolArray:
         """(n,) whether points stay where they are while the shared unknowns change in a way that nothing fixes."""
-        pushed = np.tensordot(self.loose[index], seen, axes=(0, 0))
+        pushed = np.tensordot(self.undetermined[index], seen, axes=(0, 0))
         answer = np.einsum("abn,kbn->kan", normal_inverse, pushed)
         # Beside what the point would do if the unknowns that it sees changed one by one.
         scale = np.einsum("abn,cbn->an", np.abs(normal_inverse), np.abs(seen * self.size(index)[:, None, None]))
@@ -130,7 +130,7 @@ class _Work:
 
     def size(self, index: IntArray) -> Array:
         """Largest change of each shared unknown among the directions that nothing fixes."""
-        return np.asarray(np.abs(self.loose).max(axis=1)[index])
+        return np.asarray(np.abs(self.undetermined).max(axis=1)[index])
 
     def spread(self, group: int, chunk: slice) -> Array:
         """Fill in the covariances of a chunk: H^-1 + H^-1 F Q F^T H^-1, less what the point moves the datum."""

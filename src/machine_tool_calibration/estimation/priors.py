@@ -9,7 +9,8 @@ what every model lacks a little, what does not reproduce, single gross errors, a
 # --- noise ---
 
 DECLARED_DOF = 20.0
-"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
+"""Prior degrees of freedom of the noise, of which the declared uncertainty is the size: a misfit of many readings
+outweighs it."""
 
 HARDLY_DECLARED_DOF = 2.0
 """The same where the declared uncertainty need not hold at all; what is published weighs both."""
@@ -39,7 +40,7 @@ SEVERAL_RUNS = 4
 the slopes and bows of fewer are the machine's own, unless over several axes they read enough places again."""
 
 ENOUGH_REPEATS = 8
-"""Degrees of freedom of repeats from which these alone tell what does not reproduce, so that a lack of fit cannot."""
+"""Degrees of freedom of repeats from which these alone say what does not reproduce, so that a lack of fit cannot."""
 
 # --- what every model lacks a little ---
 
@@ -138,7 +139,7 @@ is missing."""
 
 SURE = 0.95
 """Probability that something is missing from which it is said although no effect can be named; and that one of two
-effects is the one, from which they are told apart, alike as they are."""
+effects is the one, from which they are distinguished, alike as they are."""
 
 ALIKE, THE_SAME = 0.9, 0.98
 """Cosine between the signals of two effects outside the model from which they are look-alikes; and from which a
@@ -149,7 +150,7 @@ UNRELATED = 0.5
 
 AS_LIKELY = 0.5
 """Share of the likeliest look-alike's probability from which a commoner one, which the catalogue has before it, stands
-for both: readings that do not tell them apart give them probabilities that differ by their priors' widths alone."""
+for both: readings that do not distinguish them give them probabilities that differ by their priors' widths alone."""
 
 LAW, SECOND_TIME_CONSTANT = 0.5, 1.0
 """Share of a surer effect's signal below which another one that is the same but for a smooth function of time is what
@@ -174,26 +175,26 @@ GOOD_ENOUGH, SMALL = 1 / 3, 0.7
 uncertainty of a reading below which that does not matter: then the model is adequate. What is larger than the noise
 never is."""
 
-CONTRADICTED, CONTRADICTED_CHANCE, MOST_OF_THE_EXCESS = 2.0, 1e-9, 0.5
-"""Weighted mean square from which the readings contradict the best model, the chance of that, and the share of the
+CONTRADICTED, CONTRADICTED_P, MOST_OF_THE_EXCESS = 2.0, 1e-9, 0.5
+"""Weighted mean square from which the readings contradict the best model, the probability of that, and the share of the
 excess that effects must explain to be the cause all the same: more than what does not reproduce and a wrong declaration
 usually come to."""
 
 AS_NOISY = 0.9
 """Share of the whole scatter from which that of repeats is as much: then the declared uncertainty is too small."""
 
-STRUCTURE_CHANCE, LACK_OF_FIT_CHANCE = 0.02, 0.001
-"""Chance below which a structure is named, and below which places that differ more than their repeats are."""
+STRUCTURE_P, LACK_OF_FIT_P = 0.02, 0.001
+"""p-value below which a structure is named, and below which places that differ more than their repeats are."""
 
 DETECTED = 0.8
-"""Power with which the smallest size that is stated would be found."""
+"""Power with which the smallest size that is published would be found."""
 
 SIZE_MARGIN = 2.0
 """Standard uncertainties by which a size may lie outside of what is tried for before it is called implausible."""
 
 STANDS_OUT = 2.0
-"""Standard uncertainties of a size beside the other effects, or the chance of that for several together, below which an
-effect with a time constant is not added: what decays resembles much else."""
+"""Standard uncertainties of a size beside the other effects, or the probability of that for several together, below
+which an effect with a time constant is not added: what decays resembles much else."""
 
 TAKEN_BACK = 2.0
 """What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others

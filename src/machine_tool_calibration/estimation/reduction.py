@@ -22,7 +22,7 @@ class Projected:
 
     gram: Array  # (k + 1, k + 1) inner products of the k columns and, last, the residual
     squares: Array  # (k + 1,) squared norms before anything was projected off
-    after_points: Array  # (k + 1,) squared norms once the points' own unknowns have taken their share
+    after_points: Array  # (k + 1,) squared norms once the points' own unknowns are projected off
     response: Array  # (m, k) change of the model's shared unknowns per unit of each column that it absorbs
     names: tuple[str, ...] = ()  # (k,) of the columns, where they have names
 
@@ -43,7 +43,7 @@ def projected(cross: Array, inner: Array, squares: Array, half: Array, names: tu
     # At the solution the residual has nothing left along the model; where the model is nearly degenerate, what the
     # iteration left over would be blown up by the covariance.
     cross[:, -1] = 0.0
-    # The covariance itself is not formed: its largest entries would leave rounding in what is told well.
+    # The covariance itself is not formed: its largest entries would leave rounding in what is determined well.
     seen = half.T @ cross
     response = half @ seen
     gram = inner - seen.T @ seen

@@ -121,7 +121,7 @@ class FittedSessions:
         return self.map_of(self.joint)
 
     def map_of(self, joint: JointFit) -> ErrorMap:
-        """The machine's errors by another fit of the same models, such as a restated one (`model.refits`)."""
+        """The machine's errors by another fit of the same models, such as those of `model.refits`."""
         if self.common is None:
             return error_map(joint.fits[0])
         return joint_map(joint, self.common, stated(joint, self.common.angles))
@@ -174,10 +174,10 @@ def gross_errors(chosen: FitRequest) -> list[WithoutGrossErrors]:
     Of several, each by itself and without effects: where one is missing, all its residuals are large, and none stands
     out.
     """
-    return [_sifted(chosen, session) for session in chosen.sessions]
+    return [_without_gross_errors(chosen, session) for session in chosen.sessions]
 
 
-def _sifted(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
+def _without_gross_errors(chosen: FitRequest, session: Session) -> WithoutGrossErrors:
     built = chosen.finished(chosen.base(session))
     outliers = find_outliers(
         session, lambda part: built[0] if part is session else chosen.finished(chosen.base(part))[0]

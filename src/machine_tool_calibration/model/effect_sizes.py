@@ -103,7 +103,7 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = p
         values: (k,) eigenvalues of a candidate's inner products at half its largest plausible size.
         along: that of the direction in which the signal lies.
         needed: logarithm of the Bayes factor.
-        power: chance to reach it.
+        power: probability to reach it.
     """
     largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
     steps = max(int(np.floor(np.log(max(largest / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))) + 1, 1)

@@ -29,7 +29,7 @@ from machine_tool_calibration.model.model import POINTS, MethodModel, Parameter,
 from machine_tool_calibration.model.random_unknowns import RandomUnknowns
 from machine_tool_calibration.model.solved import Solved
 
-# Before the name of a column that is screened: it must not be taken for an unknown of the model.
+# Before the name of a column that is screened: it must not be confused with an unknown of the model.
 _FURTHER = "\0further "
 
 
@@ -48,9 +48,9 @@ class JointFit(Solved):
     @cached_property
     def published(self) -> Solution:
         """The shared unknowns as they are published: their mean and their covariance."""
-        m, stated = len(self.solution.theta), self.marginal
-        covariance = stated.scatter**2 * stated.solution.covariance[:m, :m]
-        return replace(self.solution, theta=stated.solution.theta[:m], covariance=covariance)
+        m, marginal = len(self.solution.theta), self.marginal
+        covariance = marginal.scatter**2 * marginal.solution.covariance[:m, :m]
+        return replace(self.solution, theta=marginal.solution.theta[:m], covariance=covariance)
 
     @cached_property
     def root(self) -> Array:

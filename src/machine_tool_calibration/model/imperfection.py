@@ -2,7 +2,7 @@
 """What every model lacks a little: smooth functions of where a reading was taken.
 
 No model of a real machine is exactly true. What it misses is mostly smooth in place and small; were it not part of the
-comparison, the effect of the catalogue that comes nearest to it would be taken for its cause.
+comparison, the effect of the catalogue that comes nearest to it would seem to be its cause.
 """
 
 from itertools import combinations

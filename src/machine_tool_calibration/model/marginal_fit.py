@@ -42,7 +42,7 @@ from machine_tool_calibration.model.solved import Solved
 _COVERED, _MOST_SIZES, _MOST_WITH_RANDOM = 0.99, 24, 3
 # Readings up to which what every model lacks is in what is published: of more, U is what grows least.
 _ENOUGH = 20_000
-# Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
+# Share of a function's squares outside the model below which the model absorbs it: a run's constant, mostly.
 _LEAST_SHARE_LEFT = 1e-3
 
 
@@ -117,11 +117,11 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         )
     mean, covariance = found.mean, found.covariance
     if wide.priors is not None:
-        covariance = _as_stated(covariance, wide.priors, found.scatter)
+        covariance = _with_its_own(covariance, wide.priors, found.scatter)
     if sizes := effect_sizes(solved.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
-    stated = replace(
+    published = replace(
         solution,
         theta=theta + mean,
         covariance=covariance,
@@ -134,12 +134,12 @@ def marginal_fit(solved: Solved) -> MarginalFit:
         for part, own, model in zip(parts, families, solved.assembly.models, strict=True)
     )
     return MarginalFit(
-        tuple(parts), stated, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
+        tuple(parts), published, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
     )
 
 
-def _as_stated(covariance: Array, known: PriorRows, scatter: float) -> Array:
-    """The covariance in which what is known besides the readings keeps the uncertainty that is stated.
+def _with_its_own(covariance: Array, known: PriorRows, scatter: float) -> Array:
+    """The covariance in which what is known besides the readings keeps its own uncertainty.
 
     How the readings scatter says nothing of a length's certificate, or of the survey of a station.
 
@@ -176,7 +176,7 @@ def _averaged(
     projected[-1, -1] = solution.chi_square
     dof = solution.degrees_of_freedom
     seen = np.diag(projected)[:-1] > _LEAST_SHARE_LEFT * squares[m:-1]
-    # What a model lacks is told apart from what does not reproduce: it moves nothing, and widens what is published.
+    # What a model lacks is distinguished from what does not reproduce: it moves nothing, and widens what is published.
     imperfect = np.array([names[k] == IMPERFECT for k in place], dtype=bool)
     runs = np.flatnonzero(~imperfect)
     families = tuple(name for name in names if name != IMPERFECT)
@@ -384,7 +384,7 @@ def _scatter(chi_square: float, dof: int) -> float:
 def _sizes(
     solved: Solved, found: Components, seen: Array, place: IntArray, names: Sequence[str]
 ) -> tuple[FamilySize, ...]:
-    """Sizes in metres, of that part of the functions which the model does not take up."""
+    """Sizes in metres, of that part of the functions which the model does not absorb."""
     sigma = np.concatenate([model.sigma for model in solved.assembly.models])
     unit = found.noise * float(np.sqrt(np.mean(sigma**2)))
     out = []

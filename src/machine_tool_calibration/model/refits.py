@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A fit as it would be published from other readings, with other uncertainties, or drawn from what is published.
 
-The map of a method is worked out from a fit's shared and own unknowns. Restated fits have others of these: those of the
+The map of a method is worked out from a fit's shared and own unknowns. Refits have others of these: those of the
 declared uncertainty alone, those after the readings have changed, or those drawn from their joint distribution. So
 whatever is published follows, however it is worked out.
 """
@@ -25,7 +25,7 @@ def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
     """The fit where the sum of squares is least, with the covariance that follows from the declared uncertainty alone.
 
     Neither what does not reproduce nor the scatter of the readings is in it; unknowns that are random functions keep
-    the size that the model was settled with. Or with another covariance (m, m) of the shared unknowns.
+    the size that the model was made with. Or with another covariance (m, m) of the shared unknowns.
     """
     parts = tuple(joint.assembly.problem.parts)
     none = tuple(np.zeros((0, part.n_readings)) for part in parts)
@@ -59,20 +59,20 @@ def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None
 
 def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[JointFit]:
     """The fit with all its unknowns drawn from their joint distribution as it is published, so many times."""
-    stated = joint.marginal
-    published = stated.solution
+    marginal = joint.marginal
+    published = marginal.solution
     m = len(published.theta)
     values, vectors = np.linalg.eigh(published.covariance)
-    root = stated.scatter * vectors * np.sqrt(np.maximum(values, 0.0))
+    root = marginal.scatter * vectors * np.sqrt(np.maximum(values, 0.0))
     start = np.pad(joint.solution.theta, (0, m - len(joint.solution.theta)))
     for _ in range(count):
         theta = published.theta + root @ rng.standard_normal(m)
         # A point's own unknowns follow the shared ones, and have the noise of the point's own readings besides.
-        parts = [_ShiftedPart(p, stated.scatter * rng.standard_normal(p.n_readings)) for p in stated.parts]
+        parts = [_ShiftedPart(p, marginal.scatter * rng.standard_normal(p.n_readings)) for p in marginal.parts]
         wide = Problem(parts, m, np.zeros((0, m)), np.zeros(0))
         with single_blas():
             local = local_steps(wide, start, joint.solution.local, theta - start)
-        yield replace(joint, given=replace(stated, solution=replace(published, theta=theta, local=local)))
+        yield replace(joint, given=replace(marginal, solution=replace(published, theta=theta, local=local)))
 
 
 @single_blas()

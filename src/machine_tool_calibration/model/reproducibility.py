@@ -68,7 +68,7 @@ def offsets_apart(family: IntArray, offset: BoolArray, seen: BoolArray) -> tuple
     """Families in which offsets that show have a size of their own.
 
     An offset comes from mounting and probing, a slope and a bow from heat: the size of one says nothing of the other.
-    Offsets that the model takes up, as where every run counts from its own zero, keep the size of the others.
+    Offsets that the model absorbs, as where every run counts from its own zero, keep the size of the others.
 
     Args:
         family: (u,) of each function, from 0.
@@ -144,7 +144,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
 def with_drift(observations: Observations) -> tuple[Family, ...]:
     """Families of runs, mountings and passes; and of many of them what they share: one smooth function of time.
 
-    Runs that differ only because something drifts through all of them would otherwise be taken for that many random
+    Runs that differ only because something drifts through all of them would otherwise count as that many random
     functions, which move the map. Few do not tell the one from the other. Where the machine's deviations are read
     themselves, a drift is the machine's own.
     """

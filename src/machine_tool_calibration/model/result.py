@@ -213,16 +213,16 @@ class Identified(ABC):
         return provenance(sessions, self.joint.assembly.labels, model=self.model_name, effects=self.effects)
 
     def fit_document(self) -> dict[str, Any]:
-        """What is told of the fit and of the machine, as the contract's JSON document has it."""
-        stated = self.joint.marginal
+        """What is published of the fit and of the machine, as the contract's JSON document has it."""
+        marginal = self.joint.marginal
         return {
             "rms_residual": self.rms_residual,
             "reduced_chi_square": self.joint.reduced_chi_square,
             "degrees_of_freedom": self.joint.solution.degrees_of_freedom,
             "p_value": self.joint.p_value,
             "effects": list(self.effects),
-            "spread": [size.document() for size in stated.sizes],
-            "scatter_factor": stated.scatter,
+            "spread": [size.document() for size in marginal.sizes],
+            "scatter_factor": marginal.scatter,
             "uncertainty": "identification" if self.variance_added is None else "budget",
             "parameters": [estimate.document() for estimate in self.parameters],
             "error_map": plain(self.error_map.content),

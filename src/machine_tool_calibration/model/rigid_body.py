@@ -221,13 +221,13 @@ OPEN_CHANGE = 1e-9
 """Change with an undetermined direction of unit length from which a position error is not determined itself, m."""
 
 
-def determined_part(error: Array, covariance: Array, loose: BoolArray) -> tuple[Array, Array, Array]:
-    """Position errors (n, 3), standard uncertainties, covariances (n, 3, 3) with NaN where they are `loose` (n, 3)."""
+def determined_part(error: Array, covariance: Array, undetermined: BoolArray) -> tuple[Array, Array, Array]:
+    """Position errors (n, 3), standard uncertainties, covariances (n, 3, 3): NaN where `undetermined` (n, 3)."""
     uncertainty = np.sqrt(np.einsum("nii->ni", covariance).clip(0.0))
-    whole = np.asarray(~loose.any(axis=1))
+    whole = np.asarray(~undetermined.any(axis=1))
     return (
-        np.where(loose, np.nan, error),
-        np.where(loose, np.nan, uncertainty),
+        np.where(undetermined, np.nan, error),
+        np.where(undetermined, np.nan, uncertainty),
         np.where(whole[:, None, None], covariance, np.nan),
     )
 

@@ -289,7 +289,7 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
         # "place" is what places differ by without a pattern.
         patterns = [structure for structure in diagnosis.left if structure.covariate != "place"]
         chances = [alike_beside_p(own) for own in fit.fits]
-        alike = any(p is not None and p < priors.STRUCTURE_CHANCE for p in chances)
+        alike = any(p is not None and p < priors.STRUCTURE_P for p in chances)
         if alike or not patterns:
             yield say("diagnosis.places_alike" if alike else "diagnosis.places_differ", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.left:

@@ -12,7 +12,7 @@ from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
 
-# Chance from which places differ more than their repeats do.
+# p-value below which places differ more than their repeats do.
 _DIFFER = 1e-3
 
 

@@ -11,7 +11,7 @@ reading is set aside where
 which is a limit for |z| (Box and Tiao 1968). Several readings are judged together (`residuals/agreement.py`): first
 those that a robust fit suspects, then those beside the set at hand that stand out or explain as much, until the set
 stays. What a smooth course of the run explains is no gross error, and where a session is full of such courses, its
-noise is what is left about them. Readings of which nothing tells which is wrong (look-alikes) are all set aside, and
+noise is what is left about them. Readings of which nothing says which is wrong (look-alikes) are all set aside, and
 named so. All numbers that decide stand in `residuals/agreement.py`.
 """
 
@@ -145,7 +145,7 @@ class _Fit:
 
 
 class _WithoutCourses(PartAround):
-    """Readings from which something known was taken off."""
+    """Readings from which something known was subtracted."""
 
     def __init__(self, inner: Part, course: Array) -> None:
         super().__init__(inner)
@@ -162,7 +162,7 @@ class _Search:
 
     Attributes:
         start: shared unknowns and points at which the readings are linearised.
-        pattern: whether courses of the runs were taken off the readings.
+        pattern: whether courses of the runs were subtracted from the readings.
         explained: (n,) which readings a course of their run or their repeats explain.
     """
 
@@ -216,7 +216,7 @@ class _Search:
     def _suspects(self) -> IntArray:
         """Readings that stand out of a robust solution, which is where all others are linearised from now on.
 
-        What a course of the run or repeats explain is settled here, where no reading was held out.
+        What a course of the run or repeats explain is decided here, where no reading was held out.
         """
         unknowns = self.problem.size - len(self.problem.constraints) + self.part.dimension * self.part.n_points
         theta, local, residuals = robust_start(self.problem, unknowns)
@@ -305,7 +305,7 @@ class _Search:
     def _together(self, held: IntArray, fit: _Fit) -> BoolArray:
         """(k,) which of the gross errors follow from their neighbours, or reproduce, and are none.
 
-        Where the model takes up a part of what several readings share, that shows once all of them are held out.
+        Where the model absorbs a part of what several readings share, that shows once all of them are held out.
         """
         if not np.isfinite(fit.noise.scale):
             return np.zeros(len(held), dtype=bool)

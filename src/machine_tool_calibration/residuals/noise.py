@@ -27,9 +27,9 @@ class Noise:
     # comes to; None without such
     from_repeats: float | None
     repeats: int  # degrees of freedom of the latter
-    chi_square_p: float  # chance of so large residuals if the model is right and the declared uncertainty too
-    # chance that places differ so much more than repeats at one place do (F test, with the spread between runs taken
-    # out of both); None without repeats
+    chi_square_p: float  # probability of so large residuals if the model is right and the declared uncertainty too
+    # probability that places differ so much more than repeats at one place do (F test, with the spread between runs
+    # subtracted from both); None without repeats
     lack_of_fit_p: float | None
     # what repeats of one place differ by as they were read, with all that differs from run to run; None without
     # repeats, and where each run counts from a zero of its own

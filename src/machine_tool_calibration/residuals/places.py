@@ -13,7 +13,7 @@ _FEWEST_PLACES, _MOST_PLACES, _NEAREST = 12, 1500, 2
 
 
 def alike_beside_p(fit: Fit) -> float | None:
-    """Chance that places next to each other are left so much alike if there is no pattern: Moran's I.
+    """Probability that places next to each other are left so much alike if there is no pattern: Moran's I.
 
     Places are compared by the mean of their readings' residuals, with those that were read in the same setup, along the
     same direction and approached from the same side.

@@ -129,8 +129,8 @@ def between_the_grid(
         if candidate.effect is not None and candidate.name in used and min(at) >= 0:
             reference = np.array([fit.assembly.parameters[k].reference for k in at])
             found = reference + fit.solution.theta[at]
-            apart = np.abs(found - used[candidate.name])
-            if (apart > _BETWEEN * np.sqrt(scatter * np.diag(fit.solution.covariance)[at])).any():
+            distance = np.abs(found - used[candidate.name])
+            if (distance > _BETWEEN * np.sqrt(scatter * np.diag(fit.solution.covariance)[at])).any():
                 more = shaped_at(pool, candidate.effect, tuple(found.tolist()))
                 candidate = replace(candidate, shapes=(*candidate.shapes, more), equally=candidate.count)
                 finer = True
@@ -171,8 +171,8 @@ def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:
     if not acting:
         return Shaped(shape, np.zeros((0, len(pool))))
     if effect.setup_level or len({len(c) for c in columns}) > 1:
-        apart = [pool.only(own, pool.pieces[k]) for k, own in zip(acting, columns, strict=True)]
-        return Shaped(shape, np.concatenate(apart), tuple(c for own in named for c in own))
+        of_each = [pool.only(own, pool.pieces[k]) for k, own in zip(acting, columns, strict=True)]
+        return Shaped(shape, np.concatenate(of_each), tuple(c for own in named for c in own))
     together = np.zeros((len(columns[0]), len(pool)))
     for k, own in zip(acting, columns, strict=True):
         together[:, pool.pieces[k]] = own

@@ -60,8 +60,8 @@ class Structure:
 
     covariate: str  # its name
     shape: str  # of the dependence
-    p_value: float  # largest chance of it, or of any other, if nothing is there
-    share: float  # of the weighted sum of squares that it takes up
+    p_value: float  # largest probability of it, or of any other, if nothing is there
+    share: float  # of the weighted sum of squares that it explains
 
 
 @dataclass(frozen=True)
@@ -334,10 +334,10 @@ def _accepted(
     left += [[k] for k in range(columns.effects) if k in columns.seen and not any(k in group for group in left)]
     accepted: list[int] = []
     while left:
-        chances = [round(found.of(*group, given=accepted), 2) for group in left]
+        probabilities = [round(found.of(*group, given=accepted), 2) for group in left]
         heads = [_head(columns, group, found, accepted) for group in left]
-        best = max(range(len(left)), key=lambda j: (chances[j], found.log_factor(heads[j])))
-        if chances[best] <= (further if accepted else priors.ACCEPTED):
+        best = max(range(len(left)), key=lambda j: (probabilities[j], found.log_factor(heads[j])))
+        if probabilities[best] <= (further if accepted else priors.ACCEPTED):
             break
         accepted.append(heads[best])
         del left[best]
@@ -348,10 +348,10 @@ def _accepted(
 
 def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
     """Of look-alikes the likeliest, or one of as many coefficients, nearly as likely, that the catalogue has first."""
-    chance = {k: found.of(k, given=accepted) for k in group}
+    probability = {k: found.of(k, given=accepted) for k in group}
     size = {k: len(columns.candidates[k].shapes[0].columns) for k in group}
-    best = max(group, key=lambda k: chance[k])
-    return min(k for k in group if size[k] == size[best] and chance[k] >= priors.AS_LIKELY * chance[best])
+    best = max(group, key=lambda k: probability[k])
+    return min(k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best])
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
@@ -371,9 +371,9 @@ def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -
     out = []
     for k in (k for k in beside.best if k >= columns.effects):
         log_factor = float(beside.log_factors[k])
-        # Paid for by the structures' prior against all others: what no effect says.
+        # Judged by the structures' prior against all others: what no effect says.
         p = found.p_value(k, log_factor)
-        if p <= priors.STRUCTURE_CHANCE:
+        if p <= priors.STRUCTURE_P:
             block = columns.blocks[beside.best[k].block]
             explained = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _dependence(columns.candidates[k], block.shaped.shape)
@@ -392,7 +392,7 @@ def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, st
 
 
 def led_by_places(found: tuple[Structure, ...], fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
-    """Structures, and before them places that differ, where these take up as much as time or order does.
+    """Structures, and before them places that differ, where these explain as much as time or order does.
 
     In a raster over a zone the one is the other, and places that repeat are no course of time.
     """
@@ -409,7 +409,7 @@ def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
         p, repeats, declared = noise.lack_of_fit_p, noise.from_repeats, noise.declared
         if noise.as_read is not None and noise.as_read > priors.AS_NOISY * np.sqrt(fit.reduced_chi_square) * declared:
             continue  # a place is not even the same from run to run
-        if p is not None and p < priors.LACK_OF_FIT_CHANCE and repeats is not None:
+        if p is not None and p < priors.LACK_OF_FIT_P and repeats is not None:
             share = max(1.0 - (repeats / declared) ** 2 / fit.reduced_chi_square, 0.0)
             out.append(Structure("place", say("shape.places_differ"), p, share))
     return tuple(out)

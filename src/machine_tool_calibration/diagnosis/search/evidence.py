@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """How probable the readings are with an effect in the model, from inner products alone.
 
-The model's own unknowns were projected off; spread between runs and mountings, and effects that are taken for granted,
+The model's own unknowns were projected off; spread between runs and mountings, and effects that are given,
 are folded into the marginal. What is left of an effect is a small matrix for each set of its nonlinear coefficients, so
 that the number of readings does not matter. The coefficients b of an effect are normal about zero with a standard
 deviation s on a grid of scales; sizes that do not occur are cut off, and a sign that is expected has its odds. The
-variance of the noise is integrated out, with what was declared as knowledge worth a number of readings.
+variance of the noise is integrated out, with the declared one as known from a number of readings.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Marginal
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.residuals.pool import Pool
 
-# Most scales of one effect; a probability below which its logarithm is calculated apart.
+# Most scales of one effect; a probability below which its logarithm is calculated otherwise.
 _MOST_SCALES = 7
 _NEVER = 1e-280
 # Normal deviates beyond which all are alike.
@@ -48,7 +48,7 @@ class Block:
     high: Array  # (k,) largest
     positive: BoolArray  # (k,) whether it is expected to be positive
     log_share: float  # logarithm of the probability of these nonlinear coefficients among the candidate's
-    # squared norm, per unit, below which a combination of the columns is rounding of what the model takes up
+    # squared norm, per unit, below which a combination of the columns is rounding of what the model absorbs
     floor: float = 0.0
     largest: float = 1.0  # scale of its coefficients up to which it is tried: what differs from its law grows with it
     usual: float = 1.0  # scale of its coefficients beyond which they are seldom

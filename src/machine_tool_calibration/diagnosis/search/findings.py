@@ -45,13 +45,13 @@ class Finding:
     shape: tuple[float, ...]  # its best nonlinear coefficients
     rms_after: float  # root mean square of the residuals with it, m, as screened
     place: slice | None = None  # where its columns are among all that were screened; None if the model absorbs it
-    # its linear coefficients, fitted to what the model leaves; without those that the model takes up
+    # its linear coefficients, fitted to what the model leaves; without those that the model absorbs
     sizes: tuple[Size, ...] = ()
-    # (k,) the same as numbers; zero in what the model takes up
+    # (k,) the same as numbers; zero in what the model absorbs
     signal: Array = field(default_factory=lambda: np.zeros(0))
     rank: int = 0  # unknowns that it adds; 0 if the model absorbs it
     probability: float = 0.0  # that it is missing
-    p_value: float = 1.0  # largest chance of so large a Bayes factor of any candidate if nothing is missing
+    p_value: float = 1.0  # largest probability of so large a Bayes factor of any candidate if nothing is missing
     bic_gain: float = -np.inf  # by how much the Bayesian information criterion falls when it is added
     # smallest size of each coefficient that would have been accepted with a power of 80 %, the effect's others being
     # zero
@@ -69,7 +69,7 @@ class Finding:
 
 
 def basis_of(inner: Array) -> Array:
-    """(k, r) combinations of columns that are orthonormal outside the model, without what the model takes up.
+    """(k, r) combinations of columns that are orthonormal outside the model, without what the model absorbs.
 
     Args:
         inner: (k, k) inner products of the columns there.
@@ -85,7 +85,7 @@ def basis_of(inner: Array) -> Array:
 def fitted_in(marginal: Marginal, place: slice) -> tuple[Array, Array]:
     """Columns fitted to what the model leaves: their basis, and the readings along it.
 
-    Their squares are what the columns take up of the readings' squares.
+    Their squares are what the columns explain of the readings' squares.
     """
     basis = basis_of(marginal.inner(place, place))
     return basis, basis.T @ marginal.data[place]
@@ -179,7 +179,7 @@ def alias_groups(
     """Effects that this data cannot distinguish: the first of each group is its most probable member.
 
     Two are alike if they exchange probability (`Posterior.exchanges`), or if one reproduces at least 0.9 (cosine) of
-    the other's signal outside the model, unless the readings tell them apart all the same, as they do where an effect
+    the other's signal outside the model, unless the readings distinguish them all the same, as they do where an effect
     is large. What contains the first describes all that it does, and is no alternative to it for that.
 
     Args:

@@ -29,7 +29,7 @@ _GROWN, _PAIRS = 6, 4
 _MOST_MEMBERS, _MOST_SIDE_BY_SIDE = 5, 14
 # Coefficients of an effect beyond which it may stand for two.
 _MANY = 2
-# Logarithm of the odds to the best below which a set is not worth growing.
+# Logarithm of the odds to the best below which a set is not grown.
 _HOPELESS = -7.0
 # A probability of nothing.
 _NEVER = 1e-300
@@ -90,9 +90,9 @@ class Posterior:
         return gained - float(self.log_odds[candidate])
 
     def p_value(self, candidate: int, log_factor: float) -> float:
-        """Largest chance that any candidate, each with its prior, does so well if nothing is missing.
+        """Largest probability that any candidate, each with its prior, does so well if nothing is missing.
 
-        A Bayes factor of B comes up with a chance of 1 / B at most (Markov's inequality).
+        A Bayes factor of B comes up with a probability of 1 / B at most (Markov's inequality).
         """
         return float(np.exp(min(logsumexp(self.log_odds) - self.log_odds[candidate] - log_factor, 0.0)))
 

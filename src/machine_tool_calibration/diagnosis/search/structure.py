@@ -42,7 +42,7 @@ _SAME_DIRECTION = 1e-6
 _OVERSAMPLED, _PEAKS = 4, 8
 _MOST_FREQUENCIES = 20000
 # Bands of waves, by periods over the whole session, one of which may be missing in each: slower ones are smooth
-# functions; of those in these bands the model and what does not reproduce take up much, of faster ones little.
+# functions; of those in these bands the model and what does not reproduce absorb much, of faster ones little.
 _BANDS = ((2.5, 12.0), (12.0, 60.0))
 # Columns that are projected at once.
 _BATCH = 120
@@ -89,7 +89,7 @@ class _Outside:
         return {likeliest, (0.0,) * len(likeliest)}
 
     def explained(self, of: Callable[[float], Array], values: Array, piece: slice) -> list[Array]:
-        """(s,) sums of squares that (d, n) columns of a session take up, beside each of some sizes.
+        """(s,) sums of squares that (d, n) columns of a session explain, beside each of some sizes.
 
         Args:
             of: the columns by a value, such as a period.
@@ -103,7 +103,7 @@ class _Outside:
             columns = pool.only(np.concatenate([of(value) for value in values[some]]), piece)
             projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
             own = np.arange(len(columns)).reshape(-1, d)
-            # What the model takes up of a column has rounding left.
+            # What the model absorbs of a column has rounding left.
             least = np.eye(d) * priors.ABSORBED * projected.squares[own][:, :, None]
             for k, ratio in enumerate(ratios):
                 marginal = marginal_at(gram_of(pool, projected), ratio)
@@ -195,14 +195,14 @@ def _from_place_to_place(scaled: Array, sign: Array) -> Array:
     if len(both) > _MOST_PLACES:
         return np.zeros((0, len(scaled)))
     own = place.reshape(-1) == both[:, None]
-    # What the effect takes up is no structure.
+    # What the effect explains is no structure.
     smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
     free = np.linalg.svd(smooth)[0][:, smooth.shape[1] :]
     return np.asarray(free.T @ own)
 
 
 _Explained = Callable[[Callable[[float], Array], Array], list[Array]]
-"""Sums of squares that columns by a value take up, for each of some values, in one or more ways."""
+"""Sums of squares that columns by a value explain, for each of some values, in one or more ways."""
 
 
 def _events(observations: Observations, residual: Array, explained: _Explained) -> Iterator[Candidate]:
@@ -322,9 +322,9 @@ def _within(values: Array, group: IntArray) -> Array:
 
 
 def _periodogram(time: Array, run: IntArray, values: Array, frequency: Array) -> Array:
-    """(f,) sum of squares that a sine and a cosine of each frequency take up beside the means of runs.
+    """(f,) sum of squares that a sine and a cosine of each frequency explain beside the means of runs.
 
-    Lomb (1976) and Scargle (1982), with a mean of each run; of fast waves the model takes up little else.
+    Lomb (1976) and Scargle (1982), with a mean of each run; of fast waves the model absorbs little else.
     """
     order = np.argsort(run, kind="stable")
     time, values, run = time[order], values[order], run[order]
