@@ -136,6 +136,17 @@ def test_a_step_is_looked_for_where_it_explains_most() -> None:
     assert diagnose(session).verdict == "unexplained"
 
 
+def test_a_part_that_was_bumped_is_a_shift_along_the_axes() -> None:
+    """Of a plate that is read along x and y: neither a step of the readings nor an error motion of the axes."""
+    silent = plan("grid_plate", 9)
+    order = np.argsort(np.argsort(silent.readings.row))
+    shift = silent.readings.columns["gx"] * 5.0 - silent.readings.columns["gy"] * 4.0
+    moment = int(0.62 * len(order))
+    found = diagnose(with_change(silent, silent.sigma * shift * (order > moment)))
+    assert (found.verdict, found.accepted) == ("unexplained", ())
+    assert found.left[0].shape.startswith("a shift along the axes at ")
+
+
 def test_of_many_readings_the_moment_of_a_step_is_found_by_looking_closer() -> None:
     time = np.sort(np.random.default_rng(1).uniform(0.0, 1000.0, 5000))
 
@@ -145,7 +156,7 @@ def test_of_many_readings_the_moment_of_a_step_is_found_by_looking_closer() -> N
         tried = np.array([of(value)[0] - of(value)[0].mean() for value in values])
         return [(tried @ step) ** 2 / np.sum(tried**2, axis=1)]
 
-    assert time[1234] in _moments(time, explained)
+    assert time[1234] in _moments(time, partial(_step, time), explained)
 
 
 @pytest.mark.parametrize(("places", "forms"), [(25, 25 - 8), (26, 0), (8, 0), (0, 0)])

@@ -46,8 +46,8 @@ _MOST_FREQUENCIES = 20000
 _BANDS = ((2.5, 12.0), (12.0, 60.0))
 # Columns that are projected at once.
 _BATCH = 120
-# Sum of squares of a wave below which it is zero at all readings.
-_NO_WAVE = 1e-12
+# Sum of squares of a wave below which it is zero at all readings; of any column of zeros.
+_NO_WAVE, _NOTHING = 1e-12, 1e-100
 
 
 def structure_candidates(pool: Pool) -> list[Candidate]:
@@ -103,8 +103,8 @@ class _Outside:
             columns = pool.only(np.concatenate([of(value) for value in values[some]]), piece)
             projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
             own = np.arange(len(columns)).reshape(-1, d)
-            # What the model absorbs of a column has rounding left.
-            least = np.eye(d) * priors.ABSORBED * projected.squares[own][:, :, None]
+            # What the model absorbs of a column has rounding left; a column of zeros explains nothing.
+            least = np.eye(d) * np.maximum(priors.ABSORBED * projected.squares[own], _NOTHING)[:, :, None]
             for k, ratio in enumerate(ratios):
                 marginal = marginal_at(gram_of(pool, projected), ratio)
                 inner = marginal.inner(own.reshape(-1), own.reshape(-1)).reshape(len(own), d, len(own), d)
@@ -217,10 +217,11 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
     """
     name, time = "time" if observations.timed else "order", observations.clock
     covariate = named("column", name)
-    evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    moments = np.union1d(evenly, _moments(time, explained)).tolist()
-    steps = tuple(Shaped((moment,), _step(time, moment)) for moment in moments)
-    yield _structure(covariate, say("shape.step_at", at=""), steps, len(time))
+    for shape, of in _sudden(observations):
+        evenly = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
+        moments = np.union1d(evenly, _moments(time, of, explained)).tolist()
+        steps = tuple(Shaped((moment,), of(moment)) for moment in moments)
+        yield _structure(covariate, say(shape, at=""), steps, len(time))
     length, highest = float(np.ptp(time)), len(time) / 2.0
     for lowest, end in _BANDS:
         frequency = _frequencies(lowest, min(end, highest)) / length
@@ -232,13 +233,22 @@ def _events(observations: Observations, residual: Array, explained: _Explained) 
         yield from _waves(covariate, time, frequency, [power])
 
 
-def _moments(time: Array, explained: _Explained) -> Array:
-    """Moments after which a step explains most, each the time of the last reading before: closer and closer."""
+def _sudden(observations: Observations) -> Iterator[tuple[str, Callable[[float], Array]]]:
+    """What comes at a moment, by that: a step of the readings, and where these are displacements one of the part."""
+    time = observations.clock
+    yield "shape.step_at", partial(_step, time)
+    along = observations.direction[:, np.ptp(observations.direction, axis=0) > _SAME_DIRECTION].T
+    if len(along) > 1 and spec_of(observations.session).reads_machine:
+        yield "shape.shift_at", lambda moment: _step(time, moment) * along
+
+
+def _moments(time: Array, of: Callable[[float], Array], explained: _Explained) -> Array:
+    """Moments from which something explains most, each the time of the last reading before: closer and closer."""
     every = np.unique(time)[:-1]
     stride = -(-len(every) // _LOOKED_AT)
     some = np.arange(0, len(every), stride)
     while True:
-        powers = explained(partial(_step, time), every[some])
+        powers = explained(of, every[some])
         best = np.unique(np.concatenate([some[_peaks(power)[:_CHANGES]] for power in powers]))
         if stride == 1:
             return np.asarray(every[best])
