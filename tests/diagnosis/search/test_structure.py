@@ -147,6 +147,17 @@ def test_a_part_that_was_bumped_is_a_shift_along_the_axes() -> None:
     assert found.left[0].shape.startswith("a shift along the axes at ")
 
 
+def test_a_zone_that_is_displaced_is_none_of_the_axes() -> None:
+    """A tile of a plate: the yaw of X comes near to it."""
+    silent = plan("grid_plate", 4)
+    columns = silent.readings.columns
+    zone = (columns["x"] > 0.1) & (columns["y"] > 0.1)
+    found = diagnose(with_change(silent, silent.sigma * zone * (5.0 * columns["gx"] - 4.0 * columns["gy"])))
+    assert (found.verdict, found.accepted) == ("unexplained", ())
+    assert found.left[0].covariate == "x and y"
+    assert found.left[0].shape == "a zone of its own that begins at 110 mm, 110 mm"
+
+
 def test_of_many_readings_the_moment_of_a_step_is_found_by_looking_closer() -> None:
     time = np.sort(np.random.default_rng(1).uniform(0.0, 1000.0, 5000))
 

@@ -382,11 +382,13 @@ def _structure(columns: _Columns, found: Posterior, accepted: Collection[str]) -
 
 
 def _dependence(candidate: Candidate, shape: tuple[float, ...]) -> tuple[str, str]:
-    """Covariate and shape of a structure, with its nonlinear coefficient."""
+    """Covariate and shape of a structure, with its nonlinear coefficients."""
     assert candidate.dependence is not None
     covariate, how = candidate.dependence
     if not shape:
         return covariate, how
+    if len(shape) > 1:
+        return covariate, say(how.key, at=", ".join(f"{1e3 * position:.4g} mm" for position in shape))
     at = f"{shape[0]:.3g}"
     return covariate, say(how.key, at=f"{at} s" if covariate.endswith("time") else say("shape.readings", n=at))
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structure in the residuals, whether or not an effect explains it: functions of every covariate."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from machine_tool_calibration.effects.lost_motion import LOST_MOTION_DEGREES
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at, size_grid
 from machine_tool_calibration.model.imperfection import scaled_values
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import SAME_POSITION, Observations
 from machine_tool_calibration.residuals.covariates import covariates
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
@@ -35,6 +35,8 @@ _ENOUGH = 40
 # Moments at which a step is tried: evenly among the readings, as effects may hide it at first, and where it explains
 # most; moments that are looked at for that at first, and steps by which it is looked closer.
 _MOMENTS, _CHANGES, _LOOKED_AT, _CLOSER = 24, 6, 300, 8
+# Lines across an axis at which a zone is tried to end, and corners that are looked at.
+_LINES, _CORNERS = 20, 4
 # Range of a direction's component below which it is the same for all readings.
 _SAME_DIRECTION = 1e-6
 
@@ -50,6 +52,10 @@ _BATCH = 120
 _NO_WAVE, _NOTHING = 1e-12, 1e-100
 
 
+_Explained = Callable[[Callable[[float], Array], Array], list[Array]]
+"""Sums of squares that columns by a value explain, for each of some values, in one or more ways."""
+
+
 def structure_candidates(pool: Pool) -> list[Candidate]:
     """Functions of every covariate that varies, of each session for itself.
 
@@ -63,9 +69,11 @@ def structure_candidates(pool: Pool) -> list[Candidate]:
         # Axes that cross in the middle of their travel have no product.
         functions = [function for function in _functions(observations) if len(function[2])]
         own = [_structure(c, how, (Shaped((), columns),)) for c, how, columns in functions]
-        if len(observations) >= _ENOUGH and np.ptp(observations.clock) > 0:
-            residual = pool.residuals[piece] / pool.sigma[piece]
-            own += _events(observations, residual, partial(outside.explained, piece=piece))
+        if len(observations) >= _ENOUGH:
+            own += _zones(observations, partial(outside.explained, piece=piece))
+            if np.ptp(observations.clock) > 0:
+                residual = pool.residuals[piece] / pool.sigma[piece]
+                own += _events(observations, residual, partial(outside.explained, piece=piece))
         for candidate in own:
             shapes = tuple(Shaped(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
             assert candidate.dependence is not None
@@ -187,6 +195,32 @@ def _slopes_of_setups(observations: Observations) -> Iterator[tuple[str, Said, A
     yield named("column", "setup"), say("shape.slopes"), np.concatenate([own * slope for slope in slopes])
 
 
+def _zones(observations: Observations, explained: _Explained) -> Iterator[Candidate]:
+    """Zones that are displaced: beyond a line across an axis, and beyond such lines across two (a tile, a joint)."""
+    if not spec_of(observations.session).reads_machine:
+        return
+    along = np.array([d for d in observations.direction.T if np.abs(d).max() > _SAME_DIRECTION])
+    for (a, i), (b, j) in combinations(((axis, "xyz".index(axis)) for axis in _positions(observations)), 2):
+        u, v = observations.position[:, i], observations.position[:, j]
+        corners = list(product(_lines(u), _lines(v)))
+
+        def zone(number: float, u: Array = u, v: Array = v, corners: Sequence[Array] = corners) -> Array:
+            beyond = np.array([u, v]) > np.array(corners[int(number)])[:, None]
+            return (np.vstack([beyond, beyond.all(axis=0)])[:, None] * along).reshape(-1, len(u))
+
+        powers = explained(zone, np.arange(float(len(corners))))
+        best = np.unique([np.argsort(-power)[:_CORNERS] for power in powers])
+        shapes = tuple(Shaped(corners[k], zone(k)) for k in best)
+        yield _structure(say("shape.axes", one=a, other=b), say("shape.zone_at", at=""), shapes, len(corners))
+
+
+def _lines(position: Array) -> list[float]:
+    """Positions half way between two at which a zone may end, a few of many."""
+    every = np.unique(np.round(position / SAME_POSITION)) * SAME_POSITION
+    middle = (every[1:] + every[:-1]) / 2.0
+    return np.unique(middle[np.linspace(0, len(middle) - 1, _LINES).round().astype(int)]).tolist()
+
+
 def _from_place_to_place(scaled: Array, sign: Array) -> Array:
     """(k, n) what places, read repeatedly either way, differ by in no smooth form: none where they are few or many."""
     at, place = np.unique(np.round(scaled, 6), return_inverse=True)
@@ -199,10 +233,6 @@ def _from_place_to_place(scaled: Array, sign: Array) -> Array:
     smooth = np.polynomial.legendre.legvander(at[both], LOST_MOTION_DEGREES)
     free = np.linalg.svd(smooth)[0][:, smooth.shape[1] :]
     return np.asarray(free.T @ own)
-
-
-_Explained = Callable[[Callable[[float], Array], Array], list[Array]]
-"""Sums of squares that columns by a value explain, for each of some values, in one or more ways."""
 
 
 def _events(observations: Observations, residual: Array, explained: _Explained) -> Iterator[Candidate]:
