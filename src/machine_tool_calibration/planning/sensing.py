@@ -36,9 +36,9 @@ def first_repetition(session: Session, setups: Sequence[int] | None = None) -> I
 
 
 def fresh_id(name: str, taken: Collection[str]) -> str:
-    """A name for a new setup that none of the others has."""
+    """A name for a new setup that none of the others has; what its end states, such as an order of moves, stays."""
     while name in taken:
-        name += "_new"
+        name = f"new_{name}"
     return name
 
 
