@@ -113,14 +113,12 @@ class DiagonalPlan(Plan):
             return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
 
         description = {
-            "method": "step_diagonal",
-            "machine": self.machine(),
             "step": list(self.step),
             "blocks": self.blocks,
             "setups": [run.model_dump() for run in runs],
         }
         columns = axis_columns(position, direction)
-        return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)
+        return Measurement(description, scene, read, block, columns, truth=judged)
 
     def _axis_error(self, machine: VirtualMachine, axis: int) -> Array:
         """(blocks + 1, 3) position errors along an axis from the corner, less those of the corner, m."""
