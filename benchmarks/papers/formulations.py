@@ -16,7 +16,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.build import build
-from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of, step_diagonal_of
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, halts_of, runs_of, step_diagonal_of
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Kind
@@ -129,11 +129,11 @@ def _averaged(
     lacking: list[str],
 ) -> Array:
     """(axes, N, n) weights of the readings in each move, averaged over setups and repeats; NaN where none was read."""
-    readings = session.readings
+    readings, description = session.readings, step_diagonal_of(session)
     total = np.zeros((len(axes), blocks, len(readings)))
     count = np.zeros((len(axes), blocks))
     for k in members:
-        path = runs[k].path(blocks)
+        path = halts_of(description.setups[k], description)
         for repeat in np.unique(readings.repeat[readings.setup == k]):
             mine = np.flatnonzero((readings.setup == k) & (readings.repeat == repeat) & finite)
             place = _matched(path, session, mine)

@@ -80,6 +80,13 @@ def in_order_of_appearance(values: IntArray) -> IntArray:
     return np.asarray(rank[number.reshape(-1)])
 
 
+def last_sign(moves: Array, least: float, initial: Array | float = 1.0) -> Array:
+    """(n,) sign of the last of the moves (n,) so far that was no less than `least`; `initial` before there was one."""
+    counts = np.abs(moves) >= least
+    last = np.maximum.accumulate(np.where(counts, np.arange(len(moves)), -1))
+    return np.where(last >= 0, np.sign(moves[last]), initial)
+
+
 def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Array, Array]:
     """Smallest value, median and largest value of each group, each (count,); NaN where a group has none.
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.step_diagonal.geometry import halts_of
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.planning.options import Option, further_options
-from machine_tool_calibration.planning.sensing import approached, first_repetition, pace
+from machine_tool_calibration.planning.sensing import approached, first_repetition, fresh_id, pace
 from machine_tool_calibration.session.session import Session
 
 Simulated = Callable[..., Session]
@@ -114,6 +115,24 @@ def test_runs_of_a_step_diagonal_that_were_not_made(simulated: Simulated) -> Non
     assert steps[:3].sum(axis=0) == pytest.approx([-0.012, 0.012, 0.012])
     beam = np.array([-1.0, 1.0, 1.0]) / np.sqrt(3.0)
     assert rows.displacement[rows.setup == 4] == pytest.approx((path - path[0]) @ beam)
+
+
+def test_new_diagonals_are_run_in_the_order_of_the_others_and_say_so(simulated: Simulated) -> None:
+    session = simulated("step_diagonal", plan={"diagonals": ("ppp", "pnp"), "orders": ("yzx",), "blocks": 5})
+    option = named(further_options(session), "diagonal")
+    description, rows = option.session.description, option.session.readings
+    rows = rows.select(rows.row >= option.first_row)
+    new = [k for k, setup in enumerate(description.setups) if setup.id in ("npp_yzx", "nnp_yzx")]
+    assert sorted(np.unique(rows.setup)) == new
+    for k in new:
+        halts = halts_of(description.setups[k], description)
+        assert rows.position()[rows.setup == k] == pytest.approx(halts)
+        # Y goes first: by the names alone the readings would not be where the description says.
+        assert np.flatnonzero(halts[1] - halts[0]).tolist() == [1]
+
+
+def test_a_name_that_is_taken_keeps_the_order_at_its_end() -> None:
+    assert fresh_id("ppp_yzx", ["ppp", "ppp_yzx"]) == "new_ppp_yzx"
 
 
 def test_missing_readings_are_not_taken_again(simulated: Simulated) -> None:

@@ -227,7 +227,7 @@ def _at(name: str, nodes: Any, width: int, k: int) -> str:
         return say("budget.component", entry=entry, n=k % width) if width > 1 else entry
     node = nodes[k // width]
     place = f"{np.degrees(node):.6g}°" if name[-1] in "ABC" else f"{1e3 * node:.6g} mm"
-    return say("budget.at", place=node if isinstance(node, str) else place)
+    return say("check.at", place=node if isinstance(node, str) else place)
 
 
 def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:

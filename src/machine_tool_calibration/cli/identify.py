@@ -22,8 +22,8 @@ from machine_tool_calibration.cli.output import (
     progress_bar,
     tell,
     tell_either,
-    writing,
 )
+from machine_tool_calibration.errors import writing
 from machine_tool_calibration.reports.documents import to_json, write_table
 
 if TYPE_CHECKING:

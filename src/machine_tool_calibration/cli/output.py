@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, writing
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.tables import Part, show
 
@@ -99,15 +99,6 @@ def session_labels(paths: Sequence[Path]) -> list[str]:
 def write_json(document: Any) -> None:
     """Write one JSON document to standard output."""
     click.echo(to_json(document))
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Say in one line, a CalibrationError, where the system refuses to have something written."""
-    try:
-        yield
-    except OSError as error:
-        raise CalibrationError(f"{error.filename or path}: cannot be written: {error.strerror}") from None
 
 
 def write_new(file: Path, text: str) -> None:

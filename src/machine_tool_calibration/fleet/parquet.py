@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import writing
 from machine_tool_calibration.fleet.each import Done
 from machine_tool_calibration.fleet.machines import Machine, Machines
 from machine_tool_calibration.fleet.sessions import Identified, Place
@@ -61,14 +61,12 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]
     A CalibrationError if one cannot be written.
     """
     written = []
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, table in tables.items():
             made = folder / f".{name}.parquet.part"
             table.to_parquet(made, index=False)
             written.append(made.replace(folder / f"{name}.parquet"))
-    except OSError as error:
-        raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
     return written
 
 

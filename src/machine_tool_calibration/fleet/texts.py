@@ -141,8 +141,8 @@ def _state(one: Machine) -> tuple[str, ...]:
     return (
         one.trend.dates[-1],
         str(len(one.entries)),
-        "" if size is None else say("fleet.named", name=size.name, size=quantity(size.value, size.unit, size.u)),
-        "" if worst is None else say("fleet.named", name=worst.name, size=quantity(2.0 * worst.u, worst.unit)),
+        "" if size is None else say("text.sized", name=size.name, size=quantity(size.value, size.unit, size.u)),
+        "" if worst is None else say("text.sized", name=worst.name, size=quantity(2.0 * worst.u, worst.unit)),
     )
 
 

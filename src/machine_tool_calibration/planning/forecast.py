@@ -16,6 +16,7 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Result
@@ -222,8 +223,7 @@ def touching(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> 
 def along_diagonals(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Ways along the beams on the flat mirror."""
     description = procedure.session.as_a(StepDiagonal)
-    motion = np.array([run.direction for run in description.setups]) * np.asarray(description.step)
-    beam = motion / np.linalg.norm(motion, axis=1)[:, None]
+    beam = np.array([run.beam for run in runs_of(description)])
     return np.asarray(np.einsum("nj,nj->n", _aims(steps), beam[setup])), {}, {}
 
 

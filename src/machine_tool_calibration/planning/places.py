@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from machine_tool_calibration.arrays import Array, IntArray, gaps_around
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.methods.rotary_axis.spec import on_table
-from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, halts_of, run_of, runs_of
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition, fresh_id
 from machine_tool_calibration.session.description import (
@@ -47,16 +48,13 @@ def _diagonals(
     missing = [sign for sign in _SPACE if sign not in made]
     if not like or not missing:
         return
-    low, high = _reach(runs, used)
-    new = []
+    (low, high), order = _reach(runs, used), runs[like[0]].order
+    new: list[tuple[int, dict[str, Any]]] = []
     for sign in missing:
-        name = "".join("p" if s > 0 else "n" for s in sign)
-        start = np.where(np.array(sign) > 0, low, high)
-        motion = np.array(sign) * np.abs(runs[like[0]].motion)
-        beam = motion / np.linalg.norm(motion)
-        own = {"id": name, "name": name, "sign": np.array(sign), "start": start, "motion": motion, "beam": beam}
-        new.append((like[0], Run(**{**vars(runs[like[0]]), **own})))
-    names = together((run.id for _, run in new), say("text.and"))
+        name = "".join("p" if s > 0 else "n" for s in sign) + (f"_{order}" if order != "xyz" else "")
+        start = tuple(np.where(np.array(sign) > 0, low, high).tolist())
+        new.append((like[0], {"id": name, "direction": sign, "start": start}))
+    names = together((changed["id"][:3] for _, changed in new), say("text.and"))
     yield _option(session, description, new, "diagonal", say("measure.diagonals", n=len(new), names=names))
 
 
@@ -77,9 +75,9 @@ def _offset(session: Session, description: StepDiagonal, runs: Sequence[Run], us
             key = (runs[k].order, tuple(np.round(start, 9)))
             if key not in made:
                 made.add(key)
-                new.append((k, replace(runs[k], id=f"{runs[k].order.upper()}_at_{'xyz'[axis]}", start=start)))
+                new.append((k, {"id": f"{runs[k].order.upper()}_at_{'xyz'[axis]}", "start": tuple(start.tolist())}))
     if new:
-        axes = ", ".join(dict.fromkeys(run.order.upper() for _, run in new))
+        axes = ", ".join(dict.fromkeys(runs[k].order.upper() for k, _ in new))
         words = say("measure.offset", axes=axes)
         yield _option(session, description, new, "offset", words)
 
@@ -91,7 +89,7 @@ def _orders(session: Session, description: StepDiagonal, runs: Sequence[Run], us
         todo = {runs[k].name: k for k in used if runs[k].diagonal and len(runs[k].order) == 3}
         todo = {name: k for name, k in todo.items() if (name, order) not in have}
         if todo:
-            new = [(k, replace(runs[k], id=f"{name}_{order}", order=order)) for name, k in todo.items()]
+            new = [(k, {"id": f"{name}_{order}"}) for name, k in todo.items()]
             words = say("measure.diagonal_order", names=", ".join(todo), order=order.upper())
             yield _option(session, description, new, "order", words)
 
@@ -103,22 +101,22 @@ def _reach(runs: Sequence[Run], used: Sequence[int]) -> tuple[Array, Array]:
 
 
 def _option(
-    session: Session, description: StepDiagonal, new: Sequence[tuple[int, Run]], kind: str, words: str
+    session: Session, description: StepDiagonal, new: Sequence[tuple[int, dict[str, Any]]], kind: str, words: str
 ) -> Option:
-    """Runs that are made once, each at the pace of the setup of one that was made."""
+    """Runs that are made once, each at the pace of one that was made, with what its setup says otherwise."""
     setups = list(description.setups)
     rows, position, sign, displacement, setup = [], [], [], [], []
-    for like, run in new:
-        path = run.path(description.blocks)
+    for like, changed in new:
+        name = fresh_id(changed["id"], [s.id for s in setups])
+        own = description.setups[like].model_copy(update={**changed, "id": name})
+        path, run = halts_of(own, description), run_of(own, description)
         mine = first_repetition(session, [like])
         rows.append(mine[np.minimum(np.arange(len(path)), len(mine) - 1)])
         position.append(path)
         sign.append(np.tile(run.sign, (len(path), 1)))
         displacement.append((path - run.start) @ run.beam)
         setup.append(np.full(len(path), len(setups), dtype=np.int64))
-        name = fresh_id(run.id, [s.id for s in setups])
-        changed = {"id": name, "direction": tuple(run.sign.tolist()), "start": tuple(run.start.tolist())}
-        setups.append(description.setups[like].model_copy(update=changed))
+        setups.append(own)
     at, towards = np.concatenate(position), np.concatenate(sign)
     columns = {axis: at[:, j] for j, axis in enumerate("xyz") if axis in session.readings.columns}
     columns |= {f"dir_{a}": towards[:, j] for j, a in enumerate("xyz") if f"dir_{a}" in session.readings.columns}

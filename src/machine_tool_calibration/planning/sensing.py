@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, last_sign
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation.normal import solve_normal
@@ -36,9 +36,9 @@ def first_repetition(session: Session, setups: Sequence[int] | None = None) -> I
 
 
 def fresh_id(name: str, taken: Collection[str]) -> str:
-    """A name for a new setup that none of the others has."""
+    """A name for a new setup that none of the others has; what its end states, such as an order of moves, stays."""
     while name in taken:
-        name += "_new"
+        name = f"new_{name}"
     return name
 
 
@@ -59,10 +59,7 @@ def approached(values: Array, group: IntArray, before: Array) -> Array:
     out = before.copy()
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
-        places: Array = np.round(values[mine], 12)
-        moves: Array = np.sign(np.diff(places, prepend=places[0]))
-        last = np.maximum.accumulate(np.where(moves != 0, np.arange(len(mine)), -1))
-        out[mine] = np.where(last >= 0, moves[np.maximum(last, 0)], before[mine])
+        out[mine] = last_sign(np.diff(values[mine], prepend=values[mine[:1]]), 1e-12, before[mine])
     return out
 
 

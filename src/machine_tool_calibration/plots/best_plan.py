@@ -55,7 +55,7 @@ def _plane(panel: Axes, points: Array, one: PlanQuality, axes: tuple[int, int], 
         return
     where = 1e3 * places[:, [a, b]]
     dots = panel.scatter(where[good, 0], where[good, 1], c=largest[good], s=70, cmap="viridis", vmin=0.0, vmax=top)
-    panel.scatter(where[~good, 0], where[~good, 1], marker="x", color="0.5", label=say("picture.not_determined"))
+    panel.scatter(where[~good, 0], where[~good, 1], marker="x", color="0.5", label=say("text.not_determined"))
     panel.figure.colorbar(dots, ax=panel, label="U, µm")
     if len(one.stations):
         panel.plot(*1e3 * one.stations[:, [a, b]].T, "^", ls="", color="black", ms=8)

@@ -96,7 +96,7 @@ def _draw_fit(comparison: Comparison) -> Figure:
     middle.set(xlabel=predicted_in, ylabel=say("picture.measured_less"), title=say("picture.left"))
     _noise_band(middle, comparison)
     if len(comparison.setups) <= _LISTED:
-        left.legend(title=say("picture.setup"), fontsize="small", markerscale=3)
+        left.legend(title=say("head.setup"), fontsize="small", markerscale=3)
     normal = np.sort(table["studentized"].dropna())
     if len(normal):
         expected = special.ndtri((np.arange(len(normal)) + 0.5) / len(normal))
@@ -131,7 +131,7 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
             loc="outside upper center",
             ncols=min(len(ids), 3 * columns),
             frameon=False,
-            title=say("picture.setup"),
+            title=say("head.setup"),
         )
     grids(figure)
     return figure

@@ -70,7 +70,7 @@ def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequenc
         panel.text(value, y, f" {probability(p)}", va="center", fontsize=8, color="0.3")
     panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label=say("picture.declared_u"))
     panel.set_yticks(place, table["effect"], fontsize=8)
-    panel.set_xlabel(say("picture.residual_um_rms"))
+    panel.set_xlabel(say("head.residual_um_rms"))
     panel.set_title(say("picture.candidates"), fontsize=10)
     panel.set_xlim(0.0, 1.12 * max(float(before.max(initial=0.0)), 1e6 * diagnosis.noise.declared))
     panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
@@ -104,7 +104,7 @@ def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     first, last = Pool(diagnosis.fits[0]), Pool(diagnosis.fits[-1])
     name, values = _covariate(diagnosis)
     label, factor = axis_label(name)
-    shown: list[tuple[str, Pool, str]] = [(say("picture.before_it"), first, "tab:red")]
+    shown: list[tuple[str, Pool, str]] = [(say("compensation.before"), first, "tab:red")]
     if diagnosis.accepted:
         shown.append((say("picture.with", names=", ".join(diagnosis.accepted)), last, "tab:green"))
     number = bins(values, _MEANS)

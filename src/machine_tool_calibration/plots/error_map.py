@@ -247,7 +247,7 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
         # Room for the ellipses, but not for one that hardly anything determines.
         reach = np.minimum(size / 2, _ROOM * np.ptp(nominal, axis=0).max())
         panel.update_datalim(np.vstack([found[good] - reach, found[good] + reach]))
-        text = say("picture.U_larger" if larger > 1 else "picture.U", times=f"{larger:g}")
+        text = say("picture.U_larger" if larger > 1 else "head.U2", times=f"{larger:g}")
         panel.plot([], [], "o", mfc="none", mec=BAND, label=text)
     panel.plot(nominal[:, 0], nominal[:, 1], ".", color=NOMINAL, ms=4, label=say("picture.nominal"), zorder=2)
     if layer.error.shape[1] == 3:
@@ -265,7 +265,7 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
             "x",
             color="black",
             ms=6,
-            label=say("picture.not_determined"),
+            label=say("text.not_determined"),
             zorder=3,
         )
     panel.set_aspect("equal")

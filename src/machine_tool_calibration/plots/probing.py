@@ -59,7 +59,7 @@ def _draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any
     panel.plot(*moved.T * 1e3, ls="", marker="d", ms=3.5, color="tab:red", label=say("picture.identified"))
     missing = ~np.isfinite(form)
     if missing.any():
-        panel.plot(*place[missing].T * 1e3, ls="", marker="x", ms=5, color="black", label=say("picture.not_determined"))
+        panel.plot(*place[missing].T * 1e3, ls="", marker="x", ms=5, color="black", label=say("text.not_determined"))
     panel.set_title(say("picture.form", scale=spaced(scale)))
     _frame(panel)
 
@@ -101,7 +101,7 @@ def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
             *1e3 * grid[poor].T, ls="", marker="o", ms=4, mfc="none", color="tab:orange", label=say("picture.uncertain")
         )
     if not good.all():
-        panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label=say("picture.not_determined"))
+        panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label=say("text.not_determined"))
     known = quantity(2 * float(np.nanmedian(u)), "m") if good.any() else ""
     panel.set_title(say("picture.plane_U" if known else "picture.plane", scale=spaced(scale), u=known))
     _frame(panel, legend=bool(poor.any() or not good.all()))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.errors import RecordingError
+from machine_tool_calibration.errors import RecordingError, writing
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
 from machine_tool_calibration.recording.metadata import Topic
 from machine_tool_calibration.recording.reader import BagReader, Message, is_readable
@@ -213,11 +213,10 @@ def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
     """
     part = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _parquet(pieces, part) if path.suffix.lower() == ".parquet" else _csv(pieces, part)
-        part.replace(path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+        with writing(path, RecordingError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _parquet(pieces, part) if path.suffix.lower() == ".parquet" else _csv(pieces, part)
+            part.replace(path)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)

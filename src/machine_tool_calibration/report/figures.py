@@ -256,20 +256,20 @@ def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | Non
     ]
     arrows = np.stack([place, found], axis=1)
     data = [
-        _lines(1e3 * place[pairs], _GRAY, words("report.nominal"), "dot"),
-        _lines(1e3 * found[pairs], COLORS[0], words("report.measured"), "solid"),
+        _lines(1e3 * place[pairs], _GRAY, words("picture.nominal"), "dot"),
+        _lines(1e3 * found[pairs], COLORS[0], words("picture.measured"), "solid"),
         _lines(1e3 * arrows, COLORS[1], words("report.deviation"), "solid"),
         {
             "type": "scatter3d",
             "mode": "markers",
-            "name": words("report.measured"),
+            "name": words("picture.measured"),
             "showlegend": False,
             **_columns(1e3 * found),
             "marker": {
                 "size": 4,
                 "color": np.round(1e6 * size, 4).tolist(),
                 "colorscale": "Cividis",
-                "colorbar": {"title": {"text": words("report.deviation_um")}, "len": 0.7},
+                "colorbar": {"title": {"text": words("picture.deviation")}, "len": 0.7},
             },
             "text": texts,
             "hoverinfo": "text",

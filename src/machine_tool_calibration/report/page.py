@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, writing
 from machine_tool_calibration.report.figures import Picture, library
 from machine_tool_calibration.report.sections import Section, Turnable, sections
 from machine_tool_calibration.reports.tables import TextTable
@@ -64,11 +64,9 @@ def save_all(
 
 def save(file: Path, content: str | bytes) -> Path:
     """Write a file, with the folders that it needs; a CalibrationError if it cannot be written."""
-    try:
+    with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content.encode() if isinstance(content, str) else content)
-    except OSError as error:
-        raise CalibrationError(f"{error.filename or file}: cannot be written: {error.strerror}") from None
     return file
 
 

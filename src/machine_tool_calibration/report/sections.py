@@ -152,7 +152,7 @@ def _summary(found: Evaluation) -> Iterator[str | TextTable]:
         yield _effects(found)
         yield from negative_words(found.result.joint, document["effects"])
     for text in document["suspicious"]:
-        yield say("report.suspicious", what=text)
+        yield say("diagnosis.suspicious", what=text)
 
 
 def _model(variant: str, effects: Sequence[str]) -> str:
@@ -189,11 +189,11 @@ def set_up(session: Session) -> TextTable:
         for axis, ends in description.machine.travel.items()
     )  # fmt: skip
     rows = [
-        (say("report.method"), named("method", session.method.replace("_", " "))),
-        (say("report.instrument"), named("instrument", (session.instrument or "").replace("_", " "))),
+        (say("head.method"), named("method", session.method.replace("_", " "))),
+        (say("about.instrument"), named("instrument", (session.instrument or "").replace("_", " "))),
         (say("report.chain"), description.machine.chain),
         (say("report.travel"), travel),
-        (say("report.readings"), say("report.readings_of", count=summary.readings, missing=summary.missing)),
+        (say("head.readings"), say("report.readings_of", count=summary.readings, missing=summary.missing)),
         (say("report.places"), str(summary.targets)),
         (say("report.declared_u"), quantity(session.sigma, "m")),
     ]
@@ -319,7 +319,7 @@ def _provenance(found: Evaluation) -> Iterator[TextTable]:
     origin = found.result.provenance
     evaluated = origin.evaluated.replace("T", " ")
     rows: list[tuple[str, str]] = [(say("report.evaluated"), evaluated)]
-    rows += [(say("report.software"), Verbatim(origin.software))]
+    rows += [(say("about.software"), Verbatim(origin.software))]
     rows.append((say("head.model"), _model(origin.model, origin.effects)))
     for one in origin.sessions:
         for key, value in (("measured_on", one.measured), ("sha256", one.sha256)):

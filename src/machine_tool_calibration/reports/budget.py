@@ -54,7 +54,7 @@ def _title(one: Sum) -> str:
 
 
 def _quantity_name(one: Sum) -> str:
-    return say("budget.position_error") if one.quantity.name == POSITION_ERROR else one.quantity.name
+    return say("result.position_error") if one.quantity.name == POSITION_ERROR else one.quantity.name
 
 
 def unit_of(one: Sum) -> tuple[float, str]:
@@ -159,7 +159,7 @@ def _most(budget: Budget, one: Sum) -> str:
 def _check(drawn: Drawn, sums: Sequence[Sum]) -> TextTable:
     def interval(one: Sum) -> str:
         low, high = (rounded(unit_of(one)[0] * end) for end in drawn.interval(one.index or 0))
-        return say("budget.interval", low=low, high=high)
+        return say("text.range", low=low, high=high)
 
     return table(
         say("budget.check", n=len(drawn.deviation)),

@@ -9,12 +9,12 @@ from machine_tool_calibration.reports.tables import TextTable, table
 from machine_tool_calibration.words import say
 
 _FIGURES: dict[str, Callable[[Entry], str]] = {
-    "history.variant": lambda one: one.model,
-    "history.effects": lambda one: ", ".join(one.effects) or "–",
-    "improved.readings": lambda one: str(one.used),
+    "head.variant": lambda one: one.model,
+    "head.effects": lambda one: ", ".join(one.effects) or "–",
+    "result.readings_used": lambda one: str(one.used),
     "history.set_aside": lambda one: str(one.readings_aside),
     "improved.rms": lambda one: micrometres(one.rms_residual),
-    "improved.chi": lambda one: rounded(one.reduced_chi_square),
+    "result.chi": lambda one: rounded(one.reduced_chi_square),
     "history.freedom": lambda one: str(one.degrees_of_freedom),
     "improved.map": lambda one: of_map(one.map_rms, one.map_uncertainty_rms)[0],
     "history.U_map": lambda one: of_map(one.map_rms, one.map_uncertainty_rms)[1],

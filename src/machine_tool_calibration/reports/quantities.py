@@ -180,7 +180,7 @@ def declared_words(said: StandardUncertainty) -> str:
         size = quantity(entry.displacement, "m")
         return say("result.of_path", size=size, slope=quantity(entry.per_length, "1")) if entry.per_length else size
 
-    own = [say("result.setup_declared", name=name, size=one(entry)) for name, entry in said.setups.items()]
+    own = [say("text.sized", name=name, size=one(entry)) for name, entry in said.setups.items()]
     more = [say("text.more_setups", n=len(own) - MOST_NAMED)] if len(own) > MOST_NAMED else []
     return together((one(said), *own[:MOST_NAMED], *more), "; ")
 

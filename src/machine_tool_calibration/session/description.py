@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
@@ -169,6 +169,16 @@ class DiagonalSetup(Setup):
         # Letters that are not all moving axes, once each, are a name and no order.
         return (found["name"], stated) if found and sorted(stated) == sorted(moving) else (self.id, moving)
 
+    def path(self, step: Sequence[float], blocks: int) -> list[tuple[float, ...]]:
+        """Places x, y, z at which it is read, m: moves of a step along single axes, block after block."""
+        made, motion = [0, 0, 0], [length * sign for length, sign in zip(step, self.direction, strict=True)]
+        places: list[tuple[float, ...]] = [self.start]
+        for axis in self.name_and_order[1] * blocks:
+            made["xyz".index(axis)] += 1
+            # From the start, so that no rounding adds up.
+            places.append(tuple(s + k * m for s, k, m in zip(self.start, made, motion, strict=True)))
+        return places
+
 
 class StationSetup(Setup):
     """A station of a tracking interferometer: estimate of its rotation centre, machine frame, m."""
@@ -250,16 +260,9 @@ class StepDiagonal(Description):
     setups: Annotated[tuple[DiagonalSetup, ...], Field(min_length=1)]
 
     def positions(self, index: int) -> list[dict[str, float]]:
-        """Commanded positions of a setup's run, m: single-axis moves, block after block."""
-        setup = self.setups[index]
-        start, made = dict(zip("xyz", setup.start, strict=True)), dict.fromkeys("xyz", 0.0)
-        steps = {axis: s * d for axis, s, d in zip("xyz", self.step, setup.direction, strict=True)}
-        positions = [start.copy()]
-        for axis in setup.name_and_order[1] * self.blocks:
-            made[axis] += 1.0
-            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
-            positions.append({a: round(start[a] + made[a] * steps[a], 12) for a in "xyz"})
-        return positions
+        """Commanded positions of a setup's run, m: to the picometre, so that none is beyond the travel."""
+        path = self.setups[index].path(self.step, self.blocks)
+        return [{axis: round(place, 12) for axis, place in zip("xyz", places, strict=True)} for places in path]
 
 
 class TrackingInterferometer(Description):

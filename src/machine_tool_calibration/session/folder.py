@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import SessionError, writing
 from machine_tool_calibration.session import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
@@ -75,7 +75,7 @@ def write_session(session: Session, folder: Path, *, overwrite: bool = False) ->
 
     folder = Path(folder)
     described, observed = folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE
-    try:
+    with writing(folder, SessionError):
         folder.mkdir(parents=True, exist_ok=True)
         if not overwrite and (described.exists() or observed.exists()):
             raise SessionError(f"{folder}: holds a session already; choose another folder")
@@ -86,5 +86,3 @@ def write_session(session: Session, folder: Path, *, overwrite: bool = False) ->
             write_csv(readings_frame(session), stream)
         for part, file in zip(parts, (described, observed), strict=True):
             os.replace(part, file)
-    except OSError as error:
-        raise SessionError(f"{folder}: cannot be written: {error.strerror}") from None

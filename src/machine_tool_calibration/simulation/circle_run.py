@@ -111,13 +111,9 @@ class CirclePlan(Plan):
             }
 
         description = {
-            "method": "ball_bar",
-            "machine": self.machine(),
             "setups": [
                 {"id": plane, "plane": plane, "centre": list(self.centre), "radius": self.radius, "feed": self.feed}
                 for plane in self.planes
             ],
         }
-        return Measurement(
-            lambda machine: description, scene, read, None, axis_columns(position, direction), truth=judged
-        )
+        return Measurement(description, scene, read, None, axis_columns(position, direction), truth=judged)

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session of laser step diagonals and linear runs with a flat mirror on the spindle."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.description import DiagonalSetup
 from machine_tool_calibration.session.record import Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
@@ -64,35 +62,31 @@ class DiagonalPlan(Plan):
         """Errors of a high-precision machining centre, with small angular ones."""
         return Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=2e-6, squareness=3e-5)
 
-    def runs(self) -> list[_Run]:
+    def runs(self) -> list[DiagonalSetup]:
         """The setups in the order in which they are measured."""
         corner, step = np.asarray(self.corner), np.asarray(self.step)
         out = []
         for signs in self.diagonals:
             sign = np.array([{"p": 1.0, "n": -1.0, "0": 0.0}[letter] for letter in signs])
             start = np.where(sign < 0, corner + self.blocks * step, corner)
-            for order in self.orders:
-                name = signs if self.orders == ("xyz",) else f"{signs}_{order}"
-                moving = "".join(letter for letter in order if sign["xyz".index(letter)])
-                out.append(_Run(name, "diagonal", sign, start, _moves(moving, sign, step, self.blocks)))
+            names = [signs] if self.orders == ("xyz",) else [f"{signs}_{order}" for order in self.orders]
+            out += [_setup(name, "diagonal", sign, start) for name in names]
         for letters in (*self.linear, *self.offset_linear):
-            sign = np.array([1.0 if letters[0] == other else 0.0 for other in "xyz"])
-            far = np.array([1.0 if other in letters[1:] else 0.0 for other in "xyz"])
+            sign, far = (np.array([float(other in own) for other in "xyz"]) for own in (letters[0], letters[1:]))
             name = letters[0].upper() + (f"_at_{letters[1:]}" if letters[1:] else "")
-            start = corner + far * self.blocks * step
-            out.append(_Run(name, "linear", sign, start, _moves(letters[0], sign, step, self.blocks)))
+            out.append(_setup(name, "linear", sign, corner + far * self.blocks * step))
         return out
 
     def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
         """The measurement of a plan: every setup once, then all again for the next repeat."""
         runs = self.runs()
+        paths = [np.array(run.path(self.step, self.blocks)) for run in runs]
         angle = rng.uniform(0.0, 2.0 * np.pi, len(runs))
         tilt = self.mirror_tilt * np.column_stack([np.cos(angle), np.sin(angle)])
         aside = self.beam_error * rng.normal(size=(len(runs), 2))
-        setup = np.tile(np.concatenate([np.full(len(run.moves), i) for i, run in enumerate(runs)]), self.repeats)
-        each = sum(len(run.moves) for run in runs)
-        repeat = np.repeat(np.arange(self.repeats), each)
-        position = np.tile(np.concatenate([run.positions() for run in runs]), (self.repeats, 1))
+        setup = np.tile(np.concatenate([np.full(len(path), i) for i, path in enumerate(paths)]), self.repeats)
+        repeat = np.repeat(np.arange(self.repeats), sum(map(len, paths)))
+        position = np.tile(np.concatenate(paths), (self.repeats, 1))
         block = blocks(setup, repeat)
         time = ordered_times(block, self.interval, self.pause)
         direction = {
@@ -100,8 +94,7 @@ class DiagonalPlan(Plan):
             for i, axis in enumerate("XYZ")
         }
         scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel())
-        start = np.array([run.start for run in runs])
-        end = np.array([run.positions()[-1] for run in runs])
+        start, end = (np.array([path[k] for path in paths]) for k in (0, -1))
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
             first, last = machine.functional_point(start), machine.functional_point(end)
@@ -120,14 +113,12 @@ class DiagonalPlan(Plan):
             return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
 
         description = {
-            "method": "step_diagonal",
-            "machine": self.machine(),
             "step": list(self.step),
             "blocks": self.blocks,
-            "setups": [run.described() for run in runs],
+            "setups": [run.model_dump() for run in runs],
         }
         columns = axis_columns(position, direction)
-        return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)
+        return Measurement(description, scene, read, block, columns, truth=judged)
 
     def _axis_error(self, machine: VirtualMachine, axis: int) -> Array:
         """(blocks + 1, 3) position errors along an axis from the corner, less those of the corner, m."""
@@ -136,28 +127,5 @@ class DiagonalPlan(Plan):
         return np.asarray(error - error[0])
 
 
-@dataclass(frozen=True)
-class _Run:
-    name: str
-    kind: str
-    sign: Array
-    start: Array
-    moves: Array  # (k, 3) number of steps made along each axis before each reading, times the step
-
-    def positions(self) -> Array:
-        return self.start + self.moves
-
-    def described(self) -> dict[str, Any]:
-        start, direction = self.start.tolist(), self.sign.tolist()
-        return {"id": self.name, "kind": self.kind, "direction": direction, "start": start, "mirror": "flat"}
-
-
-def _moves(order: str, sign: Array, step: Array, count: int) -> Array:
-    """Displacements from the start before each reading, (len(order)·count + 1, 3), m; no rounding adds up."""
-    made = np.zeros((len(order) * count + 1, 3))
-    k = np.arange(len(made))
-    for place, letter in enumerate(order):
-        axis = "xyz".index(letter)
-        done = (k + len(order) - 1 - place) // len(order)
-        made[:, axis] = done * step[axis] * sign[axis]
-    return made
+def _setup(name: str, kind: str, sign: Array, start: Array) -> DiagonalSetup:
+    return DiagonalSetup.model_validate({"id": name, "kind": kind, "direction": sign.tolist(), "start": start.tolist()})

@@ -130,15 +130,13 @@ class DirectPlan(Plan):
 
         description = self._described(datum)
         columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
-        return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
+        return Measurement(description, scene, read, None, columns, truth=judged)
 
     def _described(self, datum: str) -> dict[str, Any]:
         name = self.axis.upper() if self.kind in ("iso230_2", "straightness") else self.kind
         instrument = self.instrument or _INSTRUMENT.get(self.kind)
         return {
-            "method": "direct",
             **({"instrument": instrument} if instrument else {}),
-            "machine": self.machine(),
             "datum": datum,
             "terms": list(self.asked()),
             "setups": [{"id": name if self.mountings == 1 else f"{name}{i + 1}"} for i in range(self.mountings)],

@@ -21,8 +21,8 @@ from machine_tool_calibration.simulation.scene import Environment, Scene
 class Measurement:
     """A planned measurement, ready to be read."""
 
-    # machine -> content of `session.yaml` without `format`, `repeats` and the uncertainty
-    describe: Callable[[VirtualMachine], Mapping[str, Any]]
+    # content of `session.yaml` without `format`, `method`, `machine`, `repeats` and the uncertainty
+    description: Mapping[str, Any]
     scene: Scene  # commands and conditions of each reading
     # (machine, disturbance) -> (n,) readings from geometry, before the datum, m
     read: Callable[[VirtualMachine, Disturbance], Array]
@@ -32,6 +32,8 @@ class Measurement:
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text columns
     # machine -> what the measurement should find, for judging
     truth: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}
+    # machine -> lengths of it that were measured otherwise, by the error motion
+    known: Callable[[VirtualMachine], dict[str, Any]] = lambda machine: {}
 
 
 def since_first(values: Array, group: IntArray | None) -> Array:

@@ -17,8 +17,8 @@ AnyPlan = Annotated[
     TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan | CirclePlan, Field(discriminator="method")
 ]
 
-PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan | CirclePlan]] = {
-    plan.model_fields["method"].default: plan
+PLANS = {
+    str(plan.model_fields["method"].default): plan
     for plan in (DiagonalPlan, TrackingPlan, RotaryPlan, ProbingPlan, DirectPlan, CirclePlan)
 }
 """The plan's class of each method."""

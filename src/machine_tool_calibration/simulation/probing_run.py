@@ -10,24 +10,21 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.session.record import Finite, Positive, Record
+from machine_tool_calibration.arrays import Array, last_sign
+from machine_tool_calibration.session.description import WorkpiecePoint
+from machine_tool_calibration.session.record import Finite, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.plan import Measurement, Plan
-from machine_tool_calibration.simulation.scene import Environment, Scene, last_sign, ordered_times
+from machine_tool_calibration.simulation.scene import Environment, Scene, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
 
-class PartPoint(Record):
+class PartPoint(WorkpiecePoint):
     """A nominal point of a part's surface in the workpiece frame at c = 0."""
 
-    id: str  # name of the point
-    feature: str = "work"  # what it belongs to
-    position: tuple[Finite, Finite]  # x, y, m
-    normal: tuple[Finite, Finite]  # outward from the material, unit
     curvature: Finite = 0.0  # of the surface, 1/m: positive for a pin, negative for a hole
 
     @model_validator(mode="after")
@@ -207,6 +204,17 @@ class ProbingPlan(Plan):
         ends = (float(nodes[0]), float(nodes[-1]))
         return {"X": ends, "Y": ends, "Z": (-0.05, 0.05)}
 
+    def machine(self) -> dict[str, Any]:
+        """Chain, sense of C, ends of X and Y, and the nodes of their error tables."""
+        nodes = self.nodes().tolist()
+        ends = [nodes[0], nodes[-1]]
+        return {
+            "chain": self.chain,
+            "rotation_sign": self.sign,
+            "travel": {"x": ends, "y": ends},
+            "table_grid": {"x": nodes, "y": nodes},
+        }
+
     def errors(self) -> Amplitudes:
         """Errors of an ordinary machining centre; long waves, as the tables of the method can follow."""
         return Amplitudes(squareness=3e-5, line_position=1.5e-5, knots=5)
@@ -251,8 +259,13 @@ class ProbingPlan(Plan):
             **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
         }
         labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
-        described, judged = partial(self._described, length_error), partial(self._judged, form)
-        return Measurement(described, scene, read, None, columns, labels, judged)
+        description = {
+            "probe": {"stylus_diameter": self.stylus_diameter},
+            "workpiece": [point.model_dump(exclude={"curvature"}) for point in part],
+            "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(turns)],
+        }
+        judged, known = partial(self._judged, form), partial(self._known, length_error)
+        return Measurement(description, scene, read, None, columns, labels, judged, known)
 
     def _judged(self, form: Array, machine: VirtualMachine) -> dict[str, Any]:
         """What the measurement should find."""
@@ -267,29 +280,14 @@ class ProbingPlan(Plan):
             "squareness": dict(machine.squareness),
         }
 
-    def _described(self, length_error: float, machine: VirtualMachine) -> dict[str, Any]:
-        """What the session says."""
-        nodes, known = self.nodes().tolist(), {}
-        if self.known_uncertainty is not None:
-            true = float(machine.motion("EXX", np.array([nodes[-1]]))[0] - machine.motion("EXX", np.zeros(1))[0])
-            value = true + self.known_uncertainty * length_error
-            known = {"EXX": {"position": nodes[-1], "value": value, "standard_uncertainty": self.known_uncertainty}}
-        return {
-            "method": "probing",
-            "machine": {
-                "chain": self.chain,
-                "rotation_sign": self.sign,
-                "travel": {"x": [nodes[0], nodes[-1]], "y": [nodes[0], nodes[-1]]},
-                "table_grid": {"x": nodes, "y": nodes},
-            },
-            "probe": {"stylus_diameter": self.stylus_diameter},
-            "workpiece": [
-                {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)}
-                for p in self.surface()
-            ],
-            "setups": [{"id": f"C{i + 1}", "c": float(c)} for i, c in enumerate(self.turns())],
-            "known": known,
-        }
+    def _known(self, length_error: float, machine: VirtualMachine) -> dict[str, Any]:
+        """The length that was measured otherwise, off by so many of its uncertainties."""
+        if self.known_uncertainty is None:
+            return {}
+        end = self.nodes()[-1:]
+        true = float(machine.motion("EXX", end)[0] - machine.motion("EXX", np.zeros(1))[0])
+        value = true + self.known_uncertainty * length_error
+        return {"EXX": {"position": end.item(), "value": value, "standard_uncertainty": self.known_uncertainty}}
 
 
 def _table_errors(machine: VirtualMachine, angle: Array) -> dict[str, list[float]]:

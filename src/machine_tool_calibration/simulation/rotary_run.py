@@ -83,6 +83,10 @@ class RotaryPlan(Plan):
             object.__setattr__(self, "chain", f"w-{self.axis}-b-t")
         return self
 
+    def machine(self) -> dict[str, Any]:
+        """The chain, and which of its axes is measured."""
+        return {"chain": self.chain, "axis": self.axis}
+
     def marks(self) -> dict[str, Vector3]:
         """Nominal targets by id."""
         return self.targets or {name: _about(p, self.axis) for name, p in _TARGETS.items()}
@@ -142,15 +146,13 @@ class RotaryPlan(Plan):
             return {**self._errors(machine), "stations": station.tolist(), "targets": targets}
 
         description = {
-            "method": "rotary_axis",
-            "machine": {"chain": self.chain, "axis": self.axis},
             "rotation_sign": self.sign,
             "targets": stated_places(names, stated, self.target_uncertainty),
             "setups": stated_places(map(station_name, count()), estimate, self.station_uncertainty),
         }
         letter = self.axis.lower()
         return Measurement(
-            lambda machine: description,
+            description,
             scene,
             read,
             run,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, last_sign
 
 COLUMNS = (
     "temperature_air",
@@ -145,13 +145,6 @@ class Scene:
 def last_direction(command: Array, initial: float = 1.0) -> Array:
     """(n,) sign of the last move of one axis up to each reading; `initial` before it has moved."""
     return last_sign(np.diff(command, prepend=command[:1]), 1e-12, initial)
-
-
-def last_sign(moves: Array, least: float, initial: float = 1.0) -> Array:
-    """(n,) sign of the last of the moves (n,) so far that was no less than `least`; `initial` before there was one."""
-    counts = np.abs(moves) >= least
-    last = np.maximum.accumulate(np.where(counts, np.arange(len(moves)), -1))
-    return np.where(last >= 0, np.sign(moves[last]), initial)
 
 
 def blocks(*keys: IntArray) -> IntArray:

@@ -200,14 +200,16 @@ def _chips(spec: SimulationSpec, measurement: Measurement, rng: np.random.Genera
 
 
 def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine, noise: float) -> Any:
-    said = dict(measurement.describe(machine))
-    if any(machine.tool_offset):
-        said["machine"] = {**said["machine"], "tool_offset": list(machine.tool_offset)}
+    offset = {"tool_offset": list(machine.tool_offset)} if any(machine.tool_offset) else {}
+    known = measurement.known(machine)
     whole = {
         "format": "mtcal-session/1",
+        "method": spec.method,
+        "machine": spec.plan.machine() | offset,
         "repeats": spec.plan.repeats,
         "standard_uncertainty": {"displacement": noise},
-        **said,
+        **measurement.description,
+        **({"known": known} if known else {}),
     }
     return describe(whole, "simulation")
 

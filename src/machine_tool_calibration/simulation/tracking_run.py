@@ -131,11 +131,9 @@ class TrackingPlan(Plan, Pointer):
             }
 
         description = {
-            "method": "tracking_interferometer",
             "dimension": self.dimension,
             "pointing": self.pointing,
-            "machine": self.machine(),
             "setups": stated_places(map(station_name, count()), estimate, self.station_uncertainty),
         }
         columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
-        return Measurement(lambda machine: description, scene, read, setup, columns, truth=judged)
+        return Measurement(description, scene, read, setup, columns, truth=judged)

@@ -9,7 +9,13 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, runs_of, step_diagonal_of
+from machine_tool_calibration.methods.step_diagonal.geometry import (
+    across,
+    block_positions,
+    halts_of,
+    runs_of,
+    step_diagonal_of,
+)
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.simulation import PRESETS, Simulated, SimulationSpec, simulate
 
@@ -36,15 +42,17 @@ def test_order_of_moves_is_read_from_the_id(written, name, order):
     session = written([setup], [path], np.zeros_like, step=[0.01, 0.01, 0.01], blocks=2)
     (run,) = runs_of(session.description)
     assert run.order == order
-    assert run.path(2).shape == (7, 3)
-    assert np.flatnonzero(run.path(2)[1])[0] == "xyz".index(order[0])
+    halts = halts_of(session.description.setups[0], session.description)
+    assert halts.shape == (7, 3)
+    assert np.flatnonzero(halts[1])[0] == "xyz".index(order[0])
 
 
 def test_path_agrees_with_the_simulated_positions(exact):
     session = exact(orders=("xyz", "yzx", "zxy")).session
-    for number, run in enumerate(runs_of(session.description)):
+    for number, setup in enumerate(session.description.setups):
         mine = session.readings.setup == number
-        assert session.readings.position()[mine] == pytest.approx(run.path(12), abs=1e-12)
+        halts = halts_of(setup, session.description)
+        assert session.readings.position()[mine] == pytest.approx(halts, abs=1e-12)
 
 
 def test_block_positions_of_a_shifted_volume(exact):

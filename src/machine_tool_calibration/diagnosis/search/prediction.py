@@ -159,7 +159,7 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
     """Ways to divide the readings, with the part of each reading of each session."""
     setups = [groups(s.readings.setup) for s in sessions]
     if max(int(part.max(initial=0)) for part in setups) >= 2:
-        yield say("part.setups"), [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
+        yield say("head.setups"), [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
     position = np.concatenate([s.readings.position() for s in sessions])
     angles = [s.readings.columns.get("c") for s in sessions]
     place = _zones(position, angles[0] if len(sessions) == 1 else None)

@@ -27,14 +27,6 @@ class Run:
     beam: Array  # (3,) nominal direction of the laser beam l, a unit vector: along the motion
     sign: Array  # (3,) -1, 0 or +1 for each axis
 
-    def path(self, blocks: int) -> Array:
-        """(len(order) * blocks + 1, 3) nominal positions at which the run is read, in their order, m."""
-        steps = np.zeros((len(self.order) * blocks + 1, 3))
-        for place, letter in enumerate(self.order):
-            axis = "xyz".index(letter)
-            steps[1 + place :: len(self.order), axis] = self.motion[axis] / blocks
-        return self.start + np.cumsum(steps, axis=0)
-
 
 def step_diagonal_of(session: Session) -> StepDiagonal:
     """The session's description; a ModelError says that it is of another method."""
@@ -45,10 +37,16 @@ def step_diagonal_of(session: Session) -> StepDiagonal:
 
 def runs_of(description: StepDiagonal) -> tuple[Run, ...]:
     """The setups' runs; a SessionError names a direction that does not fit the setup's kind."""
-    return tuple(_run(setup, description) for setup in description.setups)
+    return tuple(run_of(setup, description) for setup in description.setups)
 
 
-def _run(setup: DiagonalSetup, description: StepDiagonal) -> Run:
+def halts_of(setup: DiagonalSetup, description: StepDiagonal) -> Array:
+    """(len(order) * blocks + 1, 3) nominal positions at which a run is read, in their order, m."""
+    return np.array(setup.path(description.step, description.blocks))
+
+
+def run_of(setup: DiagonalSetup, description: StepDiagonal) -> Run:
+    """The run of one setup, as of `runs_of`."""
     motion = np.asarray(setup.direction) * np.asarray(description.step) * description.blocks
     sign = np.sign(motion)
     moving = "".join("xyz"[k] for k in range(3) if sign[k])

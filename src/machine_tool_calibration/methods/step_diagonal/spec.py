@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
+from machine_tool_calibration.methods.step_diagonal.geometry import halts_of, run_of, runs_of
 from machine_tool_calibration.session.checks.mistakes import SENSES, UNITS, exchanged_axes, scaled
 from machine_tool_calibration.session.checks.nominal_geometry import (
     badly_exchanged,
@@ -89,13 +89,13 @@ class DiagonalSpec(MethodSpec):
         if description.blocks > _MOST_BLOCKS or len(np.unique(readings.setup)) < 2:
             return
         best, most = 0.0, {"read": "0", "count": "", "setup": ""}
-        for index, run in enumerate(runs_of(description)):
-            halts = run.path(description.blocks)
-            steps = (readings.position()[readings.setup == index] - run.start) / description.step
+        for index, setup in enumerate(description.setups):
+            halts = halts_of(setup, description)
+            steps = (readings.position()[readings.setup == index] - setup.start) / description.step
             there = np.abs(steps - np.round(steps)).max(axis=1) < _ON_HALT
-            read = len(_counted(steps[there]) & _counted((halts - run.start) / description.step))
+            read = len(_counted(steps[there]) & _counted((halts - setup.start) / description.step))
             if read >= best * len(halts):
-                best, most = read / len(halts), {"read": f"{read}", "count": f"{len(halts)}", "setup": run.id}
+                best, most = read / len(halts), {"read": f"{read}", "count": f"{len(halts)}", "setup": setup.id}
         if best < _READ:
             step = _vector(1e3 * s for s in description.step)
             yield say("suspicion.blocks", blocks=description.blocks, step=step, **most)
@@ -106,11 +106,11 @@ class DiagonalSpec(MethodSpec):
         path, across, outside = _along_run(session)
         step = np.array(description.step)
         off, bad = np.linalg.norm(outside, axis=1), (outside / step).max(axis=1) > _OUTSIDE
-        for index, run in enumerate(runs_of(description) if description.blocks <= _MOST_BLOCKS else ()):
+        for index, setup in enumerate(description.setups if description.blocks <= _MOST_BLOCKS else ()):
             mine = np.flatnonzero(readings.setup == index)
             if not len(mine):
                 continue
-            halts = run.path(description.blocks)
+            halts = halts_of(setup, description)
             missed = np.abs(readings.position()[mine][:, None] - halts).max(axis=2).min(axis=1)
             if np.mean(missed > _ON_HALT * step.min()) < 0.5:
                 bad[mine] |= missed > _ON_HALT * step.min()
@@ -157,7 +157,7 @@ def _along_run(session: Session) -> tuple[Array, Array, Array]:
 def _run_of_places(session: Session, setup: int) -> str:
     """Where the places of a setup run, if it is elsewhere than stated."""
     description, readings = session.description.as_a(StepDiagonal), session.readings
-    run, mine = runs_of(description)[setup], readings.setup == setup
+    run, mine = run_of(description.setups[setup], description), readings.setup == setup
     places = readings.position()[mine & (readings.repeat == readings.repeat[mine][0])]
     moved = places[-1] - places[0]
     signs = np.where(np.abs(moved) > _OUTSIDE * np.array(description.step), np.sign(moved), 0.0)
@@ -186,9 +186,9 @@ def _off_halts(session: Session) -> Array:
     """
     description, readings = session.description.as_a(StepDiagonal), session.readings
     off, points = np.zeros(len(readings)), readings.position()
-    for index, run in enumerate(runs_of(description)):
+    for index, setup in enumerate(description.setups):
         mine = readings.setup == index
-        if run.name != run.id and mine.any():
-            halts = run.path(description.blocks)
+        if setup.name_and_order[0] != setup.id and mine.any():
+            halts = halts_of(setup, description)
             off[mine] = np.linalg.norm(points[mine][:, None] - halts, axis=2).min(axis=1).mean()
     return off / min(description.step)
