@@ -10,9 +10,11 @@ import pytest
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.search.effect_search import led_by_places
 from machine_tool_calibration.effects.thermal_lag import followed
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
+from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -244,8 +246,10 @@ def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time(pla
     }  # fmt: skip
     terms = ("EXX", "EYX", "EXY", "EYY", "ECX", "ECY", "C0Y")
     found = diagnose(plates.session(columns, 2.5e-7, "rigid", terms, np.repeat([0, 1], 162), "stage"))
-    assert found.left and found.left[0].covariate == "place"
-    assert found.left[0].share > max(one.share for one in found.search.left)
+    assert found.left and found.left[0].shape == "a zone of its own that begins at 225 mm, 225 mm"
+    time = next(one for one in found.left if one.covariate == "time")
+    joint = found.with_found.joint
+    assert led_by_places((time,), joint, [noise_of(own) for own in joint.fits])[0].covariate == "place"
     text = " ".join(verdict_words(found, {}, Advice()))
     assert "the model free (--model) gives every place" in text
     assert "depend on time" not in text

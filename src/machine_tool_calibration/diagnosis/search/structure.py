@@ -104,7 +104,7 @@ class _Outside:
             values: (s,) of these.
             piece: where the session's readings are.
         """
-        pool, d, ratios = self._pool, len(of(1.0)), sorted(self._sizes)
+        pool, d, ratios = self._pool, len(of(float(values[0]))), sorted(self._sizes)
         out = np.zeros((len(ratios), len(values)))
         for first in range(0, len(values), _BATCH // d):
             some = slice(first, min(first + _BATCH // d, len(values)))
@@ -204,10 +204,12 @@ def _zones(observations: Observations, explained: _Explained) -> Iterator[Candid
         u, v = observations.position[:, i], observations.position[:, j]
         corners = list(product(_lines(u), _lines(v)))
 
-        def zone(number: float, u: Array = u, v: Array = v, corners: Sequence[Array] = corners) -> Array:
+        def zone(number: float, u: Array = u, v: Array = v, corners: Sequence[tuple[float, float]] = corners) -> Array:
             beyond = np.array([u, v]) > np.array(corners[int(number)])[:, None]
-            return (np.vstack([beyond, beyond.all(axis=0)])[:, None] * along).reshape(-1, len(u))
+            return np.asarray((np.vstack([beyond, beyond.all(axis=0)])[:, None] * along).reshape(-1, len(u)))
 
+        if not corners:  # the computer's rounding of one position
+            continue
         powers = explained(zone, np.arange(float(len(corners))))
         best = np.unique([np.argsort(-power)[:_CORNERS] for power in powers])
         shapes = tuple(Shaped(corners[k], zone(k)) for k in best)
@@ -218,7 +220,8 @@ def _lines(position: Array) -> list[float]:
     """Positions half way between two at which a zone may end, a few of many."""
     every = np.unique(np.round(position / SAME_POSITION)) * SAME_POSITION
     middle = (every[1:] + every[:-1]) / 2.0
-    return np.unique(middle[np.linspace(0, len(middle) - 1, _LINES).round().astype(int)]).tolist()
+    some = np.linspace(0, len(middle) - 1, min(_LINES, len(middle))).round().astype(int)
+    return [float(one) for one in middle[some]]
 
 
 def _from_place_to_place(scaled: Array, sign: Array) -> Array:
