@@ -18,6 +18,8 @@ from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
+from ..told import keys
+
 
 def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: Any) -> None:
     both = 0
@@ -65,6 +67,21 @@ def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(
     # Where it is half of what repeats show, it is.
     half = diagnose(plates.plate(1, holes=150, repeats=3, scales=(4e-5, 4e-5), tails=None)[0])
     assert (half.verdict, half.accepted) == ("missing_effect", ("scale",))
+
+
+def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats(plates: ModuleType) -> None:
+    """Holes that were read once each and scatter by far more than was declared."""
+    found = diagnose(plates.plate(2, declared=2e-7, tails=None)[0])
+    assert (found.verdict, found.noise.from_repeats) == ("adequate", None)
+    told = [key for words in verdict_words(found, {}, Advice()) for key in keys(words)]
+    assert told[0] == "diagnosis.no_pattern" and "diagnosis.good_enough" not in told
+    assert keys(next_step(found, Advice())) == ["next.repeats"]
+    # Structure that is sure and too small to matter is no scatter.
+    small = replace(found, search=replace(found.search, unknown=0.97, nothing=0.01))
+    told = [key for words in verdict_words(small, {}, Advice()) for key in keys(words)]
+    assert told[:3] == ["diagnosis.no_effect", "diagnosis.residual", "diagnosis.small_in_map"]
+    repeated = diagnose(plates.plate(2, repeats=3, declared=2e-7, tails=None)[0])
+    assert keys(next_step(repeated, Advice())) == ["next.nothing"]
 
 
 def test_far_holes_are_named(plates: ModuleType) -> None:

@@ -66,6 +66,11 @@ def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> Non
     table, _ = standard_tables({"iso230_2": [few]}, "iso230_2")
     assert isinstance(table, TextTable)
     assert keys(table.note) == ["iso230.repeatability_only", "iso230.one_run"]
+    turned = {**RUN, "count_up": [0, 2, 2], "count_down": [2, 2, 0]}
+    table, _ = standard_tables({"iso230_2": [turned]}, "iso230_2")
+    assert isinstance(table, TextTable)
+    assert "2 up, 2 down" in table.title and "1 positions" in table.title
+    assert keys(table.note) == ["iso230.turned", "iso230.few_runs"]
 
 
 def test_names_that_share_a_reason():

@@ -59,16 +59,28 @@ FIGURES = tuple(field.name for field in fields(Positioning) if field.type == "fl
 def positioning(position: Array, direction: Array, deviation: Array) -> Positioning:
     """The figures of ISO 230-2:2014 from target positions, senses of approach (+1, -1) and deviations (n,), m.
 
-    A figure that takes the worst of all positions is given only where every position has what it needs.
+    A figure that takes the worst of all positions is given only where every position has what it needs, but for the
+    ends at which runs turned that did not go beyond.
     """
     target, index = np.unique(position, return_inverse=True)
     m = len(target)
     up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)
     down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
     repeatability = _repeatability(up_mean, up_s, down_mean, down_s)
-    figures: dict[str, Any] = {name: float(value) for name, value in _of_axis(up_mean, up_s, down_mean, down_s).items()}
+    counted = counted_positions(up_n, down_n)
+    of_axis = _of_axis(*(values[counted] for values in (up_mean, up_s, down_mean, down_s)))
+    figures: dict[str, Any] = {name: float(value) for name, value in of_axis.items()}
     found = (up_mean, down_mean, up_s, down_s, up_n, down_n, up_mean - down_mean, repeatability)
     return Positioning(target, *found, **figures)
+
+
+def counted_positions(count_up: IntArray, count_down: IntArray) -> BoolArray:
+    """(m,) positions of which the figures are: all but an end that was approached from one side, where runs turned."""
+    both = (np.asarray(count_up) > 0) & (np.asarray(count_down) > 0)
+    counted = np.ones(len(both), dtype=bool)
+    if both[1:-1].any() and both[1:-1].all():
+        counted[[0, -1]] = both[[0, -1]]
+    return counted
 
 
 def _repeatability(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> Array:
@@ -125,6 +137,7 @@ def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
     that a session does not hold) is not in it; figures that the readings do not give are left out.
     """
     rng = np.random.default_rng(1)
+    counted = counted_positions(figures.count_up, figures.count_down)
     position, direction, centre, spread = [], [], [], []
     for sign, mean, s, count in (
         (1, figures.mean_up, figures.s_up, figures.count_up),
@@ -132,12 +145,12 @@ def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
     ):
         runs = int(count.max(initial=0))
         for k in range(runs):
-            there = np.flatnonzero((count > k) & np.isfinite(s))
+            there = np.flatnonzero((count > k) & np.isfinite(s) & counted)
             position.append(figures.position[there])
             direction.append(np.full(len(there), sign))
             centre.append(mean[there])
             # One scatter for all positions: that of a single one, from a few runs, is itself uncertain.
-            spread.append(np.full(len(there), rms(s[np.isfinite(s)])))
+            spread.append(np.full(len(there), rms(s[np.isfinite(s) & counted])))
     if not position or not sum(len(p) for p in position):
         return {}
     at, sense, mean, s = (np.concatenate(parts) for parts in (position, direction, centre, spread))

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.methods.identify import JointResult
+from machine_tool_calibration.methods.iso230_2 import counted_positions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
@@ -83,10 +84,14 @@ def _figure_rows(entry: Mapping[str, Any], figures: Sequence[tuple[str, Sequence
 
 
 def _figures(run: Mapping[str, Any]) -> TextTable:
-    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
-    own = {"axis": run["axis"], "setup": run["setup"], "n": len(run["position"])}
+    both = np.array([run["count_up"], run["count_down"]])
+    counted = counted_positions(*both)
+    counts = both[:, counted].min(axis=1).tolist()
+    own = {"axis": run["axis"], "setup": run["setup"], "n": int(counted.sum())}
     title = say("iso230.run", **own, up=counts[0], down=counts[1])
     notes = [say("iso230.repeatability_only")] if run.get("note") else []
+    if not counted.all():
+        notes.append(say("iso230.turned"))
     if min(counts) < _RUNS:
         notes.append(say("iso230.one_run" if max(counts) < 2 else "iso230.few_runs", n=_RUNS))
     return TextTable(title, heads(*_BOTH), _figure_rows(run, _FIGURES), together(notes, "; "))

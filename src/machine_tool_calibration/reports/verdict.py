@@ -85,10 +85,16 @@ def good_enough(diagnosis: Diagnosis) -> bool:
     return sound and (look.unknown > priors.ACCEPTED or look.nothing < 1.0 - priors.SURE)
 
 
+def _scatters(diagnosis: Diagnosis) -> bool:
+    """Whether deviations scatter more than was declared, as a part or an axis may, and nobody can declare."""
+    session, fit = diagnosis.chosen.sessions[0], diagnosis.search.fit
+    return spec_of(session).reads_machine and fits(fit.p_value) == "bad"
+
+
 def left_words(diagnosis: Diagnosis) -> Iterator[str]:
     """What to make of structure that is left where nothing is missing: one sentence."""
     if good_enough(diagnosis):
-        yield say("diagnosis.good_enough")
+        yield say("diagnosis.small_in_map" if _scatters(diagnosis) else "diagnosis.good_enough")
     elif diagnosis.left and diagnosis.verdict in ("adequate", "outliers"):
         yield say("diagnosis.structure_unsure")
 
@@ -115,8 +121,8 @@ def _verdict(diagnosis: Diagnosis) -> Said:
         return together((say("diagnosis.outliers", n=len(diagnosis.gross_errors)), say(without, residual=residual)))
     if diagnosis.likely:
         return together((say("diagnosis.none_sure", residual=residual), _likeliest(diagnosis)))
-    if spec_of(diagnosis.chosen.sessions[0]).reads_machine and fits(look.fit.p_value) == "bad":
-        return say("diagnosis.no_pattern", residual=residual)
+    if _scatters(diagnosis):
+        return say("diagnosis.no_effect" if good_enough(diagnosis) else "diagnosis.no_pattern", residual=residual)
     if good_enough(diagnosis):
         return say("diagnosis.nothing_matters", residual=residual)
     return say("diagnosis.nothing_shown", p=probability(look.nothing), residual=residual)
@@ -146,9 +152,13 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         return say("next.look")
     best = advice.dominant.remedies[0] if advice.dominant is not None and advice.dominant.remedies else None
     if best is None:
-        left = rms(Pool(diagnosis.fits[-1]).residuals)
-        limits = any(one.size > _LIMITS * left for one in diagnosis.fits[-1].marginal.sizes)
-        return say("next.runs" if limits else "next.nothing")
+        fit = diagnosis.fits[-1]
+        left = rms(Pool(fit).residuals)
+        if any(one.size > _LIMITS * left for one in fit.marginal.sizes):
+            return say("next.runs")
+        if fits(fit.p_value) == "bad" and diagnosis.noise.as_read is None and diagnosis.noise.from_repeats is None:
+            return say("next.repeats", ratio=rounded(np.sqrt(fit.reduced_chi_square)))
+        return say("next.nothing")
     return say("next.smaller", measure=best.measure)
 
 

@@ -110,6 +110,24 @@ def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
     assert "warmup_x" not in found.refused
 
 
+def test_of_two_cycles_whose_passes_differ_one_predicts_the_other() -> None:
+    """A single cycle has one pass of each direction: alone it knows nothing of what passes differ by."""
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=1)).session
+    readings = session.readings.select(session.readings.repeat < 2)
+    x, direction = readings.columns["x"], readings.columns["dir_x"]
+    u = 2.0 * (x - x.min()) / np.ptp(x) - 1.0
+    sizes = 6e-7 * np.random.default_rng(1).normal(size=(4, 3))  # offset, slope and bow of each pass, m
+    own = sizes[2 * readings.repeat + (direction > 0)]
+    passes = own[:, 0] + own[:, 1] * u + own[:, 2] * (u**2 - 0.4)
+    reversal = -6e-6 * direction * (1.0 + 0.6 * np.sin(3.5 * u) + 0.3 * np.cos(5.0 * u))
+    disturbed = replace(readings, displacement=readings.displacement + reversal + passes)
+    found = diagnose(session.with_readings(disturbed))
+    assert set(found.search.spread) == {"pass"}
+    assert found.accepted == ("lost_motion_x",)
+    cycles = next(each for each in found.predicted["lost_motion_x"] if each.what == "cycles")
+    assert min(cycles.log_gains) > 100.0
+
+
 def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:
     """Ten readings that are predicted to within their noise, which are off by twice as much without the effect."""
     squares = 10 * (2.0**2 - 1.0**2)

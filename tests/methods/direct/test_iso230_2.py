@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning
+from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning, positioning_uncertainty
 from machine_tool_calibration.reports.identification import goodness_of_fit
 
 # Two positions, three runs up and three down, um.
@@ -38,6 +38,20 @@ def test_by_hand() -> None:
     assert pytest.approx((4 - -2) * um) == f.A_up  # 2 + 2 - (0 - 2)
     assert pytest.approx((8 - 0) * um) == f.A_down  # 4 + 4 - (4 - 4)
     assert pytest.approx((8 - -2) * um) == f.A
+
+
+def test_ends_at_which_the_runs_turned_do_not_count() -> None:
+    """Approached from one side only, where the runs did not go beyond: all other positions give the figures."""
+    inner = positioning(POSITION, DIRECTION, DEVIATION)
+    ends, way = np.repeat([-0.1, 0.2], 3), np.repeat([-1, 1], 3)
+    there = 1e-6 * np.array([20.0, 21.0, 25.0, 30.0, 31.0, 35.0])
+    turned = positioning(np.r_[ends, POSITION], np.r_[way, DIRECTION], np.r_[there, DEVIATION])
+    assert len(turned.position) == 4 and np.isnan(turned.reversal[[0, -1]]).all()
+    assert [getattr(turned, name) for name in FIGURES] == [getattr(inner, name) for name in FIGURES]
+    assert positioning_uncertainty(turned) == positioning_uncertainty(inner)
+    # Where one in the middle lacks a direction, that is missing.
+    middle = positioning(np.r_[POSITION, 0.05], np.r_[DIRECTION, 1], np.r_[DEVIATION, 0.0])
+    assert np.isnan(middle.B) and np.isfinite(middle.E_up)
 
 
 def test_single_runs_give_means_but_no_repeatability() -> None:

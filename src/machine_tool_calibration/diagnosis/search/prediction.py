@@ -9,15 +9,14 @@ around the readings at hand loses there what it seems to win.
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray, groups
-from machine_tool_calibration.diagnosis.search.candidates import shaped_at
+from machine_tool_calibration.diagnosis.search.candidates import Shaped, shaped_at
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch
 from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, gram_of, table
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import marginal_at
@@ -86,15 +85,16 @@ def predictions(
     if not names:
         return {}
     found = [search.of(name) for name in names]
-    effects = [(f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
-    whole = _log_factors(search.fit, effects, search)
+    every = Pool(search.fit)
+    shaped = [shaped_at(every, f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
+    whole = _log_factors(search.fit, shaped, search)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
         gains, readings, needed = [], 0, 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
-                gains.append(whole - _log_factors(fit_of(left), effects, search))
+                gains.append(whole - _log_factors(fit_of(left), shaped, search))
             except (CalibrationError, np.linalg.LinAlgError):
                 needed += 1
                 continue
@@ -106,34 +106,30 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(
-    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], search: EffectSearch
-) -> np.ndarray:
+def _log_factors(fit: JointFit, shaped: Sequence[Shaped], search: EffectSearch) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
-    The noise and what does not reproduce have the same size for all readings and for a part of them: only so do the two
-    compare. Where the noise were estimated from a part, one that something else spoils would speak against every
-    effect of which the others are sure.
+    The noise and what does not reproduce have the same size for all readings and for a part of them, and each pass, run
+    or mounting the same functions: only so do the two compare. Where the noise were estimated from a part, one that
+    something else spoils would speak against every effect of which the others are sure; and a single cycle, in which
+    nothing tells passes from what the direction does, would speak for what all cycles together share with the passes.
 
     Args:
         fit: of all readings, or of a part.
-        effects: at their nonlinear coefficients.
+        shaped: the effects' columns at all readings.
         search: at all readings, with the size of the noise and of what does not reproduce.
     """
-    rows = _rows(Pool(fit), Pool(search.fit))
-    pool = Pool(fit)
-    shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
+    every, pool = Pool(search.fit), Pool(fit)
+    columns, family, names = every.spread
     # Structures without a cause stand beside every effect: what they leave out would count against it.
-    further = search.without_cause[:, rows]
-    projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, pool.spread[0]]))
-    gram = gram_of(pool, projected).with_noise(max(search.variance, _LEAST_NOISE))
+    further = search.without_cause
+    columns = np.concatenate([*(s.columns for s in shaped), further, columns])[:, _rows(pool, every)]
+    gram = replace(gram_of(pool, pool.screen(columns)), family=family, sizes=every.sizes)
+    gram = gram.with_noise(max(search.variance, _LEAST_NOISE))
     ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()
     places = [slice(first, end) for first, end in itertools.pairwise(ends)]
     blocks = [Block.of(0, place, s, np.zeros(len(s.columns))) for s, place in zip(shaped, places, strict=True)]
-    names, sizes = pool.spread[2], dict(search.spread)
-    # Where a part has one run in each mounting, they are one family.
-    if "mounting" in sizes and "mounting" not in names and "run" in names:
-        sizes["run"] = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
+    sizes = dict(search.spread)
     known = ends[-1] + np.arange(len(further))
     base = marginal_at(gram, tuple(sizes.get(name, 0.0) for name in names)).with_columns(known, search.expected)
     out = np.zeros(len(blocks))
