@@ -11,11 +11,13 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.goodness import only_if_right, scatter_p_value
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.comparison import comparison_parts
-from machine_tool_calibration.reports.goodness import scatter_words
+from machine_tool_calibration.reports.goodness import free_words, scatter_words
 from machine_tool_calibration.reports.identification import goodness_of_fit, spread_words
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+from ..told import keys
 
 
 def simulated(preset: str, *effects: str, seed: int = 4) -> Session:
@@ -69,3 +71,16 @@ def test_what_does_not_reproduce_has_a_bound_only_where_the_model_fits() -> None
     assert any("at most" in words for words in spread_words(whole.document()))
     assert only_if_right(lacking.joint.p_value, lacking.error_map.content)
     assert not any("at most" in words for words in spread_words(lacking.document()))
+
+
+def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes() -> None:
+    points = [[0.001 * k, 0.0, 0.0] for k in range(300)]
+    content = {"points": points, "tables": {"EZX": {"nodes": points[::15]}}, "scatter": None}
+    document = {"method": "direct", "model": "rigid_body", "p_value": 1e-12, "error_map": content}
+    (text,) = free_words(document)
+    assert keys(text) == ["fit.free_nodes"] and "20 nodes" in text and "300 places" in text
+    # Each place that was approached from either side stands twice in a map.
+    every = {**content, "points": points[:20] * 2}
+    assert not list(free_words({**document, "error_map": every}))
+    assert not list(free_words({**document, "p_value": 0.5}))
+    assert keys(next(free_words({**document, "error_map": {**content, "points": [*points, [0, 0.1, 0]]}}))) == ["fit.free"]

@@ -54,16 +54,22 @@ def _both(found: float, declared: float) -> Said:
 def free_words(document: Mapping[str, Any]) -> Iterator[Said]:
     """That the readings speak against rigid axes, where the method has a model that takes none for granted.
 
-    Along a single axis both models are one. Of the document `method`, `model`, `p_value` and `error_map` are asked;
-    several sessions have no `model`.
+    Along a single axis both models are one, unless it was read at more places than its tables have nodes. Of the
+    document `method`, `model`, `p_value` and `error_map` are asked; several sessions have no `model`.
     """
     content = document["error_map"] or {}
     if document.get("model") != "rigid_body" or "free" not in method_spec(document["method"]).models:
         return
     points = np.array(content.get("points", ()), dtype=float).reshape(-1, 3)
-    wide = len(points) > 0 and (np.ptp(points, axis=0) > SAME_POSITION).sum() > 1
-    if wide and only_if_right(document["p_value"], content):
+    if not len(points) or not only_if_right(document["p_value"], content):
+        return
+    if (np.ptp(points, axis=0) > SAME_POSITION).sum() > 1:
         yield say("fit.free")
+        return
+    places = len(np.unique(np.round(points / SAME_POSITION), axis=0))
+    nodes = min((len(table["nodes"]) for table in content["tables"].values() if "nodes" in table), default=places)
+    if nodes < places:
+        yield say("fit.free_nodes", nodes=nodes, places=places)
 
 
 def negative_words(fit: JointFit, effects: Collection[str]) -> Iterator[str]:
