@@ -83,4 +83,5 @@ def test_along_one_axis_the_free_model_is_told_where_places_outnumber_the_nodes(
     every = {**content, "points": points[:20] * 2}
     assert not list(free_words({**document, "error_map": every}))
     assert not list(free_words({**document, "p_value": 0.5}))
-    assert keys(next(free_words({**document, "error_map": {**content, "points": [*points, [0, 0.1, 0]]}}))) == ["fit.free"]
+    wide = {**content, "points": [*points, [0.0, 0.1, 0.0]]}
+    assert keys(next(free_words({**document, "error_map": wide}))) == ["fit.free"]
