@@ -22,7 +22,7 @@ from machine_tool_calibration.budget.conformity import (
 from machine_tool_calibration.budget.contributor import template_of
 from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
-from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
@@ -265,6 +265,9 @@ def test_tolerances_as_people_state_them(tmp_path: Path) -> None:
     path = tmp_path / "t.yaml"
     path.write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 10 um, C0Y: 2.0e-5, volumetric: 30um}\n")
     assert read_tolerances(path) == pytest.approx({"EXX": 10e-6, "C0Y": 20e-6, "volumetric": 30e-6})
+    path.write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 1e-320}\n")
+    with pytest.raises(SessionError, match=r"t.yaml line 2: tolerances.EXX: 9.99989e-321 is too small"):
+        read_tolerances(path)
 
 
 @pytest.mark.parametrize(

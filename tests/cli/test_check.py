@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal check` against a logbook, a session and a result document."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,3 +60,23 @@ def test_a_session_and_a_result_document_do_as_well(months: Path, verb: Verb, tm
     assert "was made from" in verb.refused("check", months / "1", months / "1")
     (tmp_path / "no.json").write_text('{"format": "mtcal-diagnosis/1"}')
     assert "no result document" in verb.refused("check", tmp_path / "no.json", months / "2")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda found: found["error_map"]["points"].pop(),
+        lambda found: found["error_map"]["position_error"][3].pop(),
+        lambda found: found["error_map"]["position_error"][3].__setitem__(0, "two"),
+        lambda found: found["parameters"].append([1.0]),
+        lambda found: found["provenance"].pop("sessions"),
+        lambda found: found.update(effects=None),
+    ],
+)
+def test_a_damaged_result_document(
+    months: Path, verb: Verb, tmp_path: Path, damage: Callable[[dict[str, Any]], object]
+) -> None:
+    document = verb("identify", months / "1", "--json").document
+    damage(document)
+    (tmp_path / "result.json").write_text(json.dumps(document), encoding="utf-8")
+    assert "result.json: is damaged" in verb.refused("check", tmp_path / "result.json", months / "2")

@@ -101,9 +101,12 @@ def test_a_recording_that_names_a_file_twice(verb: Verb, session: Path, tmp_path
         ["play", "bag", "--remap", ":="],
         ["play", "bag", "--remap", "/reading:=/cell 2/reading"],
         ["budget", "session", "--draws", "1000000000"],
+        ["plan", "tracking_2d", "--warming", "nan"],
+        ["conformity", "session", "--tolerance", "EXX=10um", "--probability", "nan"],
+        ["play", "bag", "--rate", "inf"],
     ],
 )
-def test_names_that_ros_has_not_and_endless_draws_are_refused_before_anything_begins(
+def test_names_that_ros_has_not_and_numbers_that_are_none_are_refused_before_anything_begins(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: Verb
 ) -> None:
     monkeypatch.chdir(tmp_path)

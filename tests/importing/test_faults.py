@@ -21,6 +21,14 @@ from .tables import GOOD, RUNS, SESSION, WIDE, points, read
         ("X,M\n0,0\n\n1,\n,4\n", {}, r"t\.csv line 5: the nominal coordinate is empty$"),
         ('X,M\n0,"1,5"\n', {}, r"line 2: column 'M': '1,5' \(decimal comma\?\) is not a number$"),
         ("X;M\n0;1.5\n", {"file": {"separator": ";", "decimal": ","}}, r"line 2: .*'1.5' \(decimal point\?\)"),
+        (
+            "X,Y,Z,M,N,O\n0,,0,0,0,0\n1,0,0,1,0,0\n0,1,0,0,1,0\n0,0,1,0,0,1\n",
+            {
+                "columns": {"x": "X", "y": "Y", "z": "Z", "actual_x": "M", "actual_y": "N", "actual_z": "O"},
+                "align": True,
+            },
+            r"t\.csv line 2: the nominal coordinate is empty$",
+        ),
         ("X:M\n0:1\n", {}, r"there is no column 'X' \(x\); it has 'X:M'$"),
         ("X,M\n0,1,2\n", {}, r"line 2: 3 cells where the header has 2$"),
         ("X,M\n0\n", {}, r"line 2: 1 cells where the header has 2$"),

@@ -114,11 +114,11 @@ def _told(chosen: FitRequest, names: Sequence[str]) -> tuple[dict[str, float], b
 def after_each_setup(chosen: FitRequest, until: Until) -> Iterator[Reached]:
     """What a session told after each of its setups, in the order of its readings.
 
-    All that the whole session determines has to be determined before its U counts.
+    All that the whole session determines has to be determined before its U counts; what it does not allow at all, such
+    as a model that there is not, is refused.
     """
-    session = chosen.sessions[0]
-    wanted = determined(chosen) if until.u is not None else 1
-    for part in parts(session):
+    wanted = determined(chosen)
+    for part in parts(chosen.sessions[0]):
         yield reached(chosen.instead(0, part), until, wanted)
 
 

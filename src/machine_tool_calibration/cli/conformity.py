@@ -10,7 +10,7 @@ from machine_tool_calibration.budget.conformity import RULES
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import Wanted, model_options, sessions_argument
-from machine_tool_calibration.cli.output import PATH, json_option, note, progress_bar, seed_option, tell
+from machine_tool_calibration.cli.output import PATH, Number, json_option, note, progress_bar, seed_option, tell
 from machine_tool_calibration.session.session import Session
 
 
@@ -29,7 +29,7 @@ from machine_tool_calibration.session.session import Session
 )
 @click.option(
     "--probability",
-    type=click.FloatRange(0.5, 1.0, min_open=True, max_open=True),
+    type=Number(0.5, 1.0, min_open=True, max_open=True),
     default=0.95,
     show_default=True,
     help="Conformance probability of the rule.",

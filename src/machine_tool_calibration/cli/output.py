@@ -8,6 +8,7 @@ standard output. Progress and notes go to standard error (`console(stderr=True)`
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -51,6 +52,17 @@ seed_option = click.option("--seed", type=click.IntRange(min=0), default=1, show
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Write one JSON document to standard output, for programs."
 )
+
+
+class Number(click.FloatRange):
+    """A finite number within bounds: no comparison refuses NaN."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number; anything else is refused before anything begins."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{number} is not a finite number.", param, ctx)
+        return number
 
 
 class PictureFile(click.Path):

@@ -13,6 +13,7 @@ import click
 from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.output import (
     FILE,
+    Number,
     PictureFile,
     json_option,
     note_written,
@@ -33,11 +34,15 @@ if TYPE_CHECKING:
 @model_option
 @effects_file_option
 @click.option(
-    "--warming", type=float, default=1.0, show_default=True, help="Change of the air's temperature assumed, K per hour."
+    "--warming",
+    type=Number(-100, 100),
+    default=1.0,
+    show_default=True,
+    help="Change of the air's temperature assumed, K per hour.",
 )
 @click.option(
     "--angular",
-    type=click.FloatRange(0.0, 1e-3),
+    type=Number(0.0, 1e-3),
     default=5e-6,
     show_default=True,
     help="Angular errors of the machine assumed where the instrument hardly senses them, rad (root mean square).",

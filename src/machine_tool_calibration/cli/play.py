@@ -6,21 +6,21 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell_either
+from machine_tool_calibration.cli.output import PATH, Number, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 
 
 @click.command("play")
 @click.argument("bag", type=PATH)
 @click.argument("topics", nargs=-1)
-@click.option("--rate", "-r", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Times as fast.")
+@click.option("--rate", "-r", type=Number(min=0, min_open=True), default=1.0, help="Times as fast.")
 @click.option(
     "--fast", is_flag=True, help="As fast as the subscribers take it; waits some seconds for the first of them."
 )
 @click.option("--paused", "-p", is_flag=True, help="Wait for the service player/resume.")
 @click.option(
     "--delay",
-    type=click.FloatRange(0.0),
+    type=Number(0.0),
     default=1.0,
     show_default=True,
     help="Before the first message, s: a subscriber that is not found by then misses what is not latched.",
@@ -29,9 +29,7 @@ from machine_tool_calibration.errors import CalibrationError
     "--keep", "exit_at_end", is_flag=True, flag_value=False, default=True,
     help="Stay at the end, so that late subscribers get what is latched.",
 )  # fmt: skip
-@click.option(
-    "--clock-rate", type=click.FloatRange(0, 10000), default=40.0, help="Rate of /clock, Hz; 0: do not publish it."
-)
+@click.option("--clock-rate", type=Number(0, 10000), default=40.0, help="Rate of /clock, Hz; 0: do not publish it.")
 @click.option("--remap", multiple=True, metavar="FROM:=TO", help="Another name for a topic; may be repeated.")
 @json_option
 def command(

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, RosName, json_option, tell_either
+from machine_tool_calibration.cli.output import PATH, Number, RosName, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import picked
 
@@ -20,10 +20,8 @@ from machine_tool_calibration.reports.documents import picked
 @click.option("--all", "-a", "all_topics", is_flag=True, help="Every topic that there is, also those that come later.")
 @click.option("--namespace", type=RosName(space=True), default="", help="Namespace of the measurement's graph.")
 @click.option("--split-size", type=click.IntRange(min=0), default=0, help="Begin a new file at this size, bytes.")
-@click.option(
-    "--split-duration", type=click.FloatRange(min=0), default=0.0, help="Begin a new file after this time, s."
-)
-@click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="Stop after this time, s.")
+@click.option("--split-duration", type=Number(min=0), default=0.0, help="Begin a new file after this time, s.")
+@click.option("--duration", type=Number(min=0, min_open=True), help="Stop after this time, s.")
 @click.option("--sim-time", "use_sim_time", is_flag=True, help="Date messages by /clock.")
 @json_option
 def command(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import PATH, json_option, tell_either
+from machine_tool_calibration.cli.output import PATH, Number, json_option, tell_either
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import picked, to_json
 from machine_tool_calibration.reports.quantities import quantity
@@ -62,8 +62,8 @@ A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and s
 @click.option("--noise-factor", type=float, help="Actual noise over the declared one; 0: none.")
 @click.option("--repeatability", type=float, help="Standard deviation of the machine's position at each visit, m.")
 @click.option("--spread", type=float, help="Slope and bow of each mounting, standard deviation, m.")
-@click.option("--chips", type=click.FloatRange(0, 1), help="Fraction of readings with a gross error.")
-@click.option("--missing", type=click.FloatRange(0, 1, max_open=True), help="Fraction of readings that are lost.")
+@click.option("--chips", type=Number(0, 1), help="Fraction of readings with a gross error.")
+@click.option("--missing", type=Number(0, 1, max_open=True), help="Fraction of readings that are lost.")
 @click.option("--overwrite", is_flag=True, help="Replace a session that is already in the folder.")
 @click.option("--list", "listed", is_flag=True, help="List presets and effects, and stop.")
 @json_option

@@ -201,7 +201,8 @@ def _aligned(columns: Columns, measured: Array, nominal: Array, setups: np.ndarr
     out = np.full_like(measured, np.nan)
     for setup in dict.fromkeys(setups.tolist()):
         mine = np.flatnonzero(setups == setup)
-        whole = mine[np.isfinite(measured[mine]).all(axis=1)]
+        good = np.isfinite(measured[mine]).all(axis=1) & np.isfinite(nominal[mine]).all(axis=1)
+        whole = mine[good]
         where = f"{columns.table.source}, setup {setup!r}"
         if len(whole) < 3:
             raise SessionError(f"{where}: {len(whole)} points with all three coordinates; aligning needs at least 3")

@@ -50,14 +50,15 @@ def first_defect(
 
     `source` names the file, or what else was read; without the `document` no line is named. The `record` tells what a
     misspelt key may have meant; `unnamed` are parts of a defect's place that pydantic puts in and that are no keys,
-    such as names of variants.
+    such as names of variants, beside those of its functions.
     """
     order = ("extra_forbidden", "missing")
     defects = error.errors(include_url=False)
     defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
     defect: dict[str, Any] = dict(defects[0])
     path, end = defect["loc"], len(defect["loc"]) - (defect["type"] in order)  # those end in a key
-    defect["loc"] = (*(part for part in path[:end] if part not in unnamed), *path[end:])
+    named = (part for part in path[:end] if part not in unnamed and not str(part).startswith("function-"))
+    defect["loc"] = (*named, *path[end:])
     place = place_in(source, document or Document(None, {}), defect["loc"])
     return f"{place}: {_words(defect, record)}" if place else _words(defect, record)
 
@@ -71,6 +72,10 @@ def _words(defect: dict[str, Any], record: type[BaseModel] | None) -> str:
         return f"{_key(path[:-1])} is too short: its entry [{path[-1]}] is missing"
     if kind == "missing":
         return f"the key {key!r} is missing"
+    if kind.startswith("union_tag"):
+        tag = f"{key}.{context['discriminator'][1:-1]}"
+        expected = context.get("expected_tags")
+        return f"{tag} is {shown(context['tag'])}, not {expected}" if expected else f"the key {tag!r} is missing"
     if kind == "literal_error":
         return f"{key} is {shown(value)}, not {context['expected']}"
     if kind in ("too_short", "too_long"):

@@ -154,12 +154,22 @@ def of_result(document: Mapping[str, Any], label: str) -> Statement:
         raise CalibrationError(f"{label}: is no result document (mtcal-result/1) of one session")
     if "provenance" not in document or "model" not in document:
         raise CalibrationError(f"{label}: says neither its model nor what it was made from: of a formulation, or old")
+    try:
+        return _read(document, label)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        why = f"{type(error).__name__}: {error}"
+        raise CalibrationError(f"{label}: is damaged, or no result document of mtcal ({why})") from None
+
+
+def _read(document: Mapping[str, Any], label: str) -> Statement:
     content, origin = document.get("error_map") or {}, document["provenance"]
     published = of_document(document)
     points = np.zeros((0, 3))
     if POSITION_ERROR in published.by_name:
         found = np.asarray(content["points"] if "points" in content else content["grid"], dtype=np.float64)
         points = np.pad(found, ((0, 0), (0, 3 - found.shape[1])))
+        if 3 * len(points) != published.by_name[POSITION_ERROR].count:
+            raise ValueError("the map has as many errors as points")
     return Statement(
         label=label,
         date=origin["sessions"][0]["measured"],

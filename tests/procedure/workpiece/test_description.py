@@ -142,7 +142,8 @@ def test_dxf_ellipse_and_unit(read, drawing):
     ("text", "message"),
     [
         ("- {kind: pin, centre: [0, 0], diameter: 12, count: 4, hue: 1}\n", r"line 4: unknown key 'features\[0\].hue'"),
-        ("- {kind: gear}\n", r"features\[0\]: input tag 'gear'"),
+        ("- {kind: gear}\n", r"features\[0\].kind is 'gear', not 'line', 'pin', .*"),
+        ("- {start: [0, 0]}\n", r"the key 'features\[0\].kind' is missing"),
         ("- {kind: pin, centre: [1e308, 0], diameter: 12, count: 4}\n", r"features\[0\].centre\[0\] must be at most"),
         ("- {kind: pin, centre: [0, 0], diameter: 5e-324, count: 4}\n", r"features\[0\].diameter must be at least"),
         (

@@ -6,8 +6,10 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar, cast
 
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
@@ -236,6 +238,9 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         self._is_active = False
         GuardedNode.__init__(self, type(self).__module__.rpartition(".")[2])
         LifecycleNodeMixin.__init__(self)
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = partial(_change_state, service.callback)
         self.fault, self.done = "", False
         self._kept: set[Any] = set()  # what the node has before it is activated
         self.autostart = self.declare(
@@ -336,6 +341,15 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):  # type: ignore[misc]
         ):
             for entity in [one for one in entities if one in gone]:
                 destroy(entity)
+
+
+def _change_state(change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    """Answer also where the state has no such transition: rclpy raises, and whoever asked would wait for ever."""
+    try:
+        return change(request, response)
+    except RuntimeError:  # rclpy's own has no public name; the log has said which transition it was
+        response.success = False
+        return response
 
 
 def _reason(error: Exception) -> str:
