@@ -4,14 +4,16 @@
 import atexit
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
+from matplotlib.figure import Figure
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.domain import free_domain
@@ -174,3 +176,29 @@ def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "machine_tool_calibration.model.marginal_fit.imperfection", lambda observations: np.zeros((0, 1))
     )
+
+
+# Of pictures that show the same over the same, whichever test draws them.
+_DRAWN: set[object] = set()
+
+
+@pytest.fixture(scope="module")
+def rough_pictures(few_draws: None) -> Iterator[None]:
+    """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are.
+
+    Of those that show the same over the same, one is drawn; the files of the others are written without it.
+    """
+
+    def save(figure: Figure, file: Any, save: Callable[..., None] = Figure.savefig, **options: Any) -> None:
+        panels = (
+            (panel.get_title(), panel.get_xlabel(), panel.get_ylabel(), len(panel.get_children()))
+            for panel in figure.axes
+        )
+        alike = (file.name if isinstance(file, Path) else None, *panels)
+        save(Figure() if alike in _DRAWN else figure, file, **{**options, "dpi": 40})
+        _DRAWN.add(alike)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "get_layout_engine", lambda figure: None)
+        patch.setattr(Figure, "savefig", save)
+        yield

@@ -34,11 +34,11 @@ def test_u_falls_from_setup_to_setup_to_that_of_the_whole(session: Session) -> N
 
 @pytest.mark.parametrize("size", [0.0, 4e-6])
 def test_an_effect_is_told_whether_it_is_there_or_not(size: float) -> None:
-    hidden = (FlawSpec(id="backlash_y", size=size),) if size else ()
-    measured = simulate(SimulationSpec(seed=4, plan=PRESETS["tracking_2d"], effects=hidden)).session
-    last = list(after_each_setup(FitRequest((measured,)), Until.parse("told=backlash_y")))[-1]
-    assert last.enough
-    assert (last.probabilities["backlash_y"] > 0.5) == bool(size)
+    hidden = (FlawSpec(id="backlash_x", size=size),) if size else ()
+    measured = simulate(SimulationSpec(seed=4, plan=PRESETS["iso230_2"], effects=hidden)).session
+    (only,) = after_each_setup(FitRequest((measured,)), Until.parse("told=backlash_x"))
+    assert only.enough
+    assert (only.probabilities["backlash_x"] > 0.5) == bool(size)
 
 
 def test_parts_hold_whole_setups_in_the_order_of_the_readings(session: Session) -> None:

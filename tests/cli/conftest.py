@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from matplotlib.figure import Figure
 
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -15,30 +14,9 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-# Of pictures that show the same over the same, whichever test draws them.
-_DRAWN: set[object] = set()
-
-
 @pytest.fixture(scope="module", autouse=True)
-def rough_pictures(few_draws: None) -> Iterator[None]:
-    """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are.
-
-    Of those that show the same over the same, one is drawn; the files of the others are written without it.
-    """
-
-    def save(figure: Figure, file: Any, save: Callable[..., None] = Figure.savefig, **options: Any) -> None:
-        panels = (
-            (panel.get_title(), panel.get_xlabel(), panel.get_ylabel(), len(panel.get_children()))
-            for panel in figure.axes
-        )
-        alike = (file.name if isinstance(file, Path) else None, *panels)
-        save(Figure() if alike in _DRAWN else figure, file, **{**options, "dpi": 40})
-        _DRAWN.add(alike)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "get_layout_engine", lambda figure: None)
-        patch.setattr(Figure, "savefig", save)
-        yield
+def coarse(rough_pictures: None) -> None:
+    """What the pictures look like is seen in tests/plots."""
 
 
 _FOUND: dict[tuple[object, ...], Any] = {}
