@@ -14,6 +14,7 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
+
 @pytest.fixture(scope="module", autouse=True)
 def coarse(rough_pictures: None) -> None:
     """What the pictures look like is seen in tests/plots."""

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The refractive index of air, against the other usual equation and a figure from tables."""
+"""The refractive index of air, against the other usual equation and a figure from tables.
+Planned touches: where they begin, which point they are meant for, which triggers count.
+"""
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.refractive_index import STANDARD_AIR, index_deviation, refractivity
+from machine_tool_calibration.instruments.touch import Part, judge
+from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.simulation import flaws_reading as edlen
 
 TEMPERATURE, PRESSURE, HUMIDITY = (
@@ -31,3 +36,57 @@ def test_what_was_not_recorded_is_standard_and_percent_are_known() -> None:
     in_percent = index_deviation(TEMPERATURE, PRESSURE, 100.0 * HUMIDITY)
     np.testing.assert_allclose(in_percent, index_deviation(TEMPERATURE, PRESSURE, HUMIDITY), rtol=1e-12)
     assert index_deviation(*(np.array([v]) for v in STANDARD_AIR))[0] == 0.0
+
+
+def part(sign=-1, points=((0.05, 0.01, 1.0, 0.0), (0.0, 0.03, 0.0, -1.0))):
+    workpiece = [{"id": k, "position": p[:2], "normal": p[2:]} for k, p in enumerate(points)]
+    return Part(
+        Probing.model_validate(
+            {
+                "format": "mtcal-session/1",
+                "method": "probing",
+                "machine": {"chain": "w-C-b-Y-X-Z-t", "rotation_sign": sign},
+                "probe": {"stylus_diameter": 0.006},
+                "workpiece": workpiece,
+                "setups": [{"id": "C1", "c": 0.0}],
+                "standard_uncertainty": {"displacement": 1e-6},
+            }
+        )
+    )
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_touch_turns_with_the_table(sign):
+    touch = part(sign).touch(0, np.pi / 2, 0.004)
+    # a quarter turn: x becomes -y clockwise, +y counter-clockwise
+    np.testing.assert_allclose(touch.normal, [0.0, sign], atol=1e-12)
+    np.testing.assert_allclose(touch.centre, [-sign * 0.01, sign * 0.053], atol=1e-12)
+    assert touch.at(0.004) == pytest.approx({"x": -sign * 0.01, "y": sign * 0.057})
+
+
+def test_the_point_is_known_by_where_the_axes_stand():
+    known = part()
+    for point in (0, 1):
+        for c in (0.0, 1.3):
+            touch = known.touch(point, c, 0.004)
+            again = known.meant({**touch.at(0.004), "c": c, "z": 0.0})
+            assert again.point == point
+            assert again.standoff == pytest.approx(0.004)
+            np.testing.assert_allclose(again.centre, touch.centre)
+
+
+def test_in_front_of_nothing_or_of_two():
+    with pytest.raises(SessionError, match="in front of no point"):
+        part().meant({"x": 0.0, "y": 0.0, "c": 0.0})
+    slot = part(points=((0.0, 0.01, 0.0, -1.0), (0.0, -0.01, 0.0, 1.0)))
+    with pytest.raises(SessionError, match="in front of the points '0' and '1'"):
+        slot.meant({"x": 0.0, "y": 0.0, "c": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("displacement", "reason"),
+    [(2e-5, ""), (-9e-4, ""), (-2e-3, "missed"), (1.5e-3, "too early"), (5e-3, "before it approached")],
+)
+def test_which_triggers_count(displacement, reason):
+    found = judge(displacement, 0.004)
+    assert (reason in found) if reason else found == ""
