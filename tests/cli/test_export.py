@@ -59,12 +59,6 @@ def test_nothing_is_overwritten(tmp_path: Path, verb: Verb) -> None:
     assert (tmp_path / "compensation.json").read_text() == "mine"
 
 
-def test_what_has_no_tables_is_refused(tmp_path: Path, verb: Verb) -> None:
-    folder = tmp_path / "none"
-    assert verb("export", SESSION, "--format", "csv", "--model", "free", "-o", folder, status=1).err.count("\n") == 1
-    assert not folder.exists()
-
-
 def iso_run(folder: Path, name: str, offset: str) -> Path:
     """A positioning run of X, and beside it another one that a plate would show."""
     folder = folder / name
@@ -152,12 +146,6 @@ def test_backlash_in_the_tables_is_compensated(form: str, plane: Path, tmp_path:
     assert document["not_in_tables"] == []
     assert document["preview"][-1]["rms_before"] > HALF
     assert document["preview"][-1]["largest_after"] < 1e-9
-
-
-def test_screw_compensation_holds_backlash_and_no_straightness(plane: Path, tmp_path: Path, verb: Verb) -> None:
-    document = exported([plane], "linuxcnc", "backlash_y", tmp_path / "o", verb)
-    assert "backlash_y" not in document["not_in_tables"]
-    assert {"EYX", "EXY", "C0Y"} <= set(document["not_in_tables"])
 
 
 def test_people_read_what_is_missing(plane: Path, tmp_path: Path, verb: Verb) -> None:

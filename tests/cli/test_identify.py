@@ -32,28 +32,11 @@ def test_for_people(verb):
     assert "datum: no shift and no turn of all targets" in text
 
 
-def test_a_setup_of_any_name(verb, tmp_path):
-    session = shutil.copytree(DATA / "tracking_2d", tmp_path / "s")
-    described = (session / "session.yaml").read_text().replace("id: A\n", "id: '[/a] north[a]'\n")
-    (session / "session.yaml").write_text(described)
-    rows = (session / "observations.csv").read_text().replace(",A,", ",[/a] north[a],")
-    (session / "observations.csv").write_text(rows)
-    assert "4 setups ([/a] north[a], B, C, D)" in verb("identify", session).text
-
-
 def test_what_is_not_determined_has_no_number_beside_it(verb):
     told = verb("identify", DATA / "step_diagonal")
     table, lost = told.out.split("\nnot determined:")[:2]
     assert "EAX" in lost
     assert "angle.EAX" not in table and "EXX" in table
-
-
-def test_every_unknown_is_said_in_words(verb, backlash):
-    told = verb("identify", backlash, "--effect", "backlash_y")
-    lines = {line.split()[0]: line for line in told.out.splitlines() if line.strip()}
-    assert lines["backlash_y.b"].rstrip().endswith("half width")
-    assert "place of A" in lines["A.x"]
-    assert "distance at which A reads zero" in lines["A.dead_path"]
 
 
 def test_a_map_in_two_directions_and_too_few_runs_are_said(verb, tmp_path):
@@ -139,14 +122,6 @@ def test_output_that_cannot_be_written(verb, tmp_path):
     assert "cannot be written" in verb.refused("identify", DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
 
 
-def test_effects_and_squareness_come_before_what_is_of_the_setups(verb, backlash):
-    told = verb("identify", backlash, "--model", "rigid_body", "--effect", "backlash_y")
-    lines = told.out.splitlines()
-    begin = lines.index(next(line for line in lines if line.startswith("name"))) + 1
-    assert "model: rigid_body with backlash_y" in told.text
-    assert [line.split()[0] for line in lines[begin : begin + 3]] == ["backlash_y.b", "C0Y", "A.x"]
-
-
 @pytest.mark.usefixtures("found_once")
 def test_the_model_of_the_history(verb, backlash, tmp_path):
     session = tmp_path / "session"
@@ -162,19 +137,6 @@ def test_the_model_of_the_history(verb, backlash, tmp_path):
     verb("history", session, "--undo")
     assert verb("identify", session, "--from-history", "--json").document["effects"] == []
     verb("identify", session, "--from-history", "--effect", "scale", status=2)
-
-
-@pytest.mark.usefixtures("found_once")
-def test_readings_that_the_history_sets_aside(verb, backlash, tmp_path):
-    session = tmp_path / "session"
-    shutil.copytree(backlash, session)
-    verb("improve", session, "--json")
-    file = session / "history.yaml"
-    file.write_text(file.read_text().replace("set_aside: []", "set_aside: [3, 17]"))
-    document = verb("identify", session, "--from-history", "--json").document
-    assert document["observations"] == document["used"] + 2
-    assert [entry["row"] for entry in document["rejected"]] == [3, 17]
-    assert "set aside by model" in document["rejected"][0]["reason"]
 
 
 pytestmark = pytest.mark.usefixtures("found_once")

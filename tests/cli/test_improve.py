@@ -86,14 +86,6 @@ def test_history_is_listed_compared_and_undone(cube: Path, verb: Verb) -> None:
     assert (cube / "history.yaml").read_text() == before
 
 
-def test_a_bag_keeps_its_history_beside_it(cube: Path, tmp_path: Path, verb: Verb) -> None:
-    bag = tmp_path / "run.mcap"
-    verb("convert", cube, bag)
-    verb("improve", bag)
-    assert (tmp_path / "run.mcap.history.yaml").exists()
-    assert "backlash_y" in verb("history", bag).out
-
-
 def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, verb: Verb) -> None:
     (cube / "history.yaml").write_text("models: [")
     for words in (["improve", str(cube)], ["history", str(cube)]):

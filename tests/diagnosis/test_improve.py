@@ -66,12 +66,6 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
 
 
-def test_the_map_moves_by_what_the_diagnosis_says() -> None:
-    done, _ = improved(77, 2e-6)
-    (effect,) = done.diagnosis.accepted
-    assert done.steps[-1].map_change == consequences(done.diagnosis)[effect].map_change_rms
-
-
 def test_what_is_left_can_be_compared_between_models() -> None:
     """A model that lacks something underestimates what it leaves: how far its map is off the last one is counted."""
     effects = (FlawSpec(id="probe_pretravel", amplitude=4e-6),)

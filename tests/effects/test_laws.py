@@ -16,7 +16,6 @@ from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.values import Instrument
 from machine_tool_calibration.simulation import (
@@ -29,6 +28,8 @@ from machine_tool_calibration.simulation import (
     TrackingPlan,
     simulate,
 )
+
+from .. import plates
 
 K, FIXED = 9e-6, 0.25
 
@@ -205,14 +206,6 @@ def test_every_method_has_its_instrument(preset: str, instrument: str) -> None:
 
 
 def test_an_unknown_instrument_is_one_line() -> None:
-    content = {
-        "format": "mtcal-session/1",
-        "method": "direct",
-        "instrument": "ruler",
-        "machine": {"chain": "w-b-X-t"},
-        "standard_uncertainty": {"displacement": 1e-6},
-        "setups": [{"id": "run"}],
-    }
     with pytest.raises(SessionError, match="instrument") as caught:
-        describe(content, "session.yaml")
+        plates.session({"x": [0.0], "displacement": [0.0]}, 1e-6, instrument="ruler")
     assert "\n" not in str(caught.value) and "touch_probe" in str(caught.value)

@@ -239,14 +239,3 @@ def test_conformity(part: mtcal.Fit) -> None:
     assert repr(found).startswith("<Conformity: conformity: fail (ECC pass, ")
     assert "All together: fail." in found.report()
     assert found.document()["figures"][0]["tolerance"] == pytest.approx(0.01)
-
-
-def test_wrong_lines_and_names(part: mtcal.Fit) -> None:
-    with pytest.raises(mtcal.CalibrationError, match="contributor 2: varies is 'day', not 'reading'"):
-        part.budget([LINES[0], {**LINES[1], "varies": "day"}])
-    with pytest.raises(mtcal.CalibrationError, match="contributor 1: one of standard_uncertainty"):
-        part.budget([{**LINES[0], "half_width": 1.0}])
-    with pytest.raises(mtcal.CalibrationError, match="'work' is not published of this measurement"):
-        part.budget(LINES, quantities="work")
-    with pytest.raises(mtcal.CalibrationError, match="tolerance of ECC: '10 um' is not of the dimension angle"):
-        part.conformity({"ECC": "10 um"})

@@ -166,18 +166,6 @@ def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
     assert set(np.array(data["arrow"])[residual > 0]) == {0xD55E00FF}
 
 
-def test_arrows_of_a_line_stand_up_from_it(tmp_path: Path) -> None:
-    simulate("iso230_2", seed=3).save(tmp_path / "line")
-    readings = Readings(opened(tmp_path / "line"))
-    readings.refresh()
-    data, (plane,) = readings.data, readings.planes
-    assert plane == "xy" and readings.arrows == "Residuals along x, standing up from the line"
-    np.testing.assert_array_equal(data["xy:u"], data["x"])
-    up = 1e-3 * readings.magnification * np.array(data["residual"])
-    np.testing.assert_allclose(np.array(data["xy:v"]) - np.array(data["y"]), up, atol=1e-9)
-    assert np.ptp(up) > 10.0, "mm: they are seen"
-
-
 def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: Path) -> None:
     for seed, axis in enumerate("xyz"):
         simulate("iso230_2", seed=seed, axis=axis).save(tmp_path / axis)

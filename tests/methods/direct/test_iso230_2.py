@@ -3,7 +3,7 @@
 Position errors against the truth: their size is as stated.
 """
 
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ import pytest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning
 from machine_tool_calibration.reports.identification import goodness_of_fit
+
+from ... import plates
 
 # Two positions, three runs up and three down, um.
 POSITION = np.repeat([0.0, 0.1], 6)
@@ -93,7 +95,7 @@ def test_other_measurements_are_no_such_run(direct: SimpleNamespace, kind: str) 
     assert "iso230_2" not in identify(direct.measured(kind, repeats=2).session).error_map.content
 
 
-def test_uncertainty_of_the_figures_is_that_of_repeated_tests(plates: ModuleType) -> None:
+def test_uncertainty_of_the_figures_is_that_of_repeated_tests() -> None:
     kept: dict[str, list[float]] = {}
     stated: dict[str, list[float]] = {}
     for seed in range(40):
@@ -108,12 +110,12 @@ def test_uncertainty_of_the_figures_is_that_of_repeated_tests(plates: ModuleType
     assert np.mean(stated["B_mean"]) == pytest.approx(2.0 * np.sqrt(2.0 / 55.0) * 5e-7, rel=0.1)
 
 
-def test_single_runs_have_no_uncertainty(plates: ModuleType) -> None:
+def test_single_runs_have_no_uncertainty() -> None:
     (run,) = identify(plates.axis(1, runs=1)).document()["error_map"]["iso230_2"]
     assert "B_U" not in run and run["B"] is not None
 
 
-def test_every_figure_has_an_uncertainty_and_the_single_runs_are_kept(plates: ModuleType) -> None:
+def test_every_figure_has_an_uncertainty_and_the_single_runs_are_kept() -> None:
     session = plates.axis(1)
     (run,) = identify(session).document()["error_map"]["iso230_2"]
     assert all(run[f"{name}_U"] > 0.0 for name in FIGURES)

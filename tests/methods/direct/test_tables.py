@@ -6,7 +6,7 @@ Places and deviations that do not belong together: the mistake is named, and not
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +14,8 @@ import pytest
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.direct.model import nodes_from
 from machine_tool_calibration.methods.identify import identify
+
+from ... import plates
 
 LINE = np.linspace(0.0, 0.4, 5)
 ALONG_X = np.column_stack([LINE, np.zeros(5), np.zeros(5)])
@@ -185,7 +187,7 @@ ACTUAL: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize("kind", list(ACTUAL))
-def test_part_that_lies_otherwise(plates: ModuleType, kind: str) -> None:
+def test_part_that_lies_otherwise(kind: str) -> None:
     change, words = ACTUAL[kind]
     session, _ = plates.plate(1, holes=100)
     place = session.readings.position()[::2, :2]
@@ -196,7 +198,7 @@ def test_part_that_lies_otherwise(plates: ModuleType, kind: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_columns_exchanged_and_signs_reversed(plates: ModuleType) -> None:
+def test_columns_exchanged_and_signs_reversed() -> None:
     session, _ = plates.plate(1, holes=100, turn=TURN)
     columns = session.readings.columns
     identify(session)
@@ -209,7 +211,7 @@ def test_columns_exchanged_and_signs_reversed(plates: ModuleType) -> None:
         identify(plates.with_columns(session, flipped))
 
 
-def test_places_in_millimetres(plates: ModuleType) -> None:
+def test_places_in_millimetres() -> None:
     session, _ = plates.plate(1, holes=100)
     columns = session.readings.columns
     with pytest.raises(ModelError, match="x, y and z look like millimetres"):
@@ -217,7 +219,7 @@ def test_places_in_millimetres(plates: ModuleType) -> None:
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "millimetres"), (1e6, "micrometres")])
-def test_deviations_in_another_unit(plates: ModuleType, factor: float, unit: str) -> None:
+def test_deviations_in_another_unit(factor: float, unit: str) -> None:
     for seed in range(6):
         turn = (0.0, 1e-3, 2e-2)[seed % 3]
         part, _ = plates.plate(seed, holes=60, drilled=2e-5, scales=(1e-4, 2e-4), turn=turn, far=2)
@@ -227,19 +229,19 @@ def test_deviations_in_another_unit(plates: ModuleType, factor: float, unit: str
                 identify(plates.with_columns(session, factor * session.readings.displacement))
 
 
-def test_a_short_axis_may_be_off_by_a_hundredth_of_its_travel(plates: ModuleType) -> None:
+def test_a_short_axis_may_be_off_by_a_hundredth_of_its_travel() -> None:
     """A stage of 8 mm whose deviations are tens of micrometres is bad, and no mistake."""
     identify(plates.axis(1, positions=5, length=8e-3, noise=4e-5))
 
 
-def test_a_bad_machine_and_a_part_askew_are_not_refused(plates: ModuleType) -> None:
+def test_a_bad_machine_and_a_part_askew_are_not_refused() -> None:
     for seed in range(12):
         turn = (0.0, 1e-3, 1e-2, 5e-2)[seed % 4]
         session, _ = plates.plate(seed, holes=80, scales=(2e-3, -1e-3), square=1.5e-3, turn=turn, drilled=5e-5)
         identify(session)
 
 
-def test_a_cloud_that_follows_no_place_is_no_part_that_lies_otherwise(plates: ModuleType) -> None:
+def test_a_cloud_that_follows_no_place_is_no_part_that_lies_otherwise() -> None:
     """Scatter of a third of the plate, a fifth of it along the places: nobody can say how it lies."""
     session, _ = plates.plate(1, holes=100)
     x, y = session.readings.position()[::2, :2].T

@@ -39,22 +39,6 @@ def test_stations_wrong_by_a_millimetre(dimension, pointing, simulated, truth):
         assert np.abs(result.error_map.content["position_error"] - truth(made).error).max() < 5e-9
 
 
-def test_a_wide_network_without_any_datum_error(simulated, truth):
-    made = simulated(
-        3,
-        "tracking",
-        noise=0.0,
-        x=(-2.0, 0.0, 1.0, 2.0),
-        y=(0.0, 1.0, 3.0),
-        z=(0.0, 0.5),
-        repeats=1,
-        stations=((-3, -1, 0.2), (3, -1, 0.1), (0, 5, 0.3), (0.5, 1, 2.5)),
-        station_uncertainty=5e-3,
-    )
-    result = identify(made.session)
-    assert np.abs(result.error_map.content["position_error"] - truth(made).error).max() < 2e-8
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_dead_path_is_the_path_at_the_datum(dimension, simulated):
     made = simulated(dimension, "tracking", noise=0.0)
