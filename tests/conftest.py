@@ -4,16 +4,14 @@
 import atexit
 import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
-from matplotlib.figure import Figure
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.domain import free_domain
@@ -166,6 +164,13 @@ def few_draws() -> Iterator[None]:
     """Budgets from a tenth of the random values, for tests of how they are told and not of how well they are known."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("machine_tool_calibration.budget.propagate.DRAWS", 20)
+        # where they are used: what the tests of a room need not import they do not
+        from machine_tool_calibration.methods.map_comparison import compare_fits
+        from machine_tool_calibration.trends.statement import of_fit
+
+        for drawing, draws in ((of_fit, 100), (compare_fits, 160)):  # enough for motions of a few values
+            assert drawing.__kwdefaults__ is not None
+            patch.setitem(drawing.__kwdefaults__, "draws", draws)
         yield
 
 
@@ -176,29 +181,3 @@ def reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "machine_tool_calibration.model.marginal_fit.imperfection", lambda observations: np.zeros((0, 1))
     )
-
-
-# Of pictures that show the same over the same, whichever test draws them.
-_DRAWN: set[object] = set()
-
-
-@pytest.fixture(scope="module")
-def rough_pictures(few_draws: None) -> Iterator[None]:
-    """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are.
-
-    Of those that show the same over the same, one is drawn; the files of the others are written without it.
-    """
-
-    def save(figure: Figure, file: Any, save: Callable[..., None] = Figure.savefig, **options: Any) -> None:
-        panels = (
-            (panel.get_title(), panel.get_xlabel(), panel.get_ylabel(), len(panel.get_children()))
-            for panel in figure.axes
-        )
-        alike = (file.name if isinstance(file, Path) else None, *panels)
-        save(Figure() if alike in _DRAWN else figure, file, **{**options, "dpi": 40})
-        _DRAWN.add(alike)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "get_layout_engine", lambda figure: None)
-        patch.setattr(Figure, "savefig", save)
-        yield

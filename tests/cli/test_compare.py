@@ -4,7 +4,6 @@
 """
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.methods.map_comparison import compare_fits
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -46,15 +44,6 @@ def test_pictures_and_readings_are_written(method: str, tmp_path: Path, verb: Ve
 def test_residuals_are_drawn_against_the_columns_asked_for(tmp_path: Path) -> None:
     assert run(["compare", SESSION, "--against", "path", "--against", "temperature_x", "-o", str(tmp_path)]) == 0
     assert (tmp_path / "residuals.png").is_file()
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer_draws() -> Iterator[None]:
-    """Enough for the directions in which these maps can differ."""
-    assert compare_fits.__kwdefaults__ is not None
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(compare_fits.__kwdefaults__, "draws", 160)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@
 `mtcal fleet` and `mtcal identify --each`: each session below a folder, the broken one in a line.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.logbook import Logbook
-from machine_tool_calibration.trends.statement import of_fit
 
 from ..told import Verb
 
@@ -71,15 +69,6 @@ def test_a_growing_lost_motion_is_found_with_its_size_and_when_it_began(
     said = verb("trend", book, "--limit", "B_mean_X=3um")
     assert "B_mean_X drifts" in said.text and "B_mean_X is beyond its limit of 3.00 µm" in said.text
     assert "no session has 'EXY'" in verb.refused("trend", book, "--limit", "EXY=1um")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer_draws() -> Iterator[None]:
-    """Enough for motions of a few values."""
-    assert of_fit.__kwdefaults__ is not None
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(of_fit.__kwdefaults__, "draws", 100)
-        yield
 
 
 @pytest.fixture(scope="module")
