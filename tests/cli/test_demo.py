@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a demonstration says of its map and the truth.
-What the demonstration of each method hides is found by its own measurement.
-"""
+"""What a demonstration hides is found by its own measurement, and what it says of its map and the truth."""
 
 from dataclasses import replace
 from types import SimpleNamespace

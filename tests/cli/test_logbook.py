@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`mtcal logbook`: sessions are entered once, and listed.
-`mtcal trend` on sessions that were really measured (simulated), entered and followed.
-`mtcal check` against a logbook, a session and a result document.
-`mtcal fleet` and `mtcal identify --each`: each session below a folder, the broken one in a line.
-"""
+"""`mtcal logbook`, `trend`, `check` and `fleet`: sessions are entered once, followed, and judged."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thermal expansion away from a fixed point, and what a session does not tell of that point.
-Leads that a search looks at: as the positions resolve them, without a gap, and the usual ones of long axes.
-Which instruments can have an effect: no beam, no dead path.
-"""
+"""Laws of single effects: expansion away from a fixed point, the leads of a screw, what an instrument can have."""
 
 from dataclasses import replace
 from typing import Any, get_args

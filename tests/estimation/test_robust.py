@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A start that gross errors do not reach: straight lines with a tenth of wild readings.
-A part with random functions in its blocks: the same inner products as dense columns of them.
-What is believed before any reading are probabilities and sizes, in an order that makes sense.
-"""
+"""A start that gross errors do not reach; uncertainties for few degrees of freedom; numbers that decide."""
 
 from dataclasses import replace
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loading and simulating, effects of the user's own, what results look like, and what goes wrong.
-Arguments that cannot be are refused in one line, whichever function they are given to.
-Budget and conformity of a fit as tables.
-"""
+"""Loading and simulating, effects of the user's own, what results look like, and what goes wrong."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/sessions.md and docs/results.md say what is read and written.
-The README says what there is.
-Every command of a guide works, in the order in which it stands there.
-The example of CONTRIBUTING.md works as it stands there.
-"""
+"""What README, guides, formats and CONTRIBUTING say is so, and their commands and examples run."""
 
 import json
 import re

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Style and types are part of the tests.
-The checkers of ROS's own packages, with this project's style; skipped where rosdep has not installed them.
-"""
+"""Style and types are part of the tests; those of ROS's own checkers where rosdep has installed them."""
 
 import subprocess
 import sys

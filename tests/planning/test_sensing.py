@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smallest sizes that would be found, from what a fit leaves of each effect's columns.
-The smallest sizes that would be found, from what a fit leaves of each effect's columns.
+"""What readings yet to be taken would sense of an effect, and the smallest size that would be found.
 Effects in perfect data: in which plan one shows, and what takes it up.
 """
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of the graph's topics without asking the graph.
-What is known of the graph's topics without asking the graph.
-"""
+"""Stored messages are read as they were written; the pace of a replay; what is known of topics without the graph."""
 
 import numpy as np
 import pytest

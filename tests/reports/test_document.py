@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON document of a diagnosis: the contract's keys, honest numbers, and no cause where none is known."""
+"""The JSON document of a diagnosis: the contract's keys, honest numbers, and no cause where none is known.
+Plain values of every type as strict JSON.
+"""
 
 import json
 import math

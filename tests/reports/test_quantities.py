@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of unknowns in words.
-Names of unknowns in words.
-"""
+"""Numbers with their uncertainty and unit in as many figures as both bear; names of unknowns in words."""
 
 import math
 
