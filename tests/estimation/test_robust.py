@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A start that gross errors do not reach; uncertainties for few degrees of freedom; numbers that decide."""
+"""A start that gross errors do not reach; inner products of columns beside a part's own; numbers that decide."""
 
 from dataclasses import replace
 
