@@ -18,8 +18,8 @@ from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
-from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.residuals.noise import noise_of
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
