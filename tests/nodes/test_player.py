@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes import player
 from machine_tool_calibration.nodes.client import Client
+from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import LATCHED as LATCHED_QOS
 from machine_tool_calibration.nodes.ros.messages import from_message
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
@@ -152,16 +154,24 @@ def test_as_fast_as_possible_waits_for_whoever_comes_a_little_later(tmp_path: Pa
     assert heard.values == [float(k) for k in range(20)]
 
 
+@pytest.fixture
+def play_here(verb: Verb, monkeypatch: pytest.MonkeyPatch) -> Verb:
+    """`mtcal play` in this process, which keeps its own signals: what is started later would inherit others."""
+    monkeypatch.setattr(process, "signal", MagicMock())
+    monkeypatch.setattr(process, "_await_stop", lambda *_: None)
+    return verb
+
+
 def test_it_ends_by_itself_counts_and_says_that_nobody_listened(
-    tmp_path: Path, verb: Verb, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, play_here: Verb, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(player, "_FIRST", 10**8)  # ns that somebody who listens is waited for
     words = ("play", ticks(tmp_path / "bag"), "/joint_states", "--fast")
-    played = verb(*words, "--json").document
+    played = play_here(*words, "--json").document
     assert played == {"format": "mtcal-played/1", "bag": str(words[1]), "messages": 20, "state": "finished"}
-    assert "20 messages sent, finished; nobody listened" in verb(*words).text
+    assert "20 messages sent, finished; nobody listened" in play_here(*words).text
 
 
-def test_wrong_requests_are_one_line(tmp_path: Path, verb: Verb) -> None:
-    assert "no such file" in verb.refused("play", tmp_path / "none")
-    assert "no topic '/nothing'" in verb.refused("play", ticks(tmp_path / "bag"), "/nothing")
+def test_wrong_requests_are_one_line(tmp_path: Path, play_here: Verb) -> None:
+    assert "no such file" in play_here.refused("play", tmp_path / "none")
+    assert "no topic '/nothing'" in play_here.refused("play", ticks(tmp_path / "bag"), "/nothing")
