@@ -97,8 +97,8 @@ _FIRST = (
     "recording/test_recorder.py",
     "planning/test_dominant.py",
     "effects/test_catalogue.py",
-    "methods/joint/test_pairs.py",
-    "methods/tracking/test_statistics.py",
+    "methods/joint/test_agreement.py",
+    "methods/tracking/test_exact.py",
     "nodes/test_player.py",
     "methods/joint/test_split.py",
     "diagnosis/test_compare.py",
@@ -164,6 +164,13 @@ def few_draws() -> Iterator[None]:
     """Budgets from a tenth of the random values, for tests of how they are told and not of how well they are known."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("machine_tool_calibration.budget.propagate.DRAWS", 20)
+        # where they are used: what the tests of a room need not import they do not
+        from machine_tool_calibration.methods.map_comparison import compare_fits
+        from machine_tool_calibration.trends.statement import of_fit
+
+        for drawing, draws in ((of_fit, 100), (compare_fits, 160)):  # enough for motions of a few values
+            assert drawing.__kwdefaults__ is not None
+            patch.setitem(drawing.__kwdefaults__, "draws", draws)
         yield
 
 

@@ -9,40 +9,21 @@ import pytest
 
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.session.contributor import Contributor
-from machine_tool_calibration.session.parse import describe
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Session
+
+from ..plates import session
 
 NODES = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
-def _runs(deviation: Any = 0.0, *, runs: int = 4, datum: str = "none", **said: Any) -> Session:
+def _runs(deviation: Any = 0.0, *, runs: int = 4, datum: str = "none", terms: Any = ("EXX",), **said: Any) -> Session:
     """Deviations along X at five positions, run after run; EXX is their mean at each position."""
-    description = describe(
-        {
-            "format": "mtcal-session/1",
-            "method": "direct",
-            "machine": {"chain": "w-X-b-Z-t"},
-            "repeats": runs,
-            "standard_uncertainty": {"displacement": 1e-6},
-            "datum": datum,
-            "terms": ["EXX"],
-            "setups": [{"id": "X"}],
-            **said,
-        },
-        "runs",
-    )
     n = runs * len(NODES)
     columns = {"x": np.tile(NODES, runs), "gx": np.ones(n), "gy": np.zeros(n), "gz": np.zeros(n)}
     columns |= {"time": np.arange(n) * 5.0, "y": np.zeros(n), "z": np.zeros(n)}
-    readings = Readings(
-        setup=np.zeros(n, dtype=np.int64),
-        repeat=np.repeat(np.arange(runs), len(NODES)),
-        displacement=np.broadcast_to(np.asarray(deviation, dtype=float), (n,)).copy(),
-        columns=columns,
-        labels={},
-        row=np.arange(n),
-    )
-    return Session(description, readings)
+    columns["displacement"] = np.zeros(n) + deviation
+    usual = {"machine": {"chain": "w-X-b-Z-t"}, "repeats": runs}
+    return session(columns, 1e-6, datum, terms, np.repeat(np.arange(runs), len(NODES)), "X", **usual | said)
 
 
 @pytest.fixture(scope="session")

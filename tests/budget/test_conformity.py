@@ -20,7 +20,7 @@ from machine_tool_calibration.budget.conformity import (
     decide,
 )
 from machine_tool_calibration.budget.contributor import template_of
-from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
 from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
@@ -40,11 +40,18 @@ def one(found: Conformity) -> Verdict:
     return found.each[0]
 
 
-def judged(fitted: FittedSessions, tolerances: dict[str, float], **said: Any) -> Conformity:
-    """With a budget of nothing but the declared scatter of the readings."""
+def scatter_alone(fitted: FittedSessions) -> Budget:
+    """A budget of nothing but the declared scatter of the readings."""
     sigma = float(fitted.joint.assembly.models[0].sigma[0])
     line = Contributor(name="noise", type="A", standard_uncertainty=sigma, enters="reading", varies="reading")
-    return conformity(fitted, tolerances, budget=propagate(fitted, [line]), **said)
+    return propagate(fitted, [line])
+
+
+def judged(
+    fitted: FittedSessions, tolerances: dict[str, float], budget: Budget | None = None, **said: Any
+) -> Conformity:
+    """With a budget of the scatter alone, if none is given."""
+    return conformity(fitted, tolerances, budget=budget or scatter_alone(fitted), **said)
 
 
 def of_exx(fitted: FittedSessions, tolerance: float, **said: Any) -> Verdict:
@@ -55,8 +62,9 @@ def of_exx(fitted: FittedSessions, tolerance: float, **said: Any) -> Verdict:
 def test_range_of_independent_values(reproducible: None, runs: Callable[..., Session]) -> None:
     """Two ends 10 µm apart and what is between them out of the way: their difference is normal with 0.5 sqrt(2) µm."""
     fitted = fit_sessions(runs(np.tile([0.0, 5e-6, 5e-6, 5e-6, 10e-6], 4)))
+    budget = scatter_alone(fitted)
     for tolerance in (9.5e-6, 10e-6, 10.5e-6, 11.5e-6):
-        found = of_exx(fitted, tolerance)
+        found = of_exx(fitted, tolerance, budget=budget)
         expected = stats.norm.cdf((tolerance - 10e-6) / (U * np.sqrt(2.0)))
         # 150 samples carry the correlation, which is uncertain by a twelfth: of the difference's uncertainty 4 %.
         assert found.probability == pytest.approx(expected, abs=0.03)
@@ -71,12 +79,13 @@ def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[
     """
     fitted = fit_sessions(runs())
     drawn = np.ptp(np.random.default_rng(3).normal(size=(20_000, 5)), axis=1)
+    budget = scatter_alone(fitted)
     for tolerance in (0.5, 1.0, 2.326):
-        found = of_exx(fitted, tolerance * U)
+        found = of_exx(fitted, tolerance * U, budget=budget)
         assert found.value == pytest.approx(0.0, abs=1e-12)
         assert found.probability == pytest.approx(np.mean(drawn - np.median(drawn) <= tolerance), abs=0.05)
     assert found.decision == "pass"
-    assert of_exx(fitted, U).decision == "undecided"
+    assert of_exx(fitted, U, budget=budget).decision == "undecided"
 
 
 @pytest.mark.parametrize("seed", [2, 6, 10])
@@ -98,13 +107,14 @@ def test_squareness_by_the_normal_distribution() -> None:
     fitted = fit_sessions(simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session)
     content = fitted.error_map.content["squareness"]
     value, u = content["C0Y"], content["C0Y_u"]
+    budget = scatter_alone(fitted)
     for tolerance in (abs(value), abs(value) + u, abs(value) + 3 * u):
-        found = one(judged(fitted, {"C0Y": tolerance}))
+        found = one(judged(fitted, {"C0Y": tolerance}, budget))
         expected = stats.norm.cdf(tolerance, value, u) - stats.norm.cdf(-tolerance, value, u)
         assert (found.value, found.u) == pytest.approx((value, u))
         assert found.probability == pytest.approx(expected)
     assert found.decision == "pass"
-    assert one(judged(fitted, {"C0Y": abs(value) / 10})).decision == "fail"
+    assert one(judged(fitted, {"C0Y": abs(value) / 10}, budget)).decision == "fail"
 
 
 def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., Session]) -> None:

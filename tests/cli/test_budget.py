@@ -86,13 +86,6 @@ def test_the_picture_is_written(line: str, mine: str, tmp_path: Path, verb: Verb
     assert (tmp_path / "new" / "budget.png").stat().st_size > 10_000
 
 
-def test_the_instrument_says_which_budget(verb: Verb) -> None:
-    """With the paper's own symbols, and a note where random draws took the place of steps."""
-    out = verb("budget", TRACKING).out
-    assert "u_21 radial error motion along the beam" in out
-    assert "what they contribute" in out
-
-
 def test_conformity_in_words_and_for_programs(line: str, mine: str, verb: Verb) -> None:
     asked = ["conformity", line, "--tolerance", "EXX=20um", "--tolerance", "C0Y=20urad", "--tolerance", "A_X=1um"]
     out = verb(*asked).out

@@ -59,12 +59,6 @@ def test_effects_that_differ_by_the_axis_share_a_line() -> None:
     assert formulas["backlash_x"] == catalogue()["backlash_x"].formula
 
 
-def test_an_unknown_effect_is_one_line(verb: Verb) -> None:
-    captured = verb("effects", "backlash_q", status=1)
-    assert captured.out == ""
-    assert "unknown effect 'backlash_q'" in captured.err and captured.err.count("\n") == 1
-
-
 def test_effects_of_the_users_own_are_listed_and_drawn(tmp_path: Path, verb: Verb) -> None:
     file = tmp_path / "own.yaml"
     file.write_text(OWN)

@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`mtcal export` as it is called."""
+"""`mtcal export` as it is called.
+What `mtcal export` says of effects that are in the model: in the tables, or in the errors that are left.
+`mtcal export` warns of a model that does not fit, and of a better one that it did not use.
+"""
 
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 from ..again import measured_again
 from ..told import Verb
@@ -49,12 +57,6 @@ def test_nothing_is_overwritten(tmp_path: Path, verb: Verb) -> None:
     (tmp_path / "compensation.json").write_text("mine")
     assert "is there already" in verb.refused("export", SESSION, "--format", "json", "-o", tmp_path)
     assert (tmp_path / "compensation.json").read_text() == "mine"
-
-
-def test_what_has_no_tables_is_refused(tmp_path: Path, verb: Verb) -> None:
-    folder = tmp_path / "none"
-    assert verb("export", SESSION, "--format", "csv", "--model", "free", "-o", folder, status=1).err.count("\n") == 1
-    assert not folder.exists()
 
 
 def iso_run(folder: Path, name: str, offset: str) -> Path:
@@ -106,3 +108,114 @@ def test_the_picture_of_what_is_left(tmp_path: Path, verb: Verb) -> None:
         (folder / name).unlink()
     assert "what_is_left.png: is there already" in verb.refused(*call)
     assert [path.name for path in folder.iterdir()] == ["what_is_left.png"]
+
+
+HALF = 2e-6
+
+
+def simulated(folder: Path, plan: str, effect: str, **settings: Any) -> Path:
+    spec = SimulationSpec(plan=PRESETS[plan], seed=4, effects=(FlawSpec(id=effect, **settings),))
+    write_session(simulate(spec).session, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("export") / "plane", "tracking_2d", "backlash_y", size=HALF)
+
+
+def exported(sessions: list[Path], form: str, effect: str, folder: Path, verb: Verb) -> dict[str, Any]:
+    words = ["export", *map(str, sessions), "--format", form, "--effect", effect, "-o", str(folder), "--json"]
+    document: dict[str, Any] = verb(*words).document
+    return document
+
+
+@pytest.mark.parametrize("form", ["isg", "etalon"])
+def test_backlash_that_the_format_cannot_hold_is_left(form: str, plane: Path, tmp_path: Path, verb: Verb) -> None:
+    document = exported([plane], form, "backlash_y", tmp_path / "o", verb)
+    assert document["not_in_tables"] == ["backlash_y"]
+    left = {row["name"]: row for row in document["preview"]}
+    assert left["y"]["rms_after"] == pytest.approx(HALF, rel=0.05)
+    assert left["y"]["rms_before"] > left["y"]["rms_after"]
+    assert left["x"]["rms_after"] < 1e-8
+
+
+@pytest.mark.parametrize("form", ["csv", "json"])
+def test_backlash_in_the_tables_is_compensated(form: str, plane: Path, tmp_path: Path, verb: Verb) -> None:
+    document = exported([plane], form, "backlash_y", tmp_path / "o", verb)
+    assert document["not_in_tables"] == []
+    assert document["preview"][-1]["rms_before"] > HALF
+    assert document["preview"][-1]["largest_after"] < 1e-9
+
+
+def test_people_read_what_is_missing(plane: Path, tmp_path: Path, verb: Verb) -> None:
+    words = ["export", str(plane), "--format", "isg", "--effect", "backlash_y", "-o", str(tmp_path / "o")]
+    assert "In the model and not in these files: backlash_y." in verb(*words).out
+    assert "not in these files" not in verb(*words[:4], "-o", tmp_path / "p").out
+
+
+BAD = "something is missing in it, or the declared uncertainty is too small"
+BETTER = "holds a better model, number 2, with backlash_y"
+
+
+@pytest.fixture(scope="module")
+def session(backlash: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(backlash, tmp_path_factory.mktemp("warned") / "plane"))
+
+
+@pytest.fixture(scope="module")
+def improved(found_once: None, session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = Path(shutil.copytree(session, tmp_path_factory.mktemp("improved") / "plane"))
+    assert run(["improve", str(folder), "-o", str(folder.parent / "out")]) == 0
+    return folder
+
+
+def warned(words: list[str], verb: Verb) -> list[str]:
+    lines = verb("export", *words).err.splitlines()
+    return [line for line in lines if line.startswith(("warning", "note"))]
+
+
+def test_a_bad_fit(session: Path, tmp_path: Path, verb: Verb) -> None:
+    (line,) = warned([str(session), "--format", "isg", "-o", str(tmp_path / "a")], verb)
+    assert line.startswith("warning: The readings scatter")
+    assert BAD in line
+    assert warned([str(session), "--format", "isg", "-o", str(tmp_path / "b"), "--effect", "backlash_y"], verb) == []
+    shown = verb("export", session, "--format", "isg", "-o", tmp_path / "c", "--json")
+    document = shown.document
+    assert BAD in shown.err
+    assert document["reduced_chi_square"] > 10.0
+    assert document["p_value"] < 1e-3
+
+
+def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, verb: Verb) -> None:
+    words = [str(improved), "--format", "isg", "-o"]
+    bad, better = warned([*words, str(tmp_path / "a")], verb)
+    assert BAD in bad
+    assert BETTER in better and better.endswith("it was not used: --from-history does")
+    assert warned([*words, str(tmp_path / "b"), "--from-history"], verb) == []
+    assert warned([*words, str(tmp_path / "c"), "--effect", "backlash_y"], verb) == []
+    assert run(["history", str(improved), "--undo"]) == 0
+    (bad,) = warned([*words, str(tmp_path / "d")], verb)
+    assert BAD in bad
+    assert run(["history", str(improved), "--use", "2"]) == 0
+
+
+def test_conformity_and_budget_are_those_of_the_model_in_use(improved: Path, verb: Verb) -> None:
+    asked = ["conformity", str(improved), "--tolerance", "volumetric=100um", "--json"]
+    shown = verb(*asked)
+    plain = shown.document
+    assert BETTER in shown.err and "--from-history does" in shown.err
+    shown = verb(*asked, "--from-history")
+    assert BETTER not in shown.err
+    used = shown.document
+    assert used["figures"] == verb(*asked, "--effect", "backlash_y").document["figures"] != plain["figures"]
+
+
+def test_a_damaged_history_stops_nothing(session: Path, tmp_path: Path, verb: Verb) -> None:
+    (session / "history.yaml").write_text("models: [")
+    try:
+        words = [str(session), "--format", "isg", "-o", str(tmp_path / "a"), "--effect", "backlash_y"]
+        (line,) = warned(words, verb)
+    finally:
+        (session / "history.yaml").unlink()
+    assert line.startswith(f"warning: {session / 'history.yaml'}")

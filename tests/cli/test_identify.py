@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`mtcal identify`: for people, for programs, and for what is wrong."""
+"""`mtcal identify`: for people, for programs, and for what is wrong.
+`mtcal diagnose` as it is called.
+`mtcal report`: the file is written, with what was asked for, and a mistake is said before anything is calculated.
+"""
 
 import json
 import re
@@ -9,8 +12,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+from ..told import Verb
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -26,28 +32,11 @@ def test_for_people(verb):
     assert "datum: no shift and no turn of all targets" in text
 
 
-def test_a_setup_of_any_name(verb, tmp_path):
-    session = shutil.copytree(DATA / "tracking_2d", tmp_path / "s")
-    described = (session / "session.yaml").read_text().replace("id: A\n", "id: '[/a] north[a]'\n")
-    (session / "session.yaml").write_text(described)
-    rows = (session / "observations.csv").read_text().replace(",A,", ",[/a] north[a],")
-    (session / "observations.csv").write_text(rows)
-    assert "4 setups ([/a] north[a], B, C, D)" in verb("identify", session).text
-
-
 def test_what_is_not_determined_has_no_number_beside_it(verb):
     told = verb("identify", DATA / "step_diagonal")
     table, lost = told.out.split("\nnot determined:")[:2]
     assert "EAX" in lost
     assert "angle.EAX" not in table and "EXX" in table
-
-
-def test_every_unknown_is_said_in_words(verb, backlash):
-    told = verb("identify", backlash, "--effect", "backlash_y")
-    lines = {line.split()[0]: line for line in told.out.splitlines() if line.strip()}
-    assert lines["backlash_y.b"].rstrip().endswith("half width")
-    assert "place of A" in lines["A.x"]
-    assert "distance at which A reads zero" in lines["A.dead_path"]
 
 
 def test_a_map_in_two_directions_and_too_few_runs_are_said(verb, tmp_path):
@@ -133,14 +122,6 @@ def test_output_that_cannot_be_written(verb, tmp_path):
     assert "cannot be written" in verb.refused("identify", DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
 
 
-def test_effects_and_squareness_come_before_what_is_of_the_setups(verb, backlash):
-    told = verb("identify", backlash, "--model", "rigid_body", "--effect", "backlash_y")
-    lines = told.out.splitlines()
-    begin = lines.index(next(line for line in lines if line.startswith("name"))) + 1
-    assert "model: rigid_body with backlash_y" in told.text
-    assert [line.split()[0] for line in lines[begin : begin + 3]] == ["backlash_y.b", "C0Y", "A.x"]
-
-
 @pytest.mark.usefixtures("found_once")
 def test_the_model_of_the_history(verb, backlash, tmp_path):
     session = tmp_path / "session"
@@ -158,14 +139,68 @@ def test_the_model_of_the_history(verb, backlash, tmp_path):
     verb("identify", session, "--from-history", "--effect", "scale", status=2)
 
 
-@pytest.mark.usefixtures("found_once")
-def test_readings_that_the_history_sets_aside(verb, backlash, tmp_path):
-    session = tmp_path / "session"
-    shutil.copytree(backlash, session)
-    verb("improve", session, "--json")
-    file = session / "history.yaml"
-    file.write_text(file.read_text().replace("set_aside: []", "set_aside: [3, 17]"))
-    document = verb("identify", session, "--from-history", "--json").document
-    assert document["observations"] == document["used"] + 2
-    assert [entry["row"] for entry in document["rejected"]] == [3, 17]
-    assert "set aside by model" in document["rejected"][0]["reason"]
+pytestmark = pytest.mark.usefixtures("found_once")
+
+
+def test_people_read_the_verdict_first(original: Path, verb: Verb) -> None:
+    out = verb("diagnose", original).out
+    assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
+    assert len(out.splitlines()) <= 24  # one screen: the verdict, the effects, the next step
+    assert "b = 1.5" in out and "Next: `mtcal improve` adds backlash_y" in out
+    out = verb("diagnose", original, "--details").out
+    assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
+    for title in (
+        "Effects looked for",
+        "Confounded effects",
+        "Smallest size",
+        "not looked for",
+        "the map holds already",
+        "taken for",
+    ):
+        assert title in out
+    assert max(map(len, out.splitlines())) <= 120
+    assert "\x1b" not in out
+
+
+def test_pictures_and_numbers_on_request(original: Path, tmp_path: Path, verb: Verb) -> None:
+    folder = tmp_path / "new" / "pictures"
+    assert "wrote" in verb("diagnose", original, "-o", folder).err
+    assert (folder / "diagnosis.png").read_bytes().startswith(b"\x89PNG")
+    lines = (folder / "candidates.csv").read_text().splitlines()
+    lines = [line for line in lines if not line.startswith("#")]
+    assert lines[0].startswith("effect,probability,p_value,delta_bic")
+    assert lines[1].startswith("backlash_y,")
+
+
+@pytest.fixture(scope="module")
+def positioning(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run by ISO 230-2."""
+    folder = tmp_path_factory.mktemp("report") / "session"
+    assert run(["simulate", "--preset", "iso230_2", str(folder)]) == 0
+    return folder
+
+
+def test_a_report_is_written(positioning: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "tolerances.yaml").write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 20um}\n")
+    file, figures = tmp_path / "out" / "report.html", tmp_path / "figures"
+    words = ["report", str(positioning), "--no-diagnosis", "--tolerances", str(tmp_path / "tolerances.yaml")]
+    assert run([*words, "-o", str(file), "--figures", str(figures), "--language", "de"]) == 0
+    text = file.read_text(encoding="utf-8")
+    assert '<html lang="de">' in text and "Konformität" in text and "Diagnose" not in text
+    assert (figures / "iso230_2_X.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    assert f"wrote {file}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["-o", "report.docx"], "a report is an .html or a .pdf file"),
+        (["--language", "fr"], "there is no language 'fr'"),
+        (["--language", "../en"], "there is no language '../en'"),
+        (["--from-history"], "no model was tried yet"),
+        (["--budget", "none.yaml"], "none.yaml"),
+    ],
+)
+def test_a_mistake_is_said_in_one_line(positioning: Path, verb: Verb, words: list[str], message: str) -> None:
+    said = verb("report", positioning, *words, status=1).err.strip()
+    assert message in said and "\n" not in said

@@ -82,7 +82,7 @@ def test_what_the_remarks_warn_of(tmp_path: Path) -> None:
 
 def test_a_machine_is_mended_as_the_preview_says(tmp_path: Path) -> None:
     with alone():
-        loops = compensate.loop(tmp_path, count=8, runs=1)
+        loops = compensate.loop(tmp_path, count=6, runs=1)
     assert set(loops) == {"x", "z"}
     for axis, one in loops.items():
         play = 2e3 * compensate.HALF_PLAY[axis]

@@ -92,7 +92,7 @@ def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, am
     assert 0.7 < after < 1.3
 
 
-@pytest.mark.parametrize(("angle", "seed"), [("EBX", 3), ("EBX", 52), ("EAZ", 52)])
+@pytest.mark.parametrize(("angle", "seed"), [("EBX", 52), ("EAZ", 52)])
 def test_one_angular_error_larger_than_the_others_is_no_lost_motion(angle: str, seed: int) -> None:
     # In a diagonal an axis moves one way: what comes from its angles is then much like a reversal.
     found = look("step_diagonal", seed, FlawSpec(id=angle, amplitude=2e-6))

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis of plates and axes as workshops measure them."""
+"""Diagnosis of plates and axes as workshops measure them.
+Diagnosis of places that were read once each: axes one at a time, and a machine that is no three rigid axes.
+"""
 
 from dataclasses import replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,22 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.search.effect_search import led_by_places
+from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.thermal_lag import followed
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.verdict import next_step, verdict_words
 from machine_tool_calibration.residuals.noise import noise_of
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
+from .. import plates
 from ..told import keys
 
 
-def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: Any) -> None:
+def test_scale_then_different_scales_and_squareness(many: Any) -> None:
     both = 0
     some = many.part(0.4)
     for seed in range(some.count):
@@ -37,26 +43,26 @@ def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: An
     assert some.count - both <= some.at_most(0.05)
 
 
-def test_one_scale_only(plates: ModuleType, many: Any) -> None:
+def test_one_scale_only(many: Any) -> None:
     some = many.part(0.3)
     found = [diagnose(plates.plate(seed, scales=(4e-5, 4e-5))[0]).accepted for seed in range(some.count)]
     assert sum(accepted != ("scale",) for accepted in found) <= some.at_most(0.05)
 
 
 @pytest.mark.parametrize("given", [{}, {"declared": 1e-7}, {"declared": 3e-5}, {"repeats": 4, "holes": 120}])
-def test_plates_in_which_nothing_is_missing(plates: ModuleType, given: dict[str, float], many: Any) -> None:
+def test_plates_in_which_nothing_is_missing(given: dict[str, float], many: Any) -> None:
     some = many.part(0.2)
     verdicts = [diagnose(plates.plate(seed, **given)[0]).verdict for seed in range(some.count)]
     assert sum(verdict not in ("adequate", "outliers") for verdict in verdicts) <= some.at_most(0.05)
 
 
-def test_rows_that_scatter_together_are_no_effect(plates: ModuleType, many: Any) -> None:
+def test_rows_that_scatter_together_are_no_effect(many: Any) -> None:
     some = many.part(0.3)
     every = [plates.plate(seed, rows=True, row_scatter=3e-6)[0] for seed in range(some.count)]
     assert sum(bool(diagnose(session).accepted) for session in every) <= some.at_most(0.05)
 
 
-def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(plates: ModuleType) -> None:
+def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing() -> None:
     """Poses that were read three times deviate by 20 µm each, of which a scale explains a tenth of the squares."""
     found = diagnose(plates.plate(1, holes=150, repeats=3, drilled=20e-6, scales=(4e-5, 4e-5), tails=None)[0])
     first, scaled = found.search.fit.reduced_chi_square, found.search.of("scale")
@@ -69,7 +75,7 @@ def test_an_effect_that_leaves_most_of_what_repeats_show_is_not_what_is_missing(
     assert (half.verdict, half.accepted) == ("missing_effect", ("scale",))
 
 
-def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats(plates: ModuleType) -> None:
+def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats() -> None:
     """Holes that were read once each and scatter by far more than was declared."""
     found = diagnose(plates.plate(2, declared=2e-7, tails=None)[0])
     assert (found.verdict, found.noise.from_repeats) == ("adequate", None)
@@ -84,14 +90,14 @@ def test_a_scatter_that_nothing_tells_from_the_places_asks_for_repeats(plates: M
     assert keys(next_step(repeated, Advice())) == ["next.nothing"]
 
 
-def test_far_holes_are_named(plates: ModuleType) -> None:
+def test_far_holes_are_named() -> None:
     session, far = plates.plate(3, far=4, scales=(4e-5, 4e-5), tails=None)
     found = diagnose(session)
     assert [o.row for o in sorted(found.gross_errors, key=lambda o: o.row)] == far
     assert found.accepted == ("scale",)
 
 
-def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
+def test_repeats_in_a_plane_that_is_not_zero() -> None:
     """The mean of equal heights is that height, to the last bit."""
     session, _ = plates.plate(2, repeats=3, holes=100, scales=(4e-5, 4e-5))
     readings = session.readings
@@ -101,7 +107,7 @@ def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
     assert np.ptp(found.search.fit.fits[0].model.observations.position[:, 2]) == 0.0
 
 
-def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> None:
+def test_far_holes_beside_each_other_are_something_else() -> None:
     """x and y of a hole alternate in the list: neighbours are those of the same direction."""
     session, _ = plates.plate(4, tails=None)
     readings = session.readings
@@ -112,7 +118,7 @@ def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> N
     assert found.gross_errors == ()
 
 
-def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) -> None:
+def test_axis_with_backlash_and_an_error_of_no_simple_shape() -> None:
     for seed in range(3):
         session = plates.axis(seed, backlash=2e-6, wander=2e-6, scale=2e-5, between=2e-7)
         found = diagnose(session)
@@ -120,13 +126,13 @@ def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) 
         assert {"EXX", "backlash_x"} <= set(found.accepted) <= {"scale", "EXX", "backlash_x"}
 
 
-def test_passes_that_differ_are_no_drift(plates: ModuleType, many: Any) -> None:
+def test_passes_that_differ_are_no_drift(many: Any) -> None:
     some = many.part(0.5)
     every = [plates.axis(seed, between=5e-7, terms=("EXX",)) for seed in range(some.count)]
     assert sum(bool(diagnose(session).accepted) for session in every) <= some.at_most(0.05)
 
 
-def test_passes_of_an_axis_that_slips_are_what_is_said_first(plates: ModuleType) -> None:
+def test_passes_of_an_axis_that_slips_are_what_is_said_first() -> None:
     session = plates.axis(5, between=2e-5, terms=("EXX",))
     found = diagnose(session)
     assert (found.verdict, found.accepted) == ("adequate", ())
@@ -149,7 +155,7 @@ def test_play_of_the_other_sign_is_named_with_its_sign() -> None:
     assert found.search.of("lost_motion_x").sizes[0].value < 0.0
 
 
-def test_a_frame_may_warm_up_by_tenths_of_a_millimetre(plates: ModuleType) -> None:
+def test_a_frame_may_warm_up_by_tenths_of_a_millimetre() -> None:
     """Read by a switch at one place, as on printers and wood working machines."""
     n = 300
     time, one, none = 60.0 * np.arange(n), np.ones(n), np.zeros(n)
@@ -160,7 +166,7 @@ def test_a_frame_may_warm_up_by_tenths_of_a_millimetre(plates: ModuleType) -> No
     assert {"dead_path", "refractive_index"} <= set(found.excluded)
 
 
-def frame_that_warms(plates: ModuleType, time: Array, moved: Array, **temperatures: Array) -> Session:
+def frame_that_warms(time: Array, moved: Array, **temperatures: Array) -> Session:
     """A frame read by a switch at one place."""
     n, rng = len(time), np.random.default_rng(1)
     columns = {"time": time, "z": np.zeros(n), "gx": np.zeros(n), "gy": np.zeros(n), "gz": np.ones(n), **temperatures}
@@ -168,31 +174,31 @@ def frame_that_warms(plates: ModuleType, time: Array, moved: Array, **temperatur
     return plates.session(columns, 2e-6, "offset", (), np.zeros(n, np.int64), "top")
 
 
-def test_effects_that_take_each_other_back_are_not_named(plates: ModuleType) -> None:
+def test_effects_that_take_each_other_back_are_not_named() -> None:
     """Half a millimetre of warm-up that the cold end of the frame takes back but for some hundredths."""
     time = 8.0 * np.arange(300)
     chamber = 26.0 + 12.0 * (1.0 - np.exp(-time / 800.0))
     moved = 5e-4 * (1.0 - np.exp(-time / 1000.0)) - 42e-6 * (followed(time, chamber, 100.0) - 26.0)
-    found = diagnose(frame_that_warms(plates, time, moved, temperature_z=chamber))
+    found = diagnose(frame_that_warms(time, moved, temperature_z=chamber))
     assert (found.verdict, found.accepted) == ("unexplained", ())
     assert set(found.refused) == {"warmup_z", "thermal_lag_z"}
     assert all("take back" in why for why in found.refused.values())
 
 
-def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named(plates: ModuleType) -> None:
+def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> None:
     """What the frame does follows bed and nozzle, the chamber's sensor some of it."""
     time = 7.0 * np.arange(300)
     bed = followed(time, np.interp(time, [0, 300, 480, 1500, 2000], [26.0, 26.0, 70.0, 70.0, 60.0]), 30.0)
     nozzle = followed(time, np.interp(time, [0, 300, 420, 1500, 1900], [30.0, 30.0, 220.0, 220.0, 80.0]), 20.0)
     chamber = 26.0 + 8.0 * (followed(time, bed, 900.0) - 26.0) / 44.0
     moved = 1e-6 * (1.3 * chamber + 0.64 * followed(time, bed, 50.0) + 0.156 * followed(time, nozzle, 120.0))
-    found = diagnose(frame_that_warms(plates, time, moved, temperature_z=chamber, bed=bed, nozzle=nozzle))
+    found = diagnose(frame_that_warms(time, moved, temperature_z=chamber, bed=bed, nozzle=nozzle))
     # The expansion is there; the rest follows the bed.
     assert (found.verdict, found.accepted) == ("missing_effect", ("thermal_expansion_z",))
     assert (found.search.left[0].covariate, found.search.left[0].share > 0.9) == ("bed", True)
 
 
-def test_reversal_of_no_simple_form_is_said_place_by_place(plates: ModuleType) -> None:
+def test_reversal_of_no_simple_form_is_said_place_by_place() -> None:
     """Backlash, and beside it a reversal that differs from each place to the next: no wave in the order."""
     session = plates.axis(3, backlash=1e-5, declared=5e-7, terms=("EXX",), datum="offset")
     readings = session.readings
@@ -206,7 +212,7 @@ def test_reversal_of_no_simple_form_is_said_place_by_place(plates: ModuleType) -
     assert "from place to place" in found.search.left[0].shape
 
 
-def test_meshes_that_differ_by_tilts_are_said_to(plates: ModuleType) -> None:
+def test_meshes_that_differ_by_tilts_are_said_to() -> None:
     """A bed that was probed five times in some weeks: each time it lay otherwise."""
     x, y = (part.reshape(-1) for part in np.meshgrid(np.linspace(0.0, 0.3, 6), np.linspace(0.0, 0.3, 6)))
     rng, n, meshes = np.random.default_rng(5), len(x), 5
@@ -248,7 +254,7 @@ def told_of(session: Session) -> str:
     return " ".join(verdict_words(found, {}, Advice()))
 
 
-def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time(plates: ModuleType) -> None:
+def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time() -> None:
     """Each row of a raster takes its time: a zone is a step in time as well, and the second run repeats it."""
     rng, side = np.random.default_rng(11), np.linspace(0.0, 0.4, 9)
     way = [(x, y, s) for k, y in enumerate(side) for s in (1 - 2 * (k % 2),) for x in side[::s]]
@@ -270,3 +276,47 @@ def test_a_zone_that_is_crossed_in_rows_is_a_matter_of_place_and_not_of_time(pla
     text = " ".join(verdict_words(found, {}, Advice()))
     assert "the model free (--model) gives every place" in text
     assert "depend on time" not in text
+
+
+def in_space(position: np.ndarray, error: np.ndarray, terms: list[str], declared: float) -> Session:
+    """Places (n, 3), m, and their deviations (n, 3) read along x, y and z."""
+    n = len(position)
+    columns = dict(zip("xyz", np.repeat(position, 3, axis=0).T, strict=True))
+    columns |= dict(zip(("gx", "gy", "gz"), np.tile(np.eye(3), (n, 1)).T, strict=True))
+    columns["displacement"] = error.reshape(-1)
+    return plates.session(columns, declared, "rigid", terms, np.zeros(3 * n), "tracker")
+
+
+def test_axes_that_cross_in_the_middle_of_their_travel_have_no_product() -> None:
+    """A tracker at a stage of which one axis moves at a time, the others at zero."""
+    along = np.linspace(-0.2, 0.2, 11)
+    position = np.concatenate([along[:, None] * axis for axis in np.eye(3)])
+    rng = np.random.default_rng(1)
+    error = 1e-4 * position + 2e-5 * rng.normal(size=position.shape)
+    session = in_space(position, error, ["EXX", "EYY", "EZZ"], 2e-5)
+    pool = Pool(fit_models([build_model(session)[0]]))
+    assert all(len(shaped.columns) for one in structure_candidates(pool) for shaped in one.shapes)
+    assert diagnose(session).verdict in ("adequate", "missing_effect", "unexplained")
+
+
+def places_of_arm(joints: np.ndarray) -> np.ndarray:
+    """(n, 3) where an arm with two links ends that turns on a column, from its three angles (n, 3)."""
+    turn, lift, bend = joints.T
+    reach = 0.3 * np.cos(lift) + 0.35 * np.cos(lift + bend)
+    height = 0.3 * np.sin(lift) + 0.35 * np.sin(lift + bend)
+    return np.column_stack([reach * np.cos(turn), reach * np.sin(turn), height])
+
+
+def test_what_explains_a_small_part_of_a_pattern_is_not_what_is_missing() -> None:
+    """The errors of a jointed arm are those of its joints, of which error motions of three axes take up a little."""
+    rng = np.random.default_rng(4)
+    joints = np.column_stack([rng.uniform(-1.0, 1.0, 250), rng.uniform(0.3, 1.5, 250), rng.uniform(-2.2, -0.4, 250)])
+    turn, lift, bend = joints.T
+    off = 1e-3 * np.column_stack([np.sin(2 * turn + 3 * lift), 0.8 * np.sin(3 * lift), 0.8 * np.cos(2 * bend + turn)])
+    error = places_of_arm(joints + off) - places_of_arm(joints)
+    noise = 3e-5 * rng.normal(size=error.shape)
+    session = in_space(np.round(places_of_arm(joints), 5), error + noise, ["EXX", "EYY", "EZZ"], 3e-5)
+    found = diagnose(session)
+    assert any(found.search.of(name).probability > 0.9 for name in found.search.accepted)
+    assert found.fits[0].reduced_chi_square > 50.0
+    assert (found.verdict, found.accepted) == ("unexplained", ())

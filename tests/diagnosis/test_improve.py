@@ -7,12 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, entry_of, improve
 from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+
+from ..diagnosed import diagnosed
 
 
 @cache
@@ -61,12 +64,6 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     assert after < 2 * last.left_at_tool
     (size,) = last.parameters
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
-
-
-def test_the_map_moves_by_what_the_diagnosis_says() -> None:
-    done, _ = improved(77, 2e-6)
-    (effect,) = done.diagnosis.accepted
-    assert done.steps[-1].map_change == consequences(done.diagnosis)[effect].map_change_rms
 
 
 def test_what_is_left_can_be_compared_between_models() -> None:
@@ -146,3 +143,33 @@ def test_progress_rises_to_one() -> None:
     _, shares = improved(101)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
+
+
+def test_two_effects_found_are_told_with_both_in_the_model() -> None:
+    effects = (FlawSpec(id="backlash_y", amplitude=1.5e-6), FlawSpec(id="backlash_x", amplitude=1.2e-6))
+    found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects))
+    assert set(found.accepted) == {"backlash_x", "backlash_y"}
+    changes = consequences(found, most=2)
+    assert list(changes)[:2] == list(found.accepted)
+    assert len(changes) == 4
+    both = {p.name: p.value for p in identify(found.chosen.sessions[0], effects=found.accepted).parameters}
+    for name in found.accepted:
+        (size,) = changes[name].parameters
+        assert size.value == pytest.approx(both[size.name], rel=1e-6)
+    first, second = (changes[name] for name in found.accepted)
+    assert first.rms_after == pytest.approx(second.rms_before)
+    assert second.rms_after < second.rms_before < first.rms_before
+    taken = found.fits[0].fits[0].residuals - found.fits[2].fits[0].residuals
+    assert first.explained + second.explained == pytest.approx(taken)
+
+
+def test_a_share_in_the_readings_is_told_only_where_the_data_tell_it() -> None:
+    found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
+    changes = consequences(found)
+    # Nothing is missing: no candidate's share is larger than its uncertainty.
+    assert all(change.signal is None for change in changes.values())
+    strong = SimulationSpec(plan=PRESETS["tracking_2d"], seed=7, effects=(FlawSpec(id="backlash_y", size=2e-6),))
+    change = consequences(diagnosed(strong))["backlash_y"]
+    assert change.signal is not None
+    assert np.abs(change.signal).max() == pytest.approx(2e-6, rel=0.1)
+    assert rms(change.signal) < 2e-6

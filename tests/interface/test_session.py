@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loading and simulating, effects of the user's own, what results look like, and what goes wrong."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -144,3 +146,93 @@ def test_what_was_declared_is_said_with_its_growth_along_the_path(tmp_path: Path
     scatter = fit.document()["error_map"]["scatter"]
     assert 1e-6 < scatter["declared"] < 2e-6
     assert scatter["found"] == pytest.approx(scatter["declared"] * fit.reduced_chi_square**0.5)
+
+
+COEFFICIENT = {"b": ("1", -1.0, 1.0)}
+WRONG: list[tuple[Callable[[Any], object], str]] = [
+    (lambda run: run.budget(draws=-5), "draws must be a whole number"),
+    (lambda run: run.budget(["reading"]), "contributor 1: the content must be a mapping of keys"),
+    (lambda run: run.features(draws="many"), "draws must be a whole number from 0 to 100000, not 'many'"),
+    (lambda run: run.compare_map("other_session"), "the other map must be that of a fit"),
+    (lambda run: run.compare_map(run, seed=-1), "seed must be a whole number from 0 to"),
+    (lambda run: run.compare_map(run, seed=1.5), "seed must be a whole number"),
+    (lambda run: run.conformity(["EXX"]), "tolerances must be a mapping"),
+    (lambda run: run.conformity({}), "no tolerance is given"),
+    (lambda run: run.conformity({"EXX": None}), "the tolerance of EXX must be"),
+    (lambda run: run.conformity({"EXX": 1e-5}, budget="mine.yaml"), "budget must be one, as Fit.budget gives it"),
+    (lambda run: run.error_at("here"), "positions must be numbers"),
+    (lambda run: run.error_at([[0.0, 0.0, 0.0], [0.0]]), "positions must be numbers"),
+    (lambda run: mtcal.Effect("e", "b * x", enters="x", coefficients=["b"]), "coefficients must be a mapping"),
+    (
+        lambda run: mtcal.Effect("e", "b * x * k", enters="x", coefficients=COEFFICIENT, constants={"k": 2.0}),
+        "constants.k must be a mapping of keys, not 2.0",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def run() -> mtcal.Fit:
+    return mtcal.identify(mtcal.simulate("iso230_2", repeats=2, seed=3))
+
+
+@pytest.mark.parametrize(("call", "message"), WRONG)
+def test_what_cannot_be_is_named(run: mtcal.Fit, call: Callable[[Any], object], message: str) -> None:
+    with pytest.raises(mtcal.CalibrationError) as caught:
+        call(run)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers(run: mtcal.Fit) -> None:
+    assert run.compare_map(run, seed=np.int64(3)).agree
+
+
+def test_far_beyond_what_was_measured_there_is_no_error(run: mtcal.Fit) -> None:
+    error, u = run.error_at([np.inf, 0.0, 0.0])
+    assert np.isnan(error).all() and np.isnan(u).all()
+
+
+LINES = [
+    {"name": "touch", "type": "B", "standard_uncertainty": 1e-6, "enters": "reading", "varies": "reading"},
+    {"name": "scale", "type": "B", "standard_uncertainty": 5e-6, "enters": "length", "varies": "never"},
+]
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory: pytest.TempPathFactory) -> mtcal.Fit:
+    """Of a part that was probed."""
+    folder = tmp_path_factory.mktemp("probing") / "session"
+    mtcal.simulate("probing_cross", seed=2).save(str(folder))
+    return mtcal.identify(str(folder))
+
+
+def test_tables_hold_together(part: mtcal.Fit) -> None:
+    """Shares make one, squares of the contributions the square of the sum, and twice that is U."""
+    budget = part.budget(LINES, quantities=["position_error", "workpiece_form"])
+    assert list(budget.contributors.index) == ["touch", "scale", "known besides the readings"]
+    for (name, which), own in budget.contributions.groupby(["name", "which"]):
+        told = budget.quantities.set_index(["name", "which"]).loc[(name, which)]
+        assert own["share"].sum() == pytest.approx(1.0)
+        assert np.sqrt((own["u"] ** 2).sum()) == pytest.approx(told["u"])
+        assert told["U"] == pytest.approx(2.0 * told["u"])
+    assert "position_error, U = " in repr(budget)
+    assert "what they contribute" in budget.report()
+    assert budget.document()["format"] == "mtcal-budget-result/1"
+    assert budget.plot().axes
+
+
+def test_a_file_and_the_instrument(part: mtcal.Fit, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    line = "- {name: a, type: B, standard_uncertainty: 1.0e-6, enters: reading, varies: reading}"
+    path.write_text(f"format: mtcal-budget/1\ncontributors:\n{line}\n", encoding="utf-8")
+    assert "a" in part.budget(path).contributors.index
+    assert "one touch" in part.budget().contributors.index
+
+
+def test_conformity(part: mtcal.Fit) -> None:
+    found = part.conformity({"ECC": "10 mrad", "C0Y": 1.0, "EXC": 1e-9})
+    assert list(found.verdicts.columns) == ["tolerance", "value", "u", "unit", "probability", "decision", "why"]
+    assert list(found.verdicts["decision"])[::2] == ["pass", "fail"]
+    assert found.decision == "fail"
+    assert repr(found).startswith("<Conformity: conformity: fail (ECC pass, ")
+    assert "All together: fail." in found.report()
+    assert found.document()["figures"][0]["tolerance"] == pytest.approx(0.01)

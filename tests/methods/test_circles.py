@@ -188,6 +188,7 @@ def test_of_a_servo_mismatch_one_plane_does_not_tell_which_axis_is_late() -> Non
         (lambda c: c.session(setups=[{"id": "XY", "plane": "XY", "centre": [0.25, 0.21, 0.3], "radius": RADIUS}]),
          "the stated circle"),
         (lambda c: c.session(machine={"chain": "w-X-b-Z-t"}), "has no axis Y"),
+        (lambda _: Circles("XY", count=3).session(), "no setup has more than 6; at least 8 are needed"),
     ],
 )  # fmt: skip
 def test_a_session_that_cannot_be_is_refused(change: Any, message: str) -> None:

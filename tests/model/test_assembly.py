@@ -12,8 +12,8 @@ from machine_tool_calibration.model.model import Constraint, Parameter, Prior, T
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result, correlated_with, plain
 from machine_tool_calibration.session.parse import describe
-from machine_tool_calibration.session.session import Readings, Session
 
+from .. import plates
 from ..line_model import Line
 
 X = np.linspace(-1.0, 1.0, 9)
@@ -25,21 +25,7 @@ def error_map(fit):
 
 
 def line(displacement, terms=("scale",), *, shared=True, constraints=(), priors=()):
-    session = Session(
-        describe(
-            {
-                "format": "mtcal-session/1",
-                "method": "direct",
-                "machine": {"chain": "w-X-b-t"},
-                "standard_uncertainty": {"displacement": 1e-6},
-                "setups": [{"id": "one"}],
-            },
-            "here",
-        ),
-        Readings(
-            np.zeros(9, dtype=int), np.zeros(9, dtype=int), np.asarray(displacement, float), {"x": X}, {}, np.arange(9)
-        ),
-    )
+    session = plates.session({"x": X, "displacement": displacement}, 1e-6, machine={"chain": "w-X-b-t"})
     zero = np.zeros((9, 3))
     observations = Observations(session, session.readings, zero, zero, zero, np.zeros(9), np.zeros(9, dtype=int))
     made = tuple(Term(name, (Parameter(name, "1", shared=shared),), X[None]) for name in terms)

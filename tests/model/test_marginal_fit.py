@@ -19,10 +19,9 @@ from machine_tool_calibration.model.model import Kind, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
-from machine_tool_calibration.session.parse import describe
-from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate
 
+from .. import plates
 from ..line_model import Line
 
 SIGMA = 1e-6
@@ -53,21 +52,12 @@ def axis(
     columns = np.column_stack([np.ones(n), x])
     own = np.repeat(rng.normal(size=PASSES), PLACES) * between * np.tile(np.linspace(-1.0, 1.0, PLACES), PASSES)
     reading = SIGMA * (columns @ [3.0, 20.0] + own + noise * rng.normal(size=n))
-    description = describe(
-        {
-            "format": "mtcal-session/1",
-            "method": "direct",
-            "machine": {"chain": "w-X-b-t"},
-            "standard_uncertainty": {"displacement": SIGMA},
-            "setups": [{"id": "one"}],
-        },
-        "here",
-    )
     zero = np.zeros(n, dtype=np.int64)
-    readings = Readings(zero, zero, reading, {"x": x, "time": np.arange(n) * 5.0}, {}, np.arange(n))
+    content = {"x": x, "time": np.arange(n) * 5.0, "displacement": reading}
+    session = plates.session(content, SIGMA, machine={"chain": "w-X-b-t"})
     place = np.column_stack([x, np.zeros((n, 2))])
     along = np.tile([1.0, 0.0, 0.0], (n, 1))
-    observations = Observations(Session(description, readings), readings, place, along, 0.0 * along, np.zeros(n), zero)
+    observations = Observations(session, session.readings, place, along, 0.0 * along, np.zeros(n), zero)
     scale = Parameter("scale", "1", shared=True)
     if limit is not None:
         scale = Parameter("scale.s", "1", -limit, limit, shared=True, kind=Kind.EFFECT, owner="scale")

@@ -162,16 +162,14 @@ def ask(operator: Client, kind: Any, service: str, request: Any) -> Any:
     """
     client = operator.client(service, kind)  # kept: the server may know it the next time
     assert operator.wait(client.service_is_ready, PATIENCE), service
-    answered: list[Any] = []
+    asked: list[Any] = []
 
     def answer() -> bool:
-        asked = client.call_async(request)
-        if operator.wait(asked.done, 3.0):
-            answered.append(asked.result())
-        return bool(answered)
+        asked.append(client.call_async(request))
+        return bool(operator.wait(lambda: any(one.done() for one in asked), 1.0))
 
     assert operator.wait(answer, PATIENCE), f"{service} does not answer"
-    return answered[0]
+    return next(one.result() for one in asked if one.done())
 
 
 def feed(operator: Client, session: Session, start: int = round(ORIGIN * 1e9)) -> None:

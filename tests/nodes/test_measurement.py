@@ -45,8 +45,8 @@ def test_real_time_gives_the_same_readings(bench, finish):
     procedure = copy.deepcopy(PROCEDURE)
     procedure["session"]["repeats"] = 1
     procedure["session"]["setups"] = procedure["session"]["setups"][:2]
-    for axis in "xy":  # short ways: each takes its time
-        procedure["path"]["grid"][axis] = {"first": 0.15, "last": 0.2, "count": 2}
+    # short ways: each takes its time
+    procedure["path"]["grid"] |= {"x": {"first": 0.15, "last": 0.2, "count": 2}, "y": [0.15]}
     procedure["motion"]["dwell"] = 0.3
     graph = bench.graph(procedure=procedure, simulated_time=False)
     operator = bench.operator(graph)

@@ -2,11 +2,10 @@
 """Replays: what a live graph hears of a bag, when, and that it identifies the same from it."""
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -19,7 +18,9 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes import player
 from machine_tool_calibration.nodes.client import Client
+from machine_tool_calibration.nodes.ros import process
 from machine_tool_calibration.nodes.ros.messages import LATCHED as LATCHED_QOS
 from machine_tool_calibration.nodes.ros.messages import from_message
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
@@ -28,6 +29,7 @@ from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.session_bag import session_to_bag
 from machine_tool_calibration.recording.writer import BagWriter
 
+from ..told import Verb
 from .conftest import PATIENCE
 from .forked import ForkedGraph
 
@@ -145,11 +147,6 @@ def test_the_rate_is_kept(tmp_path: Path, play) -> None:
     assert heard.values == [float(k) for k in range(21)]
 
 
-def mtcal(*words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "machine_tool_calibration", "play", *words]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
 def test_as_fast_as_possible_waits_for_whoever_comes_a_little_later(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag"), rate=0.0)
     heard = Heard(operator)
@@ -157,25 +154,24 @@ def test_as_fast_as_possible_waits_for_whoever_comes_a_little_later(tmp_path: Pa
     assert heard.values == [float(k) for k in range(20)]
 
 
-def test_it_ends_by_itself_counts_and_says_that_nobody_listened(tmp_path: Path) -> None:
-    bag = str(ticks(tmp_path / "bag"))
-    words = (bag, "/joint_states", "--fast")
-    both = mtcal(*words, "--json"), mtcal(*words)  # at once, as each waits for somebody who listens
-    played, told = [process.communicate(timeout=PATIENCE) for process in both]
-    assert [process.returncode for process in both] == [0, 0], (played, told)
-    assert json.loads(played[0]) == {"format": "mtcal-played/1", "bag": bag, "messages": 20, "state": "finished"}
-    assert "20 messages sent, finished; nobody listened" in " ".join(told[0].split())
+@pytest.fixture
+def play_here(verb: Verb, monkeypatch: pytest.MonkeyPatch) -> Verb:
+    """`mtcal play` in this process, which keeps its own signals: what is started later would inherit others."""
+    monkeypatch.setattr(process, "signal", MagicMock())
+    monkeypatch.setattr(process, "_await_stop", lambda *_: None)
+    return verb
 
 
-def test_wrong_requests_are_one_line(tmp_path: Path) -> None:
-    bag = str(ticks(tmp_path / "bag"))
-    started = [
-        (mtcal(*words), expected)
-        for words, expected in (
-            ([str(tmp_path / "none")], "no such file"),
-            ([bag, "/nothing"], "no topic '/nothing'"),
-        )
-    ]
-    for process, expected in started:
-        _, errors = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 1 and expected in errors and errors.count("\n") == 1, errors
+def test_it_ends_by_itself_counts_and_says_that_nobody_listened(
+    tmp_path: Path, play_here: Verb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(player, "_FIRST", 10**8)  # ns that somebody who listens is waited for
+    words = ("play", ticks(tmp_path / "bag"), "/joint_states", "--fast")
+    played = play_here(*words, "--json").document
+    assert played == {"format": "mtcal-played/1", "bag": str(words[1]), "messages": 20, "state": "finished"}
+    assert "20 messages sent, finished; nobody listened" in play_here(*words).text
+
+
+def test_wrong_requests_are_one_line(tmp_path: Path, play_here: Verb) -> None:
+    assert "no such file" in play_here.refused("play", tmp_path / "none")
+    assert "no topic '/nothing'" in play_here.refused("play", ticks(tmp_path / "bag"), "/nothing")

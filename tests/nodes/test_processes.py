@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each node as a process: it stops when asked, refuses what is wrong, and describes its parameters."""
+"""Each node as a process: it stops when asked, refuses what is wrong, and describes its parameters.
+`--help` of every executable says what it is and takes, and starts nothing.
+"""
 
 import os
 import re
@@ -7,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 
+from machine_tool_calibration.nodes.__main__ import main
 from machine_tool_calibration.nodes.graph import Graph
 
 from ..waiting import Waiting
@@ -182,3 +186,34 @@ def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
         request = GetParameters.Request(names=["speed", "acceleration"])
         values = ask(operator, GetParameters, "axis_simulator/get_parameters", request).values
         assert [value.double_value for value in values] == [0.123, 2.0]
+
+
+ROOT = Path(__file__).parents[2]
+EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+@pytest.mark.parametrize("given", [["--help"], ["-h", "--ros-args", "-p", "rate:=1.0"]])
+def test_help_says_what_it_is_and_takes_and_starts_nothing(name, given, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("rclpy.init", lambda *_, **__: pytest.fail("it was started"))
+    module = import_module(f"machine_tool_calibration.nodes.{name}")
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert main(name, given) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"Usage: ros2 run machine_tool_calibration {name} ")
+    assert module.__doc__.strip() in said
+    declared = re.findall(r'\.declare\(\s*"(\w+)"', Path(module.__file__).read_text())
+    assert declared
+    assert all(re.search(rf"^\| .*`{key}`", said, re.M) for key in [*declared, "use_sim_time"])
+    assert Path(said.strip().rpartition(": ")[2]).is_file()
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_into_a_pipe_that_nobody_reads_any_more(monkeypatch):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as stream:
+        monkeypatch.setattr("sys.stdout", stream)
+        monkeypatch.setattr("signal.signal", lambda *_: None)
+        assert main("estimator", ["--help"]) == 0

@@ -10,6 +10,10 @@ from types import ModuleType
 
 import pytest
 
+from ..coarse import found_once, rough_pictures
+
+__all__ = ["found_once", "rough_pictures"]
+
 ROOT = Path(__file__).parents[2]
 
 

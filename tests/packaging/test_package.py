@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an installation consists of, and that what it needs is declared."""
+"""What an installation consists of, and that what it needs is declared.
+A workspace build, where colcon is installed.
+"""
 
 import ast
 import configparser
+import os
 import re
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -210,3 +214,28 @@ def test_an_executable_without_a_script_starts_the_module(tmp_path: Path) -> Non
         capture_output=True, text=True, timeout=900, check=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
     )  # fmt: skip
     assert done.stdout == f"-m {PACKAGE}.nodes rotary_pointer -x\n"
+
+
+PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+COLCON = shutil.which("colcon", path=PATH)
+
+
+@pytest.mark.skipif(COLCON is None, reason="colcon is not installed")
+@pytest.mark.parametrize("option", ["--merge-install", "--symlink-install"])
+def test_workspace(source: Path, tmp_path: Path, option: str) -> None:
+    shutil.copytree(source, tmp_path / "src" / PACKAGE, symlinks=True)
+
+    def run(*command: str) -> str:
+        done = subprocess.run(
+            command, cwd=tmp_path, env={**os.environ, "PATH": PATH}, capture_output=True, text=True, timeout=900
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    run("colcon", "build", option)
+    prefix = tmp_path / "install" / ("" if option == "--merge-install" else PACKAGE)
+    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / PACKAGE).exists()
+    assert os.access(prefix / "lib" / PACKAGE / "estimator", os.X_OK)
+    said = run("sh", "-c", ". install/setup.sh && mtcal --version && echo $AMENT_PREFIX_PATH")
+    assert said.startswith("mtcal ")
+    assert str(prefix).rstrip("/") in said

@@ -1,14 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proposals, and that they keep their word in the simulator, which knows nothing of them."""
+"""Proposals, and that they keep their word in the simulator, which knows nothing of them.
+What to measure next where several sessions of one machine were diagnosed together.
+What is known after further measurements: as exact as the counting of readings allows.
+"""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.planning.what_to_measure import Advice, Separation, alias_groups_of, what_to_measure
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.planning.outlook import outlooks
+from machine_tool_calibration.planning.sensing import SizedEffect, sense
+from machine_tool_calibration.planning.what_to_measure import (
+    Advice,
+    Separation,
+    alias_groups_of,
+    visibilities,
+    what_to_measure,
+)
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -97,3 +115,86 @@ def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) ->
     advice = what_to_measure(found)
     named = {name for s in advice.separations for name in s.effects}
     assert not named & set(present)
+
+
+LABELS = ("Monday", "Tuesday")
+
+
+@pytest.fixture(scope="module")
+def days() -> list[Session]:
+    hidden = FlawSpec(id="pointer_radial_error", amplitude=4e-6)
+    whole = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5, effects=(hidden,))).session
+    first = whole.readings.setup < 2
+    return [whole.with_readings(whole.readings.select(np.flatnonzero(mine))) for mine in (first, ~first)]
+
+
+def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
+    advice = what_to_measure(diagnose(FitRequest(days, LABELS)))
+    separation = next(s for s in advice.separations if "retroreflector_form" in s.effects)
+    assert "pointer_radial_error" in separation.effects
+    assert separation.kind == "turned"
+    assert separation.measure.split(":")[0] in LABELS
+    assert separation.cosine_after < separation.cosine_before
+
+
+def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_own(days: list[Session]) -> None:
+    effects = catalogue()
+    backlash = SizedEffect(effects["backlash_y"], (), {"b": 1e-6})
+    drift = SizedEffect(effects["station_drift"], (), {})
+    alone = [sense(FitRequest((day,), model="rigid_body"), [backlash, drift]) for day in days]
+    both = sense(FitRequest(days, labels=LABELS), [backlash, drift])
+    size = {name: s.stop - s.start for name, s in both.place.items()}
+    assert size["backlash_y"] == 1
+    assert size["station_drift"] == sum(
+        one.place["station_drift"].stop - one.place["station_drift"].start for one in alone
+    )
+    # Each of them leaves the other's readings to say more of what they share.
+    assert both.information("backlash_y")[0] > sum(one.information("backlash_y")[0] for one in alone)
+
+
+def test_an_effect_that_each_session_has_for_itself_is_planned_for_where_it_shows_best(days: list[Session]) -> None:
+    index = SizedEffect(catalogue()["refractive_index"], (), {})
+    now = sense(FitRequest(days, labels=LABELS), [index])
+    assert len(now.information("refractive_index")) == 2, "one column a session, of one coefficient"
+    scale = np.array([10.0, 100.0])
+    then = replace(now, gram=now.gram * np.outer(scale, scale), squares=now.squares * scale**2)
+    finding = SimpleNamespace(name="refractive_index", rank=0, detectable={})
+    models = [build_model(day, "rigid_body")[0] for day in days]
+    fit = SimpleNamespace(reduced_chi_square=1.0, assembly=SimpleNamespace(models=models))
+    diagnosis = SimpleNamespace(fits=[fit], search=SimpleNamespace(findings=[finding]))
+    option = next(iter(further_options(days[1])))
+    found = visibilities(diagnosis, now, [(option, then)], {"refractive_index": index})  # type: ignore[arg-type]
+    assert [(one.effect, one.coefficient) for one in found] == [("refractive_index", "g")]
+
+
+REPEATS = 5
+
+
+@pytest.mark.usefixtures("reproducible")
+def test_one_more_run_of_an_axis_counts_as_one_more_reading_of_each_place(simulated) -> None:
+    """And what tells as much as another that costs less, a wait for another temperature say, is not named."""
+    session = simulated("iso230_2")
+    result = identify(session)
+    now, *then = outlooks(FitRequest((session,)), result)
+    assert now.words == "" and now.seconds is None and len(now.places) == 0
+    np.testing.assert_array_equal(now.uncertainty, result.error_map.uncertainty)
+    efforts = [option.effort for option in further_options(session)]
+    (again,) = then
+    assert len(efforts) > 2 and again.seconds == min(efforts) < max(efforts)
+    assert not again.aside and len(again.places) == 22 and np.isnan(again.session.readings.displacement).all()
+    np.testing.assert_array_equal(again.places[:11, 0], np.unique(session.readings.columns["x"]))
+    np.testing.assert_allclose(
+        again.uncertainty[:, 0], now.uncertainty[:, 0] * np.sqrt(REPEATS / (REPEATS + 1)), rtol=1e-6
+    )
+
+
+def test_another_station_is_judged_by_where_it_stands(simulated) -> None:
+    """The best first; readings of a perfect machine do not pull the geometry on which the uncertainty rests."""
+    session = simulated("tracking_2d")
+    now, *then = outlooks(FitRequest((session,)), identify(session))
+    sizes = [one.typical for one in then]
+    assert len(then) >= 3 and sizes == sorted(sizes) and sizes[-1] < now.typical
+    # Two repetitions become three, of stations that are set up anew: between what that is to noise, and no gain.
+    assert np.sqrt(2 / 3) * now.typical - 1e-9 < then[0].typical < 0.9 * now.typical
+    stations = [one for one in then if one.words.startswith("measure once from one more station")]
+    assert stations and all(len(one.places) == 36 and one.seconds == 144.0 for one in stations)

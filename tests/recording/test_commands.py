@@ -101,25 +101,6 @@ def test_an_unfinished_recording_names_the_way_out(verb: Verb, session_bag: Path
     assert "217 messages of 2 topics" in verb("recover", session_bag, "-o", f"{session_bag}_2").out
 
 
-def test_there_and_back(verb: Verb, tmp_path: Path) -> None:
-    source = DATA / "probing_cross"
-    document = verb("convert", source, tmp_path / "bag", "--namespace", "/cell", "--json").document
-    assert document["to"] == "bag"
-    assert document["readings"] == 368
-    verb("convert", tmp_path / "bag", tmp_path / "session")
-    one, other = read_session(source), read_session(tmp_path / "session")
-    assert one.description == other.description
-    assert one.readings.displacement.tobytes() == other.readings.displacement.tobytes()
-
-
-def test_the_readings_of_a_recording_as_a_table(verb: Verb, session_bag: Path, tmp_path: Path) -> None:
-    verb("convert", session_bag, tmp_path / "readings.csv")
-    table, readings = pd.read_csv(tmp_path / "readings.csv"), read_session(DATA / "rotary_axis").readings
-    assert list(table["target"]) == list(readings.labels["target"])
-    assert np.array_equal(table["displacement"], readings.displacement)
-    assert list(table.columns[:4]) == ["time", "setup", "repeat", "target"]
-
-
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_topics_as_tables(verb: Verb, small_bag: Callable[..., Path], tmp_path: Path, form: str) -> None:
     read = {"csv": pd.read_csv, "parquet": pd.read_parquet}[form]

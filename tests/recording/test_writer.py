@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 
 from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording import writer
@@ -40,24 +38,6 @@ def test_three_readers_agree(small_bag: Callable[..., Path]) -> None:
         third = make_reader(stream, validate_crcs=True)
         messages = [(c.topic, m.log_time, m.data) for _, c, m in third.iter_messages(log_time_order=True)]
     assert own == by_time(messages)
-
-
-def test_values_by_two_decoders(small_bag: Callable[..., Path]) -> None:
-    path = small_bag()
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Reader(path) as reader:
-        theirs = [
-            list(store.deserialize_cdr(data, c.msgtype).position)
-            for c, _, data in reader.messages()
-            if c.topic == "/cell/joint_states"
-        ]
-    with next(path.glob("*.mcap")).open("rb") as stream:
-        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
-            ["/cell/joint_states"]
-        )
-        others = [list(message.position) for _, _, _, message in decoded]
-    assert theirs == others
-    assert len(theirs) == 50
 
 
 def test_header_schemas_channels_and_metadata_record(small_bag: Callable[..., Path]) -> None:

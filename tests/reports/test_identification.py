@@ -1,21 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sentences of an identification: how well the model fits, what shares a reason, and the figures of ISO 230-2."""
+"""Sentences of an identification: how well the model fits, what shares a reason, and the figures of ISO 230-2.
+One scatter is said with one number, and what runs share is not said to be what they do not reproduce.
+"""
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.goodness import only_if_right, scatter_p_value
+from machine_tool_calibration.planning.what_to_measure import Advice
+from machine_tool_calibration.reports.comparison import comparison_parts
 from machine_tool_calibration.reports.goodness import scatter_words
 from machine_tool_calibration.reports.identification import (
     datum_words,
     goodness_of_fit,
     group_by_reason,
     readings_set_aside,
+    spread_words,
     summary_rows,
 )
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.values import standard_tables
-from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.words import words
 
 from ..told import keys
@@ -97,3 +109,56 @@ def test_the_place_of_a_reading_set_aside_is_said_in_the_language() -> None:
     place = table.rows[0][table.columns.index("position, mm or °")]
     target = session.readings.labels["target"][3]
     assert place.startswith(f"target {target}, C ") and words("de").told(place).startswith(f"Ziel {target}, C ")
+
+
+def simulated(preset: str, *effects: str, seed: int = 4) -> Session:
+    flaws = tuple(FlawSpec(id=name, amplitude=2e-6) for name in effects)
+    return simulate(SimulationSpec(plan=PRESETS[preset], seed=seed, effects=flaws)).session
+
+
+def told(session: Session) -> Iterator[str]:
+    """What is said of a run's scatter before and after its reversal is in the model, and by whom."""
+    for effects in ((), ("backlash_x",)):
+        yield goodness_of_fit(identify(session, effects=effects).document())
+        yield next(part for part in comparison_parts(compare(identify(session, effects=effects))) if "scatter" in part)  # type: ignore[operator, misc]
+    yield " ".join(verdict_words(diagnose(session), {}, Advice()))
+
+
+def test_a_run_by_iso_230_2_has_one_scatter_before_and_after_its_reversal_is_in_the_model() -> None:
+    session = simulated("iso230_2", "backlash_x")
+    size = f"{1e6 * identify(session).error_map.content['scatter']['one_direction']:.3f} µm"
+    text = f"The readings of one direction agree within their declared uncertainty (scatter {size}"
+    every = list(told(session))
+    assert len(every) == 5 and all(text in one for one in every)
+    assert all(f"Readings repeated at one place scatter {size}" in every[k] for k in (1, 3))
+    assert "reversal error" in every[0] and "reversal error" not in every[2]
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        (0.5, "agree within their declared uncertainty (scatter 0.350 µm"),
+        (0.01, "agree nearly within their declared uncertainty (scatter 0.350 µm"),
+        (1e-9, "of one direction scatter 1.17 times their declared uncertainty (scatter 0.350 µm"),
+        (None, "scatter 6.67 times their declared uncertainty about the model (scatter 2.00 µm"),
+    ],
+)
+def test_a_run_is_judged_by_its_readings_of_one_direction(own: float | None, words: str) -> None:
+    scatter = {"declared": 3e-7, "found": 2e-6, "uncertainties_from": "scatter", "factor": 6.0}
+    if own is not None:
+        scatter |= {"one_direction": 3.5e-7, "one_direction_p_value": own}
+    content = {"scatter": scatter}
+    assert only_if_right(1e-12, content) is (own is None)
+    assert scatter_p_value(1e-12, content) == (own or 1e-12)
+    said = str(scatter_words(content, 1e-12))
+    assert words in said and ("reversal error" in said) is (own is not None)
+    assert "reversal" not in str(scatter_words({"scatter": scatter | {"found": 3.6e-7}}, 1e-12))
+    # A model that leaves less than one direction scatters, as it has what changed from run to run, is judged by that.
+    assert "scatter 0.250 µm" in str(scatter_words({"scatter": scatter | {"found": 2.5e-7}}, 0.5))
+
+
+def test_what_does_not_reproduce_has_a_bound_only_where_the_model_fits() -> None:
+    whole, lacking = (identify(simulated("tracking_2d", *effects)) for effects in ((), ("backlash_y",)))
+    assert any("at most" in words for words in spread_words(whole.document()))
+    assert only_if_right(lacking.joint.p_value, lacking.error_map.content)
+    assert not any("at most" in words for words in spread_words(lacking.document()))

@@ -166,18 +166,6 @@ def test_what_rounding_leaves_is_no_gross_error() -> None:
         assert find_outliers(session, lambda part: build_model(part)[0]) == []
 
 
-def test_two_readings_of_a_place_of_which_either_may_be_wrong() -> None:
-    plan = PRESETS["straightness"].model_copy(update={"repeats": 2})
-    session = simulate(SimulationSpec(plan=plan, seed=5)).session
-    readings = session.readings
-    change = np.zeros(len(readings))
-    change[4] = 3e-4
-    result = identify(session.with_readings(replace(readings, displacement=readings.displacement + change)))
-    same = np.flatnonzero(readings.columns["x"] == readings.columns["x"][4])
-    assert {r.row for r in result.rejected} == set(same.tolist())
-    assert all("two readings of one place differ by" in r.reason for r in result.rejected)
-
-
 def test_identify_names_what_it_does_not_use() -> None:
     session = simulate(SimulationSpec(plan=PLANS["tracking_3d"], seed=6)).session
     wrong, rows = with_gross_errors(session, 0.02, 7)

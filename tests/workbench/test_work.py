@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a window does with buttons and fields while something is calculated, and where that fails or is stopped."""
+"""What a window does with buttons and fields while something is calculated, and where that fails or is stopped.
+What `mtcal workbench` says before it serves anything.
+A calculation beside the page gives its outcome or its error, and is ended wherever it is.
+"""
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -12,13 +16,16 @@ import panel as pn
 import pytest
 from bokeh.document import Document
 
+from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.workbench import work
+from machine_tool_calibration.workbench.handed_over import left
 from machine_tool_calibration.workbench.live_feed import Feed
-from machine_tool_calibration.workbench.models import Progress
+from machine_tool_calibration.workbench.models import Progress, looked_ahead
 from machine_tool_calibration.workbench.page import _Window
-from machine_tool_calibration.workbench.state import Job
+from machine_tool_calibration.workbench.process import Calculation, FaultError, warm_up
+from machine_tool_calibration.workbench.state import Job, State
 
 pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 
@@ -126,3 +133,52 @@ def test_what_was_not_done_can_be_chosen_again(window: Any, document: Document, 
     for field, value in fields.items():
         answered(document, partial(setattr, field, "value", value))
         assert field.value == before[field], "one thing at a time"
+
+
+def test_without_its_libraries_it_says_what_to_install(
+    hidden: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("machine_tool_calibration.workbench")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "panel", None)
+    assert run(["workbench", "--no-browser", str(hidden)]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "pip install 'machine_tool_calibration[workbench]'" in said
+
+
+def test_a_measurement_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["workbench", "--no-browser", str(tmp_path / "nothing")]) == 1
+    assert "no such file or folder" in capsys.readouterr().err
+
+
+def test_beside_a_graph_no_measurement_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from machine_tool_calibration.workbench import server
+
+    asked: list[tuple[object, dict[str, object]]] = []
+    monkeypatch.setattr(server, "serve", lambda targets, *more, **named: asked.append((targets, named)))
+    assert run(["workbench", "--live", "--namespace", "cell_1", "--domain-id", "7", "--no-browser"]) == 0
+    ((targets, named),) = asked
+    assert targets == ()
+    assert {name: named[name] for name in ("live", "namespace", "domain")} == {
+        "live": True, "namespace": "cell_1", "domain": 7,
+    }  # fmt: skip
+
+
+def test_a_calculation_is_ended_and_its_errors_come_back(hidden: Path) -> None:
+    warm_up()
+    state = State()
+    state.opened(hidden)()
+    told: list[str] = []
+
+    def stop(what: str, share: float) -> None:
+        told.append(what)
+        ahead.end()
+
+    ahead = Calculation(partial(looked_ahead, state.subject, state.model))
+    with pytest.raises(CalibrationError, match="has ended"):
+        ahead.outcome(stop)
+    assert told == ["what is known now"]
+    with pytest.raises(CalibrationError, match="no format 'abacus'"):
+        Calculation(partial(left, state.subject, state.model, "abacus")).outcome(lambda what, share: None)
+    with pytest.raises(FaultError, match="AttributeError"):
+        Calculation(partial(left, state.subject, None, "csv")).outcome(lambda what, share: None)

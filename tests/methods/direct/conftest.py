@@ -2,16 +2,17 @@
 """Sessions of direct deviations, simulated or written down reading by reading."""
 
 from collections.abc import Mapping, Sequence
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from machine_tool_calibration.session.parse import describe
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
+
+from ...plates import session
 
 
 def measured(kind: str, seed: int = 0, machine: dict[str, Any] | None = None, **plan: Any) -> Simulated:
@@ -38,30 +39,9 @@ def written(
 ) -> Session:
     """A session from its readings."""
     at, g = np.asarray(position, float), np.asarray(direction, float)
-    n = len(at)
-    description = describe(
-        {
-            "format": "mtcal-session/1",
-            "method": "direct",
-            "machine": {"chain": chain},
-            "standard_uncertainty": {"displacement": sigma},
-            "datum": datum,
-            "terms": list(terms),
-            "setups": [{"id": name} for name in setups],
-        },
-        "session.yaml",
-    )
-    all_columns = {"x": at[:, 0], "y": at[:, 1], "z": at[:, 2], "gx": g[:, 0], "gy": g[:, 1], "gz": g[:, 2]}
-    all_columns |= {name: np.asarray(values, float) for name, values in (columns or {}).items()}
-    readings = Readings(
-        setup=np.zeros(n, np.int64) if setup is None else np.asarray(setup, np.int64),
-        repeat=np.zeros(n, np.int64) if repeat is None else repeat,
-        displacement=np.asarray(displacement, float),
-        columns=all_columns,
-        labels={},
-        row=np.arange(n),
-    )
-    return Session(description, readings, "session")
+    every = dict(zip(("x", "y", "z", "gx", "gy", "gz", "displacement"), (*at.T, *g.T, displacement), strict=True))
+    every |= columns or {}
+    return session(every, sigma, datum, terms, repeat, *setups, setup=setup, machine={"chain": chain})
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:
@@ -82,11 +62,3 @@ def fitted_out(values: np.ndarray, motions: np.ndarray) -> np.ndarray:
 def direct() -> SimpleNamespace:
     """The functions of this file."""
     return SimpleNamespace(measured=measured, written=written, rigid_motions=rigid_motions, fitted_out=fitted_out)
-
-
-@pytest.fixture(scope="session")
-def plates() -> ModuleType:
-    """The functions of plates.py."""
-    from . import plates as module
-
-    return module

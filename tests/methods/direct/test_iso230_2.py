@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of ISO 230-2:2014 and ISO 230-6:2002, against numbers worked out by hand."""
+"""The figures of ISO 230-2:2014 and ISO 230-6:2002, against numbers worked out by hand.
+Position errors against the truth: their size is as stated.
+"""
 
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +12,8 @@ import pytest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.iso230_2 import FIGURES, positioning, positioning_uncertainty
 from machine_tool_calibration.reports.identification import goodness_of_fit
+
+from ... import plates
 
 # Two positions, three runs up and three down, um.
 POSITION = np.repeat([0.0, 0.1], 6)
@@ -104,7 +109,7 @@ def test_other_measurements_are_no_such_run(direct: SimpleNamespace, kind: str) 
     assert "iso230_2" not in identify(direct.measured(kind, repeats=2).session).error_map.content
 
 
-def test_uncertainty_of_the_figures_is_that_of_repeated_tests(plates: ModuleType) -> None:
+def test_uncertainty_of_the_figures_is_that_of_repeated_tests() -> None:
     kept: dict[str, list[float]] = {}
     stated: dict[str, list[float]] = {}
     for seed in range(40):
@@ -119,12 +124,12 @@ def test_uncertainty_of_the_figures_is_that_of_repeated_tests(plates: ModuleType
     assert np.mean(stated["B_mean"]) == pytest.approx(2.0 * np.sqrt(2.0 / 55.0) * 5e-7, rel=0.1)
 
 
-def test_single_runs_have_no_uncertainty(plates: ModuleType) -> None:
+def test_single_runs_have_no_uncertainty() -> None:
     (run,) = identify(plates.axis(1, runs=1)).document()["error_map"]["iso230_2"]
     assert "B_U" not in run and run["B"] is not None
 
 
-def test_every_figure_has_an_uncertainty_and_the_single_runs_are_kept(plates: ModuleType) -> None:
+def test_every_figure_has_an_uncertainty_and_the_single_runs_are_kept() -> None:
     session = plates.axis(1)
     (run,) = identify(session).document()["error_map"]["iso230_2"]
     assert all(run[f"{name}_U"] > 0.0 for name in FIGURES)
@@ -171,3 +176,60 @@ def test_diagonals_by_hand(direct: SimpleNamespace) -> None:
     expected = {"E_D": 6e-6, "E_D_up": 4e-6, "E_D_down": 5e-6, "B_D": 2e-6}
     assert {name: test[name] for name in expected} == pytest.approx(expected)
     assert second["E"] == pytest.approx(3e-6)
+
+
+def _judged(direct: SimpleNamespace, kind: str, runs: int, **plan: Any) -> tuple[float, float, float]:
+    """Mean squared normalised error, RMS error over the stated one, and mean reduced chi-square."""
+    normalised, errors, stated, chi = [], [], [], []
+    for seed in range(runs):
+        simulated = direct.measured(kind, seed, **plan)
+        result = identify(simulated.session)
+        content = result.error_map.content
+        points = content["points"]
+        sensed = np.abs(result.fit.model.observations.direction).max(axis=0) > 0.5
+        error = (content["position_error"] - simulated.truth.machine.position_error(points))[:, sensed]
+        uncertainty = content["position_error_u"][:, sensed]
+        if simulated.session.description.datum == "rigid":
+            error = direct.fitted_out(error, direct.rigid_motions(points)[:, sensed])
+        elif simulated.session.description.datum == "offset":
+            error = error - error.mean()
+        there = uncertainty > 1e-12
+        normalised.append(np.mean((error[there] / uncertainty[there]) ** 2))
+        errors.append(np.mean(error**2))
+        stated.append(np.mean(uncertainty**2))
+        chi.append(result.fit.joint.reduced_chi_square)
+    return float(np.mean(normalised)), float(np.sqrt(np.mean(errors) / np.mean(stated))), float(np.mean(chi))
+
+
+@pytest.mark.parametrize(
+    ("kind", "plan"),
+    [("iso230_2", {"repeats": 3}), ("iso230_2", {"repeats": 3, "datum": "offset"}), ("straightness", {"repeats": 3})],
+)
+def test_lines_over_many_runs(direct: SimpleNamespace, kind: str, plan: dict[str, Any], many: Any) -> None:
+    normalised, ratio, chi = _judged(direct, kind, many.count, **plan)
+    assert normalised == pytest.approx(1.0, abs=many.off(0.1))
+    assert ratio < 1.0 + many.off(0.1)
+    assert chi == pytest.approx(1.0, abs=many.off(0.05))
+
+
+def test_grid_over_some_runs(direct: SimpleNamespace, many: Any) -> None:
+    some = many.part(0.6)
+    normalised, ratio, chi = _judged(direct, "grid_plate", some.count, misplacement=1e-5)
+    assert normalised == pytest.approx(1.0, abs=some.off(0.05))
+    assert ratio < 1.0 + some.off(0.05)
+    assert chi == pytest.approx(1.0, abs=some.off(0.025))
+
+
+def test_part_that_lies_milliradians_askew(direct: SimpleNamespace) -> None:
+    # The second order of the turn, 3 um over the plate, would pass for a scale.
+    side = np.linspace(0.0, 0.4, 6)
+    place = np.array([(x, y, 0.0) for y in side for x in side])
+    actual = place * (1.0 + 1e-5)
+    turn = 4e-3
+    c, s = np.cos(turn), np.sin(turn)
+    seen = actual @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T + [3e-4, -2e-4, 0.0]
+    reading = np.concatenate([(seen - place)[:, 0], (seen - place)[:, 1]])
+    g = np.concatenate([np.tile(np.eye(3)[0], (36, 1)), np.tile(np.eye(3)[1], (36, 1))])
+    session = direct.written(np.tile(place, (2, 1)), g, reading, datum="rigid")
+    (scale,) = (p for p in identify(session, effects=["scale"]).parameters if p.name == "scale.s")
+    assert scale.value == pytest.approx(1e-5, abs=5e-8)

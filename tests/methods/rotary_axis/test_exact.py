@@ -70,15 +70,6 @@ def test_axis_average_line_within_what_the_stations_allow(rotary: SimpleNamespac
     assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=more.off(0.134))
 
 
-def test_more_stations_and_targets(rotary: SimpleNamespace) -> None:
-    targets = {"P": (-0.1, 0.13, 0.0), "Q": (0.13, 0.09, 0.04), "K": (0.02, -0.11, 0.015), "R": (0.1, -0.1, 0.1)}
-    stations = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1), (0.2, -0.9, 0.9))
-    few = identify(rotary.measured(1).session).error_map.content
-    many = identify(rotary.measured(1, targets=targets, stations=stations).session).error_map.content
-    for name in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC"):
-        assert np.mean(many[f"{name}_u"]) < np.mean(few[f"{name}_u"])
-
-
 def test_stations_stated_wrong_by_centimetres_do_no_harm(rotary: SimpleNamespace) -> None:
     simulated = rotary.measured(2, noise_factor=0.0, station_uncertainty=0.03)
     stated = simulated.session.description.model_dump()

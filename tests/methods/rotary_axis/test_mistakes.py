@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common mistakes are named in one line; a bad fit alone is no mistake."""
+"""Common mistakes are named in one line; a bad fit alone is no mistake.
+What the readings do not determine is named, and everything else is given.
+"""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,10 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.rotary_axis.model import build
 from machine_tool_calibration.methods.rotary_axis.start import suppositions
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 
 # Enough to tell a mistake.
@@ -83,3 +87,84 @@ def test_repeats_that_number_the_readings(rotary: SimpleNamespace) -> None:
     numbered = session.with_readings(replace(session.readings, repeat=np.arange(len(session.readings))))
     with pytest.raises(ModelError, match="too few readings"):
         identify(numbered)
+
+
+def _without(session: Session, **labels: str) -> Session:
+    """The session without one target's readings."""
+    keep = np.flatnonzero(session.readings.labels["target"] != labels["target"])
+    return session.with_readings(session.readings.select(keep))
+
+
+def test_a_target_lost_at_two_angles(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(5, noise_factor=0.0, hidden={"P": (1.0, 1.5)})
+    result = identify(simulated.session)
+    content = result.error_map.content
+    angles = np.asarray(content["c"])
+    lost = (angles > 1.0) & (angles < 1.5)
+    assert lost.sum() == 2
+    value, uncertainty = rotary.found(content)
+    assert np.isnan(value[:, lost]).all() and np.isnan(uncertainty[:, lost]).all()
+    assert np.isfinite(value[:, ~lost]).all()
+    truth = np.where(lost, np.nan, rotary.true_motions(simulated, angles))
+    difference = rotary.without_datum(value, angles) - rotary.without_datum(truth, angles)
+    assert np.nanmax(np.abs(difference[:3])) < 3e-9
+    names = {entry.name: entry.why for entry in result.not_determined}
+    assert set(names) == {f"{motion}({angle:.6g})" for motion in rotary.motions() for angle in angles[lost]}
+    assert "only targets Q and K were read" in names[f"EXC({angles[lost][0]:.6g})"]
+    json.dumps(result.document(), allow_nan=False)
+
+
+def test_an_angle_at_which_every_reading_is_missing_stays_in_the_list(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(5).session
+    c = session.readings.columns["c"]
+    content = identify(session.without(c == np.unique(c)[4], as_lost=True)).error_map.content
+    assert len(content["c"]) == 18
+    assert np.isnan(content["EZC"][4]) and np.isfinite(np.delete(content["EZC"], 4)).all()
+
+
+def test_datum_reading_missing(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(6, noise_factor=0.0).session
+    result = identify(session.without(session.readings.row == 0, as_lost=True))
+    assert [entry.row for entry in result.rejected] == [0]
+    assert np.isfinite(result.error_map.content["EXC"]).all()
+
+
+def test_two_targets_name_all_six_and_still_give_their_own_displacements(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(7)
+    result = identify(_without(simulated.session, target="K"))
+    value, _ = rotary.found(result.error_map.content)
+    assert np.isnan(value).all()
+    assert [entry.name for entry in result.not_determined] == rotary.motions()
+    assert all("P and Q" in entry.why for entry in result.not_determined)
+    error = result.error_map.content["position_error"].reshape(18, 3, 3)
+    assert np.isfinite(error[:, :2]).all()
+    assert np.isnan(error[:, 2]).all()  # the third target was not there
+
+
+def test_too_few_angles_say_so_in_one_line(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(8, angles=(0.0, 2.0, 4.0)).session
+    with pytest.raises(ModelError, match="too few readings: 36 for 36 unknowns") as caught:
+        identify(session)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_target_that_one_station_never_sees(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(9, noise_factor=0.0, repeats=2)
+    readings = simulated.session.readings
+    gone = (readings.labels["target"] == "Q") & (readings.setup == 1)
+    result = identify(simulated.session.with_readings(readings.select(np.flatnonzero(~gone))))
+    assert not result.not_determined
+    angles = np.asarray(result.error_map.content["c"])
+    value, _ = rotary.found(result.error_map.content)
+    truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
+    assert np.abs(rotary.without_datum(value, angles) - truth)[:3].max() < 5e-9
+    assert len([p for p in result.parameters if p.name.endswith("dead_path")]) == 2 * 11
+
+
+def test_two_targets_from_three_stations_are_not_enough(rotary: SimpleNamespace) -> None:
+    """However many angles: the places of the stations stay open."""
+    session = _without(rotary.measured(5).session, target="K")
+    check_session(session)
+    three = session.with_readings(session.readings.select(session.readings.setup != 1))
+    with pytest.raises(SessionError, match="two targets from 3 stations leave the places of the stations open"):
+        check_session(three)

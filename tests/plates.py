@@ -2,55 +2,51 @@
 """Plates and axes as workshops measure them: places computed point by point, with none of the estimator's columns."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["axis", "plate", "with_columns"]
+__all__ = ["axis", "plate", "session", "with_columns"]
 
 
 def session(
-    columns: Mapping[str, np.ndarray], declared: float, datum: str, terms: Sequence[str], repeat: np.ndarray, name: str
+    columns: Mapping[str, Any],
+    declared: float,
+    datum: str = "none",
+    terms: Sequence[str] = (),
+    repeat: np.ndarray | None = None,
+    *names: str,
+    setup: Sequence[int] | None = None,
+    **said: Any,
 ) -> Session:
-    """One setup."""
-    description = describe(
-        {
-            "format": "mtcal-session/1",
-            "method": "direct",
-            "machine": {"chain": "w-Y-X-b-Z-t"},
-            "standard_uncertainty": {"displacement": declared},
-            "datum": datum,
-            "terms": list(terms),
-            "setups": [{"id": name}],
-        },
-        "session.yaml",
-    )
-    n = len(repeat)
+    """Direct deviations from their columns, `displacement` among them; keys of the description may be said."""
+    description = {
+        "format": "mtcal-session/1", "method": "direct", "machine": {"chain": "w-Y-X-b-Z-t"}, "datum": datum,
+        "standard_uncertainty": {"displacement": declared}, "terms": list(terms),
+        "setups": [{"id": name} for name in names or ("A",)],
+    }  # fmt: skip
+    values = {key: np.array(column, float) for key, column in columns.items()}
+    row = np.arange(len(values["displacement"]))
     readings = Readings(
-        setup=np.zeros(n, np.int64),
-        repeat=repeat.astype(np.int64),
-        displacement=columns["displacement"],
-        columns={key: np.asarray(v, float) for key, v in columns.items() if key != "displacement"},
+        setup=0 * row if setup is None else np.asarray(setup, np.int64),
+        repeat=0 * row if repeat is None else repeat.astype(np.int64),
+        displacement=values.pop("displacement"),
+        columns=values,
         labels={},
-        row=np.arange(n),
+        row=row,
     )
-    return Session(description, readings, "session")
+    return Session(describe(description | said, "session.yaml"), readings, "session")
 
 
 def with_columns(measured: Session, displacement: np.ndarray | None = None, **columns: np.ndarray) -> Session:
     """The same with other readings or columns."""
     old = measured.readings
-    new = Readings(
-        old.setup,
-        old.repeat,
-        old.displacement if displacement is None else displacement,
-        {**old.columns, **columns},
-        old.labels,
-        old.row,
-    )
-    return measured.with_readings(new)
+    new = old.displacement if displacement is None else displacement
+    return measured.with_readings(replace(old, displacement=new, columns={**old.columns, **columns}))
 
 
 def _scatter(rng: np.random.Generator, shape: tuple[int, ...], size: float, tails: float | None) -> np.ndarray:

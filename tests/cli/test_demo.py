@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a demonstration says of its map and the truth."""
+"""What a demonstration hides is found by its own measurement, and what it says of its map and the truth."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.cli.demo import _HIDDEN, COMPARED, error_against_truth, map_error
+from machine_tool_calibration.cli.demo import _HIDDEN, COMPARED, _hidden, error_against_truth, map_error
+from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.site import Site, SiteSpec
@@ -63,3 +64,20 @@ def test_points_without_a_value_are_left_out() -> None:
     found = np.zeros((9, 2))
     found[3] = np.nan
     assert len(map_error(points, found, np.zeros((9, 2)), np.ones((1, 9, 2))).difference) == 8
+
+
+_PLANS = {"step_diagonal": "step_diagonal", "direct": "iso230_2"}
+
+
+def test_every_method_hides_something() -> None:
+    for method in _HIDDEN:
+        hidden = _hidden(method, 5, None)
+        assert hidden is not None and hidden == _hidden(method, 5, None)
+        assert _hidden(method, 5, "none") is None
+
+
+@pytest.mark.parametrize("method", _PLANS)
+def test_the_smallest_size_is_found(method: str) -> None:
+    for name, (smallest, _) in _HIDDEN[method].items():
+        spec = SimulationSpec(plan=PRESETS[_PLANS[method]], seed=2, effects=(FlawSpec(id=name, size=smallest),))
+        assert diagnose(simulate(spec).session).accepted == (name,)
