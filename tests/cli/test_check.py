@@ -58,3 +58,21 @@ def test_a_session_and_a_result_document_do_as_well(months: Path, verb: Verb, tm
     assert "was made from" in verb.refused("check", months / "1", months / "1")
     (tmp_path / "no.json").write_text('{"format": "mtcal-diagnosis/1"}')
     assert "no result document" in verb.refused("check", tmp_path / "no.json", months / "2")
+
+
+def test_a_history_gives_model_and_effects(months: Path, verb: Verb, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("before", "after")]
+    for seed, folder in enumerate(folders):
+        spec = SimulationSpec(
+            plan=PRESETS["iso230_2"], seed=seed + 11, machine=MachineSpec(seed=7),
+            effects=(FlawSpec(id="backlash_x", size=4e-6),),
+        )  # fmt: skip
+        write_session(simulate(spec).session, folder)
+    assert "no model was tried yet" in verb.refused("check", *folders, "--from-history")
+    verb("improve", folders[0])
+    for pair in (folders, folders[::-1]):
+        found = verb("check", *pair, "--from-history", "--json").document
+        assert found["holds"]
+        assert "backlash_x.b" in {one["name"] for one in found["changes"]}
+    told = verb("check", *folders, "--from-history", "--effect", "scale_x", status=2)
+    assert "--from-history is without" in told.err

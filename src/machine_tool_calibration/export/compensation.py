@@ -4,11 +4,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.export import read_tables, remarks, write_tables
 from machine_tool_calibration.export.error_states import ErrorStates, error_states
 from machine_tool_calibration.export.preview import ResidualError, ResidualErrors, residual_errors, summary
+from machine_tool_calibration.export.rotary import rotary_tables
 from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTables, axis_tables
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
@@ -60,8 +63,14 @@ class Compensation:
 
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
     """What can be compensated of the errors that were identified; `source` is its name in the files' heads."""
-    states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
-    return Compensation(axis_tables(result), states, source, result.provenance, result.variance_added is not None)
+    effects, complete = find_effects(result.effects, own), result.variance_added is not None
+    if (turned := rotary_tables(result)) is not None:
+        # What effects of the table do beside it is no matter of the axis's table.
+        names = tuple(effect.id for effect in effects if effect.kind == "position")
+        states = ErrorStates(result.error_map, np.zeros_like(result.error_map.points), names)
+        return Compensation(turned, states, source, result.provenance, complete)
+    states = error_states(result.error_map, result.joint.fits, effects)
+    return Compensation(axis_tables(result), states, source, result.provenance, complete)
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:
