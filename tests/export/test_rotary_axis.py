@@ -61,7 +61,8 @@ def test_a_file_holds_how_far_the_axis_goes_in_its_own_sense(axis: str, sign: in
 def test_little_is_left_of_an_axis_with_this_error_alone(form: str) -> None:
     made = compensation(turned("C", -1), "r").exported(form)
     length = made.left[-1]
-    assert length.rms_after < 0.02 * length.rms_before and not made.worse
+    left = HALF / np.hypot(HALF, SIZE / np.sqrt(2.0)) if form == "siemens" else 0.0
+    assert length.rms_after / length.rms_before == pytest.approx(left, abs=0.02) and not made.worse
     assert ("backlash_c" in made.absent) == (form == "siemens")
 
 

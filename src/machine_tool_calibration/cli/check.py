@@ -35,8 +35,8 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     MAP is a logbook (the last entry of the machine before SESSION counts), a session or recording, or a result document
     (`result.json` of `mtcal identify -o`, without correlations). SESSION is identified by the same model as MAP, unless
     another one is asked for; with --from-history MAP's is that of its history, or where it has none of SESSION's, and
-    readings that either history sets aside are left out. Error motions, squareness, reversal, effects and the position errors are compared one by
-    one; p-values are adjusted for their number (Holm).
+    readings that either history sets aside are left out. Error motions, squareness, reversal, effects and the position
+    errors are compared one by one; p-values are adjusted for their number (Holm).
 
     \b
     mtcal check mill.logbook june

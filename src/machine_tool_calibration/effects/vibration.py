@@ -29,7 +29,8 @@ class Vibration(AxisEffect):
     kind = "position"
     source = "ISO 230-4:2005, Annex B"
     shapes = (Shape("frequency", "Hz", 1e-3, 1e4, meaning=say("coefficient.frequency"), step=1e-7),)
-    needs = ("{axis}", "time")
+    # of a bar on the move: at rest each reading is a mean over its dwell
+    needs = ("{axis}", "time", "feed")
     methods = ("ball_bar",)
     chain = moves = "{AXIS}"
     setup_level = True

@@ -4,8 +4,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.export import read_tables, remarks, write_tables
@@ -65,10 +63,8 @@ def compensation(result: Result | JointResult, source: str, own: Sequence[Effect
     """What can be compensated of the errors that were identified; `source` is its name in the files' heads."""
     effects, complete = find_effects(result.effects, own), result.variance_added is not None
     if (turned := rotary_tables(result)) is not None:
-        # What effects of the table do beside it is no matter of the axis's table.
-        names = tuple(effect.id for effect in effects if effect.kind == "position")
-        states = ErrorStates(result.error_map, np.zeros_like(result.error_map.points), names)
-        return Compensation(turned, states, source, result.provenance, complete)
+        own_states = turned.states(result.error_map, effects)
+        return Compensation(turned, own_states, source, result.provenance, complete)
     states = error_states(result.error_map, result.joint.fits, effects)
     return Compensation(axis_tables(result), states, source, result.provenance, complete)
 

@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import axis_direction
+from machine_tool_calibration.effects.effect import Effect, axis_direction
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.export.error_states import ErrorStates
 from machine_tool_calibration.export.linuxcnc import MOST_LINES
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import NotDetermined
-from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.model.result import ErrorMap, Result
 
 # Longest step between angles that a turn may have where it is closed, over the usual one.
 _CLOSED = 1.5
@@ -43,10 +44,33 @@ class RotaryTables(AxisTables):
         return self.tables[0]
 
     def field(self, points: Array, directions: Array | None = None) -> Array:
-        """(n, 3) by which the targets at the points of the map are off, m."""
+        """(n, 3) by which the targets at the points of the map, in its `states`, are off, m.
+
+        Directions hold the sense of the axis's last move, or 0, in their first column.
+        """
         assert self.angle is not None
-        turned = np.interp(self.angle, self.table.nodes, self.table.value, period=2.0 * np.pi) * self.sign
-        return np.asarray(turned[:, None] * np.cross(axis_direction(self.table.axis), points))
+        turned = np.interp(self.angle, self.table.nodes, self.table.value, period=2.0 * np.pi)
+        turned = np.resize(turned, len(points))
+        if directions is not None:
+            turned -= self.backlash.get(self.table.axis, (0.0, 0.0))[0] * directions[:, 0]
+        return np.asarray(self.sign * turned[:, None] * np.cross(axis_direction(self.table.axis), points))
+
+    def states(self, error_map: ErrorMap, effects: Sequence[Effect]) -> ErrorStates:
+        """The map, with a backlash once for each sense of the axis; what other effects do there is not in it."""
+        names = tuple(effect.id for effect in effects if effect.kind == "position")
+        sense = (1.0, -1.0) if self.backlash else (0.0,)
+        points = np.tile(error_map.points, (len(sense), 1))
+        moved = np.zeros_like(points)
+        moved[:, 0] = np.repeat(sense, len(error_map.points))
+        lost = self.field(points, moved) - self.field(points)
+        whole = replace(
+            error_map,
+            points=points,
+            error=np.tile(error_map.error, (len(sense), 1)) + lost,
+            uncertainty=np.tile(error_map.uncertainty, (len(sense), 1)),
+            covariance=None,
+        )
+        return ErrorStates(whole, moved, names)
 
 
 def rotary_tables(result: Result | JointResult) -> RotaryTables | None:
