@@ -182,3 +182,9 @@ def test_an_effect_is_told_whether_it_is_there_or_not(size: float) -> None:
 def test_parts_hold_whole_setups_in_the_order_of_the_readings(session: Session) -> None:
     sizes = [len(part.readings) for part in parts(session)]
     assert sizes == np.cumsum(np.bincount(session.readings.setup)).tolist()
+
+
+@pytest.mark.parametrize("until", ["U=2um", "told=backlash_y"])
+def test_a_model_that_there_is_not_is_no_matter_of_too_few_readings(session: Session, until: str) -> None:
+    with pytest.raises(ModelError, match="has no model 'fre'"):
+        next(after_each_setup(FitRequest((session,), model="fre"), Until.parse(until)))

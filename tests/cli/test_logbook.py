@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`mtcal logbook`, `trend`, `check` and `fleet`: sessions are entered once, followed, and judged."""
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -150,3 +153,41 @@ def test_what_does_not_go_together_is_refused(measurements: Path, tmp_path: Path
     assert "--keep" in verb("fleet", tmp_path / "book", measurements, "--keep", "1", status=2).err
     assert "no such logbook" in verb.refused("fleet", tmp_path / "book")
     assert "no session" in verb.refused("fleet", tmp_path / "book", tmp_path)
+
+
+def test_a_history_gives_model_and_effects(months: Path, verb: Verb, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("before", "after")]
+    for seed, folder in enumerate(folders):
+        spec = SimulationSpec(
+            plan=PRESETS["iso230_2"], seed=seed + 11, machine=MachineSpec(seed=7),
+            effects=(FlawSpec(id="backlash_x", size=4e-6),),
+        )  # fmt: skip
+        write_session(simulate(spec).session, folder)
+    assert "no model was tried yet" in verb.refused("check", *folders, "--from-history")
+    verb("improve", folders[0])
+    for pair in (folders, folders[::-1]):
+        found = verb("check", *pair, "--from-history", "--json").document
+        assert found["holds"]
+        assert "backlash_x.b" in {one["name"] for one in found["changes"]}
+    told = verb("check", *folders, "--from-history", "--effect", "scale_x", status=2)
+    assert "--from-history is without" in told.err
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda found: found["error_map"]["points"].pop(),
+        lambda found: found["error_map"]["position_error"][3].pop(),
+        lambda found: found["error_map"]["position_error"][3].__setitem__(0, "two"),
+        lambda found: found["parameters"].append([1.0]),
+        lambda found: found["provenance"].pop("sessions"),
+        lambda found: found.update(effects=None),
+    ],
+)
+def test_a_damaged_result_document(
+    months: Path, verb: Verb, tmp_path: Path, damage: Callable[[dict[str, Any]], object]
+) -> None:
+    document = verb("identify", months / "1", "--json").document
+    damage(document)
+    (tmp_path / "result.json").write_text(json.dumps(document), encoding="utf-8")
+    assert "result.json: is damaged" in verb.refused("check", tmp_path / "result.json", months / "2")

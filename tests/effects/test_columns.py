@@ -158,7 +158,7 @@ def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float]
         share = np.linspace(0.0, 1.0, 201)
         play = size * np.cos(0.5 * np.pi * (share - more["where"])) ** 2
         known = {f"b{k}": b for k, b in enumerate(np.polynomial.legendre.legfit(2 * share - 1, play, 12))}
-    shape = tuple(more[key] for key in ("tau", "lead", "reach") if key in more)
+    shape = tuple(more[key] for key in ("tau", "lead", "reach", "frequency") if key in more)
     return known, (float(max(more["orders"])),) if "orders" in more else shape
 
 
@@ -194,9 +194,10 @@ def test_columns_are_what_exact_geometry_does(name: str) -> None:
         if plan == "step_diagonal":
             # The beam is aligned on the diagonal that the machine really runs.
             free += [catalogue()["mirror_misalignment"].columns(observations)]
-        if (name in ERROR_MOTIONS and plan in ("iso230_2", "straightness")) or name == "mirror_misalignment":
+        of_motion = name in ERROR_MOTIONS and plan in ("iso230_2", "straightness")
+        if of_motion or name == "mirror_misalignment" or name.startswith("vibration"):
             # Coefficients of a basis of its own: the columns span what happens.
-            free += [catalogue()[name].columns(observations)]
+            free += [catalogue()[name].columns(observations, coefficients(name, plan, chosen)[1])]
         if free:
             columns = np.array([since_first(column, truth.datum) for column in np.concatenate(free)]).T
             left = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-9)[0]

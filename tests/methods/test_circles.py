@@ -180,6 +180,27 @@ def test_of_a_servo_mismatch_one_plane_does_not_tell_which_axis_is_late() -> Non
     assert len({"servo_mismatch_x", "servo_mismatch_y"} & set(accepted)) == 1
 
 
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_a_vibration_is_told_from_a_wave_of_the_screw(repeats: int) -> None:
+    size, frequency = 0.4e-6, 0.37
+    plan = PRESETS["ball_bar"].model_copy(update={"repeats": repeats})
+    flaws = (FlawSpec(id="vibration_y", size=size, parameters={"frequency": frequency}),)
+    session = simulate(SimulationSpec(plan=plan, seed=3, effects=flaws)).session
+    assert diagnose(session).accepted == ("vibration_y",)
+    values = found(identify(session, effects=["vibration_y"]))
+    value, u = values["vibration_y.frequency"]
+    assert abs(value - frequency) < 4.0 * u < 1e-3
+    # Every circle has an amplitude of its own, which is the same here.
+    for run in range(1, 4 * repeats + 1):
+        (s, u_s), (c, u_c) = (values[f"vibration_y.{part}{run}"] for part in "sc")
+        assert abs(np.hypot(s, c) - size) < 4.0 * max(u_s, u_c) < 2e-7
+
+
+def test_without_times_no_vibration_is_looked_for() -> None:
+    excluded = diagnose(Circles("XY").session()).excluded
+    assert "time was not recorded" in excluded["vibration_x"]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

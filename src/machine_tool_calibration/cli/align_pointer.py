@@ -21,6 +21,9 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
     observations.csv. Where the beam turns and the retroreflector stands still near the axis, it gives the centre; where
     the beam is held across Y and the retroreflector moves along Y, the zero angle. One of each may be given.
 
+    For the centre the beam turns by half a turn or more and is read more than 13 times, at 13 azimuths or more (at
+    fewer, once more often than there are); the zero angle takes three places along Y. A further run takes one more.
+
     \b
     mtcal align-pointer turn.csv --machine 5um
     mtcal align-pointer turn.csv along_y.csv --setup B

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, new_model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.logbook import machine_option
 from machine_tool_calibration.cli.output import PATH, Report, json_option, progress_bar, seed_option, tell
 from machine_tool_calibration.errors import CalibrationError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.argument("earlier", metavar="MAP", type=PATH)
 @click.argument("measurement", metavar="SESSION", type=PATH)
 @machine_option
-@new_model_options
+@model_options
 @seed_option
 @json_option
 def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wanted, seed: int, as_json: bool) -> None:
@@ -34,20 +34,23 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
 
     MAP is a logbook (the last entry of the machine before SESSION counts), a session or recording, or a result document
     (`result.json` of `mtcal identify -o`, without correlations). SESSION is identified by the same model as MAP, unless
-    another one is asked for. Error motions, squareness, reversal, effects and the position errors are compared one by
-    one; p-values are adjusted for their number (Holm).
+    another one is asked for; with --from-history MAP's is that of its history, or where it has none of SESSION's, and
+    readings that either history sets aside are left out. Error motions, squareness, reversal, effects and the position
+    errors are compared one by one; p-values are adjusted for their number (Holm).
 
     \b
     mtcal check mill.logbook june
     mtcal check january/result.json june
     mtcal check january june --model rigid_body --json
+    mtcal check january june --from-history
     """
     from machine_tool_calibration.interface.trends import Check
     from machine_tool_calibration.trends.check import check
     from machine_tool_calibration.trends.logbook import Logbook, is_logbook
     from machine_tool_calibration.trends.statement import of_result
 
-    asked = wanted.open([measurement]).chosen
+    tried = wanted.tried([earlier, measurement])
+    asked = replace(wanted, from_history=tried[1]).open([measurement]).chosen
     history: list[Statement] = []
     with progress_bar() as progress:
         state = partial(_stated, seed=seed, progress=progress)
@@ -63,9 +66,12 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
             first = of_result(document, str(earlier))
             base = replace(asked, model=first.model, effects=first.effects)
         else:
-            base = wanted.open([earlier]).chosen
+            base = replace(wanted, from_history=tried[0]).open([earlier]).chosen
+            if tried[1] and not tried[0]:
+                base = replace(base, model=asked.model, effects=asked.effects, own=asked.own)
             first = state(base, str(earlier))
         asked = replace(asked, model=wanted.model or base.model, effects=wanted.effects or base.effects)
+        asked = replace(asked, own=base.own) if tried[0] else asked
         now = state(asked, str(measurement))
         answer = Check.of(check(first, now, history))
     tell(answer, as_json)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options, no_model
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.output import (
     PATH,
     PictureFile,
@@ -72,11 +72,8 @@ def _measured(wanted: Wanted, paths: Sequence[Path]) -> list[Measured]:
     history, knows the model, or can have an effect.
     """
     from machine_tool_calibration.effects.catalogue import find_effects
-    from machine_tool_calibration.reports.history_file import history_path, read_history
 
-    tried = [wanted.from_history and read_history(history_path(path)).in_use is not None for path in paths]
-    if wanted.from_history and not any(tried):
-        raise no_model(paths)
+    tried = wanted.tried(paths)
     if wanted.from_history:
         out = [replace(wanted, from_history=own).open([path]) for path, own in zip(paths, tried, strict=True)]
         for path, own in zip(paths, tried, strict=True):

@@ -62,6 +62,15 @@ class Wanted:
         chosen = entry.request(sessions, labels, [fingerprint(session) for session in sessions], own)
         return Measured(sessions, chosen, history.way_to(entry.number))
 
+    def tried(self, paths: Sequence[Path]) -> list[bool]:
+        """Of which measurements the history is asked for, and has a model; a CalibrationError if none that is asked."""
+        from machine_tool_calibration.reports.history_file import history_path, read_history
+
+        out = [self.from_history and read_history(history_path(path)).in_use is not None for path in paths]
+        if self.from_history and not any(out):
+            raise no_model(paths)
+        return out
+
     def fit(
         self,
         paths: Sequence[Path],

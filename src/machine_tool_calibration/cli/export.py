@@ -60,6 +60,7 @@ mtcal export session --format siemens --plot  SINUMERIK 840D: positioning, strai
 mtcal export session --format fanuc           pitch error data and parameters 3620 to 3624; positioning errors only
 mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
 mtcal export bag --format etalon              the same, Etalon Exchange
+mtcal export table --format siemens           a rotary axis: its positioning error (linuxcnc, siemens, csv, json)
 mtcal export x_axis plate --format json       two sessions together
 mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
 """

@@ -34,6 +34,7 @@ from machine_tool_calibration.effects.station_drift import StationDrift
 from machine_tool_calibration.effects.table_thermal_growth import TableThermalGrowth
 from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
 from machine_tool_calibration.effects.thermal_lag import ThermalLag
+from machine_tool_calibration.effects.vibration import Vibration
 from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.effects.workpiece_thermal import WorkpieceThermal
 from machine_tool_calibration.errors import ModelError, did_you_mean
@@ -46,7 +47,7 @@ _MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZ" for component in "XYZAB
 # The effects in their order, with the axes or errors of axes of which there is one each.
 _BUILT_IN: tuple[tuple[type[AxisEffect], Iterable[str]] | type[Effect], ...] = (
     (Backlash, "xyz"), (RotaryBacklash, "abc"), (LostMotion, "xyz"),
-    (Reversal, REVERSALS), (ReversalSpike, "xyz"), (ServoMismatch, "xyz"),
+    (Reversal, REVERSALS), (ReversalSpike, "xyz"), (ServoMismatch, "xyz"), (Vibration, "xyz"),
     (ThermalExpansion, "xyz"), (ThermalLag, "xyz"), (Warmup, "xyz"),
     (ScrewGrowth, "xyz"),
     (PitchPeriodic, "xyz"),

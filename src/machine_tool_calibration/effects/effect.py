@@ -34,6 +34,7 @@ class Coefficient:
 class Shape(Coefficient):
     """A coefficient that enters nonlinearly: a time constant, a lead."""
 
+    step: float = 1e-4  # share of its value over which slopes are taken
     discrete: bool = False  # whether it is chosen from a list, such as a number of harmonics, and has no uncertainty
 
 
@@ -109,6 +110,10 @@ class Effect(ABC):
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Values of the nonlinear coefficients from which a search starts; one empty tuple without any."""
         return [()]
+
+    def equally(self, observations: Observations) -> int:
+        """How many values of the nonlinear coefficients are as probable, where the grid leaves some out; 0: those."""
+        return 0
 
     @abstractmethod
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

@@ -31,7 +31,6 @@ def displacement_field(
     return np.stack([evaluate(look) for look in looks], axis=-1)
 
 
-_STEP = 1e-4
 # Share of a column's squared norm outside the model below which the model takes it up.
 ABSORBED = 1e-7
 # Share of a column's squared norm outside model and other effects below which it repeats them.
@@ -61,7 +60,7 @@ def effect_term(
         for j, coefficient in enumerate(effect.shapes_for(observations)):
             if coefficient.discrete:
                 continue
-            step = _STEP * shape[j]
+            step = coefficient.step * shape[j]
             up, down = list(shape), list(shape)
             up[j] += step
             down[j] -= step

@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export import fanuc, linuxcnc, si_tables, siemens, twincat
+from machine_tool_calibration.export import fanuc, linuxcnc, rotary, si_tables, siemens, twincat
+from machine_tool_calibration.export.rotary import RotaryTables
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["FORMATS", "read_tables", "remarks", "write_tables"]
@@ -33,7 +34,8 @@ def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
     `source` says for their heads which measurement it is; in further lines, what else is known of it. A
     CalibrationError says that there is no such format, or that it cannot hold these tables.
     """
-    return _format(form)[0](tables, source)
+    own = _format(form)
+    return rotary.write(form, tables, source) if isinstance(tables, RotaryTables) else own[0](tables, source)
 
 
 def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
@@ -41,11 +43,14 @@ def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> Axis
 
     `tables` give the chain and the words, which no controller reads. A CalibrationError if there is no such format.
     """
-    return _format(form)[1](files, tables)
+    own = _format(form)
+    return rotary.read(form, files, tables) if isinstance(tables, RotaryTables) else own[1](files, tables)
 
 
 def remarks(form: str, tables: AxisTables) -> list[str]:
     """What whoever loads the files would find otherwise; none where a format has no such traps."""
+    if isinstance(tables, RotaryTables):
+        return rotary.remarks(form, tables)
     return linuxcnc.remarks(tables) if form.startswith("linuxcnc") else []
 
 

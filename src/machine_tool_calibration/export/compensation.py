@@ -9,6 +9,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.export import read_tables, remarks, write_tables
 from machine_tool_calibration.export.error_states import ErrorStates, error_states
 from machine_tool_calibration.export.preview import ResidualError, ResidualErrors, residual_errors, summary
+from machine_tool_calibration.export.rotary import rotary_tables
 from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTables, axis_tables
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
@@ -60,8 +61,12 @@ class Compensation:
 
 def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
     """What can be compensated of the errors that were identified; `source` is its name in the files' heads."""
-    states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
-    return Compensation(axis_tables(result), states, source, result.provenance, result.variance_added is not None)
+    effects, complete = find_effects(result.effects, own), result.variance_added is not None
+    if (turned := rotary_tables(result)) is not None:
+        own_states = turned.states(result.error_map, effects)
+        return Compensation(turned, own_states, source, result.provenance, complete)
+    states = error_states(result.error_map, result.joint.fits, effects)
+    return Compensation(axis_tables(result), states, source, result.provenance, complete)
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:

@@ -6,8 +6,9 @@ of the machine. It is fitted to the differences of the points that both have and
 held against its own uncertainty, in which the fitted motion is contained.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -209,7 +210,8 @@ def compare_fits(
     The uncertainties are carried over to the common datum by `draws`; each is told to 1 / sqrt(2 draws). A
     ModelError says that no point, or no direction at any, is in both maps.
     """
-    pairs = common_points(first.error_map.points, second.error_map.points)
+    maps = first.error_map, second.error_map
+    pairs = common_points(*(states(own.points, own.content) for own in maps))
     if not len(pairs[0]):
         raise ModelError(
             "the maps have no point in common: measure at the same commanded positions, or take a model whose map "
@@ -227,10 +229,19 @@ def compare_fits(
     return compare_maps(points, one, two, (own[0], own[1]), draws, labels)
 
 
+def states(points: Array, content: Mapping[str, Any]) -> Array:
+    """(n, 3) points of a map, m; with the sense of approach (n, 6) where a place is there once for each."""
+    approach = np.asarray(content.get("approach", ()), dtype=float)
+    several = len(np.unique(np.round(points / _SAME_POINT), axis=0)) < len(points)
+    return np.concatenate([points, approach], axis=1) if several and approach.shape == points.shape else points
+
+
 def common_points(first: Array, second: Array) -> tuple[IntArray, IntArray]:
-    """Numbers of the points, (n, 3) m, that are in both maps, in the first one's order; each once."""
+    """Numbers of the `states` that are in both maps, in the first one's order; each once."""
     from scipy.spatial import cKDTree
 
+    width = min(first.shape[1], second.shape[1])
+    first, second = first[:, :width], second[:, :width]
     found = cKDTree(second).query(first, distance_upper_bound=_SAME_POINT)
     distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     mine = np.flatnonzero(np.isfinite(distance))

@@ -22,14 +22,15 @@ _HALF_ARC = np.radians(110.0)
 
 
 class CirclePlan(Plan):
-    """Circles in one or more planes, counter-clockwise and clockwise in every repeat."""
+    """Circles in one or more planes, at one or more feeds, counter-clockwise and clockwise in every repeat."""
 
     method: Literal["ball_bar"] = "ball_bar"
-    planes: Annotated[tuple[Literal["XY", "YZ", "ZX"], ...], Field(min_length=1)] = ("XY",)  # a setup each
+    planes: Annotated[tuple[Literal["XY", "YZ", "ZX"], ...], Field(min_length=1)] = ("XY",)
     centre: Vector3 = (0.25, 0.2, 0.15)  # where all circles have their centre, m
     radius: Positive = 0.15  # nominal length of the bar, m
     count: Annotated[int, Field(ge=8, le=100_000)] = 180  # readings of a circle
-    feed: Positive = 1.0 / 60.0  # path speed, m/s
+    # path speeds, m/s: as in production, and slow, where a servo hardly lags; each is a setup in every plane
+    feeds: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0 / 60.0, 0.3 / 60.0)
     # in planes with Z the bar clears the table over 220 degrees only (`upper`), or all round (`whole`)
     arc: Literal["upper", "whole"] = "upper"
     centring: NotNegative = 2e-5  # the centre is off by this (standard deviation per coordinate), m
@@ -41,6 +42,8 @@ class CirclePlan(Plan):
     def _check(self) -> CirclePlan:
         if len(set(self.planes)) < len(self.planes):
             raise ValueError("planes names one twice")
+        if len(set(self.feeds)) < len(self.feeds):
+            raise ValueError("feeds names one twice")
         return self
 
     def travel(self) -> dict[str, tuple[float, float]]:
@@ -61,32 +64,35 @@ class CirclePlan(Plan):
         return np.asarray(upwards + np.linspace(-_HALF_ARC, _HALF_ARC, self.count))
 
     def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
-        """The measurement of a plan: plane by plane, in every repeat once each way round."""
+        """The measurement of a plan: plane by plane and feed by feed, in every repeat once each way round."""
+        setups = [(plane, feed) for plane in self.planes for feed in self.feeds]
         circles = [
             (s, repeat, sense, self.angles(plane)[:: int(sense)])
-            for s, plane in enumerate(self.planes)
+            for s, (plane, _) in enumerate(setups)
             for repeat in range(self.repeats)
             for sense in (1.0, -1.0)
         ]
         size = [len(angle) for *_, angle in circles]
         setup, repeat = (np.repeat([c[k] for c in circles], size) for k in (0, 1))
         sense, angle = np.repeat([c[2] for c in circles], size), np.concatenate([c[3] for c in circles])
-        axes = np.array([["XYZ".index(a) for a in plane] for plane in self.planes])[setup]
+        # The bar stays where it is from feed to feed of one plane.
+        mounting, feed = setup // len(self.feeds), np.array([feed for _, feed in setups])[setup]
+        axes = np.array([["XYZ".index(a) for a in plane] for plane in self.planes])[mounting]
         arm, way = np.zeros((2, len(setup), 3))
         np.put_along_axis(arm, axes, self.radius * np.column_stack([np.cos(angle), np.sin(angle)]), axis=1)
         np.put_along_axis(way, axes, np.column_stack([-np.sin(angle), np.cos(angle)]) * sense[:, None], axis=1)
         centre = np.asarray(self.centre)
         position = centre + arm
         # Every circle is begun while the bar moves already, and the other way round follows after an interval.
-        interval = [self.radius * abs(a[1] - a[0]) / self.feed for *_, a in circles]
+        interval = [self.radius * abs(a[1] - a[0]) / setups[s][1] for s, *_, a in circles]
         begun = np.cumsum([0.0, *(k * step + self.interval for k, step in zip(size, interval, strict=True))])
         number = np.concatenate([np.arange(k) for k in size])
-        time = np.repeat(begun[:-1], size) + number * np.repeat(interval, size) + setup * self.pause
+        time = np.repeat(begun[:-1], size) + number * np.repeat(interval, size) + mounting * self.pause
         direction = {letter: np.where(way[:, j] < 0.0, -1.0, 1.0) for j, letter in enumerate("XYZ")}
         unit = arm / self.radius
         scene = Scene(
             time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=self.travel(),
-            velocity={letter: self.feed * way[:, j] for j, letter in enumerate("XYZ")},
+            velocity={letter: feed * way[:, j] for j, letter in enumerate("XYZ")},
             since_reversal={
                 letter: self.radius * np.arccos(np.clip(-unit[:, j] * direction[letter], -1.0, 1.0))
                 for j, letter in enumerate("XYZ")
@@ -96,10 +102,10 @@ class CirclePlan(Plan):
         length = self.radius + self.length_error * rng.normal(size=len(self.planes))
 
         def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-            actual, stand = disturbance.functional_point(machine, position), centre + off[setup]
+            actual, stand = disturbance.functional_point(machine, position), centre + off[mounting]
             path = distance(actual, stand)
             sight = Sight(path, (actual - stand) / path[:, None], azimuth=angle, change=path - self.radius)
-            return np.asarray(path - length[setup] + disturbance.added(sight))
+            return np.asarray(path - length[mounting] + disturbance.added(sight))
 
         def judged(machine: VirtualMachine) -> dict[str, Any]:
             at = np.unique(position, axis=0)
@@ -112,8 +118,9 @@ class CirclePlan(Plan):
 
         description = {
             "setups": [
-                {"id": plane, "plane": plane, "centre": list(self.centre), "radius": self.radius, "feed": self.feed}
-                for plane in self.planes
+                {"id": plane if feed == self.feeds[0] else f"{plane}_{6e4 * feed:.0f}mm_per_min", "plane": plane}
+                | {"centre": list(self.centre), "radius": self.radius, "feed": feed}
+                for plane, feed in setups
             ],
         }
         return Measurement(description, scene, read, None, axis_columns(position, direction), truth=judged)

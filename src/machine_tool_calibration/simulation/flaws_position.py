@@ -101,6 +101,11 @@ def _spike(size: float, given: Parameters, scene: Scene, axis: str) -> Array:
     return np.asarray(-size * scene.toward(axis) * np.exp(-since / given["reach"]))
 
 
+def _vibration(size: float, given: Parameters, scene: Scene, _: str) -> Array:
+    """Something near the machine, or a loop of its own, shakes the carriage."""
+    return np.asarray(size * np.sin(2.0 * np.pi * given["frequency"] * scene.time + given["phase"]))
+
+
 def _squareness(name: str) -> Flaw:
     def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(squareness={name: size})
@@ -155,6 +160,7 @@ def _motion(name: str) -> Flaw:
 
 _EXPANDS = "size * (temperature_{a} - 20) * ({a} - fixed_point)"
 _GROWS = "size * ({a} - fixed_point) * (1 - exp(-time / tau))"
+_SHAKES = "size * sin(2 pi frequency time + phase)"
 _WAVES = "size * sin(2 pi {a} / lead + phase)"
 POSITION_FLAWS: tuple[Flaw, ...] = (
     *_along("backlash", "-size * dir_{a} (half width)", 1.5e-6, _backlash),
@@ -197,6 +203,7 @@ REVERSAL_FLAWS: tuple[Flaw, ...] = (
         methods=CIRCLE,
     ),
     *_along("servo_mismatch", "-size * velocity of {a}", 1e-4, _servo_lag, unit="s", methods=CIRCLE),
+    *_along("vibration", _SHAKES, 1e-6, _vibration, {"frequency": 0.37}, drawn_phase, methods=CIRCLE),
     *(_reversal(component + axis) for axis in "XYZ" for component in COMPONENTS if component[1] != axis),
 )
 

@@ -202,7 +202,7 @@ def _position(earlier: Statement, now: Statement, between: float) -> Change | No
     (first, u_first), (second, u_second) = ([a[pair] for a in own.position_error] for own, pair in both)
     if not np.isfinite(first + second).any():
         return None
-    points = earlier.points[pairs[0]]
+    points = earlier.points[pairs[0], :3]
     if earlier.samples is not None and now.samples is not None:
         draws, n = len(earlier.samples), len(points)
         members = [own.numbers.quantity(POSITION_ERROR).members for own in (earlier, now)]

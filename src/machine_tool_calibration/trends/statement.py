@@ -22,7 +22,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
-from machine_tool_calibration.methods.map_comparison import DRAWS
+from machine_tool_calibration.methods.map_comparison import DRAWS, states
 from machine_tool_calibration.model.refits import drawn
 from machine_tool_calibration.model.result import Result, effect_estimates
 
@@ -100,7 +100,8 @@ class Statement:
     effects: tuple[str, ...]  # ids of the effects in it
     sha256: str  # of the data
     numbers: Numbers  # values and standard uncertainties
-    points: Array  # (n, 3) places of the position error, m; without rows where there is none
+    # (n, 3) places of the position error, m, or (n, 6) with the senses of approach; without rows where there is none
+    points: Array
     parts: Mapping[str, Part]  # error motions and single numbers by name
     # (draws, M') deviations of the first numbers, drawn together; None of a document, which has no correlations
     samples: Array | None = field(default=None, repr=False)
@@ -139,7 +140,7 @@ def of_fit(
         effects=fitted.effects,
         sha256=origin.sha256,
         numbers=published,
-        points=fitted.error_map.points,
+        points=states(fitted.error_map.points, fitted.error_map.content),
         parts=_parts(published, fitted.error_map.content, fitted.effects),
         samples=samples,
     )
@@ -178,7 +179,7 @@ def _read(document: Mapping[str, Any], label: str) -> Statement:
         effects=tuple(document["effects"]),
         sha256=origin["sha256"],
         numbers=published,
-        points=points,
+        points=states(points, content),
         parts=_parts(published, content, document["effects"]),
     )
 

@@ -97,7 +97,8 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
         shaped = [shaped_at(pool, effect, shape) for shape in _grid(effect, acting)]
         showing = tuple(s for s in shaped if _acts(pool, s))
         if showing:
-            found.append(Candidate(effect.id, showing, effect, effect.shapes_for(acting[0])))
+            equally = max(map(effect.equally, acting))
+            found.append(Candidate(effect.id, showing, effect, effect.shapes_for(acting[0]), equally))
         else:
             excluded[effect.id] = "no reading depends on it" if acting else str(reasons[0])
     return found, excluded

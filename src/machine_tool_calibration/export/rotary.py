@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The angular positioning error of a rotary axis (EAA, EBB, ECC) as a controller's table, in degrees.
+
+LinuxCNC takes it as that of any joint, in the units of an angular one. SINUMERIK repeats a table of a whole turn with
+$AA_ENC_COMP_IS_MODULO = 1: the value at MAX is followed by that at MIN (function manual Extended Functions, K3). The
+five other error motions of the axis stay as they are: no format here takes them.
+"""
+
+import csv
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Effect, axis_direction
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.export.error_states import ErrorStates
+from machine_tool_calibration.export.linuxcnc import MOST_LINES
+from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+from machine_tool_calibration.methods.identify import JointResult
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import ErrorMap, Result
+
+# Longest step between angles that a turn may have where it is closed, over the usual one.
+_CLOSED = 1.5
+_JOINT = {"A": 3, "B": 4, "C": 5}
+_SENSE = "degrees in the axis's own sense; deviations, actual minus commanded angle; 0 at the angle nearest to zero"
+
+
+@dataclass(frozen=True)
+class RotaryTables(AxisTables):
+    """The one table of a rotary axis, and where the targets of its map stood."""
+
+    sign: int = 1  # sense in which the axis commanded positive turns, about its direction
+    angle: Array | None = None  # (n,) commanded angle of the axis at each point of the map, rad
+
+    @property
+    def table(self) -> AxisTable:
+        """The positioning error, rad, in the axis's own sense over its angle."""
+        return self.tables[0]
+
+    def field(self, points: Array, directions: Array | None = None) -> Array:
+        """(n, 3) by which the targets at the points of the map, in its `states`, are off, m.
+
+        Directions hold the sense of the axis's last move, or 0, in their first column.
+        """
+        assert self.angle is not None
+        turned = np.interp(self.angle, self.table.nodes, self.table.value, period=2.0 * np.pi)
+        turned = np.resize(turned, len(points))
+        if directions is not None:
+            turned -= self.backlash.get(self.table.axis, (0.0, 0.0))[0] * directions[:, 0]
+        return np.asarray(self.sign * turned[:, None] * np.cross(axis_direction(self.table.axis), points))
+
+    def states(self, error_map: ErrorMap, effects: Sequence[Effect]) -> ErrorStates:
+        """The map, with a backlash once for each sense of the axis; what other effects do there is not in it."""
+        names = tuple(effect.id for effect in effects if effect.kind == "position")
+        sense = (1.0, -1.0) if self.backlash else (0.0,)
+        points = np.tile(error_map.points, (len(sense), 1))
+        moved = np.zeros_like(points)
+        moved[:, 0] = np.repeat(sense, len(error_map.points))
+        lost = self.field(points, moved) - self.field(points)
+        whole = replace(
+            error_map,
+            points=points,
+            error=np.tile(error_map.error, (len(sense), 1)) + lost,
+            uncertainty=np.tile(error_map.uncertainty, (len(sense), 1)),
+            covariance=None,
+        )
+        return ErrorStates(whole, moved, names)
+
+
+def rotary_tables(result: Result | JointResult) -> RotaryTables | None:
+    """The positioning error of a rotary axis that was measured by itself; None where none was.
+
+    Raises:
+        ModelError: it is not determined at every angle.
+    """
+    content = result.error_map.content
+    axis = next((a for a in "ABC" if a.lower() in content and f"E{a}{a}" in content), None)
+    if axis is None or isinstance(result, JointResult):
+        return None
+    observations = result.fit.model.observations
+    session, nodes = observations.session, np.asarray(content[axis.lower()], dtype=float)
+    value, u = (np.asarray(content[f"E{axis}{axis}{end}"], dtype=float) for end in ("", "_u"))
+    lost = int(np.count_nonzero(~np.isfinite(value)))
+    if lost or len(nodes) < 2:
+        raise ModelError(
+            f"{session.source}: at {lost} of {len(nodes)} angles E{axis}{axis} is not determined: a table has no gaps"
+        )
+    sign = session.rotation_sign
+    value = sign * (value - value[np.argmin(np.abs(nodes))])
+    b = next((e for e in result.parameters if e.name == f"backlash_{axis.lower()}.b"), None)
+    return RotaryTables(
+        chain=session.description.machine.kinematics,
+        tables=(AxisTable(f"E{axis}{axis}", nodes, value, u),),
+        squareness={},
+        backlash={} if b is None else {axis: (b.value, b.standard_uncertainty)},
+        left_out=tuple(NotDetermined(e.name, e.why) for e in result.not_determined),
+        datum=str(content["datum"]),
+        squareness_words="",
+        model=result.model_name + (f" with {', '.join(result.effects)}" if result.effects else ""),
+        sign=sign,
+        angle=np.repeat(nodes, len(result.error_map.points) // len(nodes)),
+    )
+
+
+def write(form: str, tables: RotaryTables, source: str) -> dict[str, str]:
+    """The files; a ModelError says that the format has no table of a rotary axis."""
+    if form not in _WRITERS:
+        raise ModelError(
+            f"{source.splitlines()[0]}: no table of a rotary axis is known of the format {form}; "
+            f"{', '.join(_WRITERS)} hold its positioning error {tables.table.name}"
+        )
+    return _WRITERS[form](tables, _head(tables, source))
+
+
+def _head(tables: RotaryTables, source: str) -> list[str]:
+    turn = "clockwise" if tables.sign < 0 else "counter-clockwise"
+    table = tables.table
+    return [
+        "Compensation table written by mtcal export",
+        *f"measurement: {source}".splitlines(),
+        f"model: {tables.model}",
+        f"{table.name}: {_SENSE}",
+        f"{table.axis} commanded positive turned {turn} seen from the positive end of {'XYZ'['ABC'.index(table.axis)]}",
+        f"datum: {' '.join(tables.datum.split())}",
+        f"largest expanded uncertainty U (95 %) of an entry: {2e6 * float(table.uncertainty.max()):.2f} urad",
+        f"not in this format: the other error motions of {table.axis}",
+    ]
+
+
+def _whole(table: AxisTable) -> tuple[Array, Array]:
+    """Angles and values, rad; over a whole turn its end is its beginning."""
+    steps, span = np.diff(table.nodes), table.nodes[-1] - table.nodes[0]
+    left = 2.0 * np.pi - span
+    if 1e-6 < left < _CLOSED * float(steps.max()):
+        return np.append(table.nodes, table.nodes[0] + 2.0 * np.pi), np.append(table.value, table.value[0])
+    return table.nodes, table.value
+
+
+def _even(table: AxisTable, most: int | None = None) -> tuple[Array, Array]:
+    nodes, value = _whole(table)
+    count = round(float((nodes[-1] - nodes[0]) / np.diff(nodes).min())) + 1
+    at = np.linspace(nodes[0], nodes[-1], min(count, most or count))
+    return at, np.interp(at, nodes, value)
+
+
+def _linuxcnc(tables: RotaryTables, head: Sequence[str], kind: int) -> dict[str, str]:
+    axis, (nodes, value) = tables.table.axis, _whole(tables.table)
+    if len(nodes) > MOST_LINES:
+        nodes, value = _even(tables.table, MOST_LINES)
+    half = tables.backlash.get(axis, (0.0, 0.0))[0]
+    columns = [nodes + value - half, nodes + value + half] if kind == 0 else [half - value, -half - value]
+    rows = [
+        f"{p:.6f} {up + 0.0:.7f} {down + 0.0:.7f}" for p, up, down in np.degrees(np.array([nodes, *columns])).T.tolist()
+    ]
+    lines = [*(f"# {line}" for line in (*head, *remarks("linuxcnc", tables)))]
+    section = f"[JOINT_{_JOINT[axis]}]"
+    name = f"{axis.lower()}.comp"
+    ini = [*lines, "", section, f"COMP_FILE = {name}", f"COMP_FILE_TYPE = {kind}"]
+    return {name: "\n".join(rows) + "\n", "compensation.ini": "\n".join(ini) + "\n"}
+
+
+def _siemens(tables: RotaryTables, head: Sequence[str]) -> dict[str, str]:
+    table = tables.table
+    axis, (nodes, value) = f"{table.axis}1", _even(table)
+    modulo = int(nodes[-1] - nodes[0] > 2.0 * np.pi - 1e-6)
+    out = ["%_N_AX_EEC_INI", "CHANDATA(1)", *(f"; {line}" for line in (*head, *remarks("siemens", tables)))]
+    out += [f"; MD38000 MM_ENC_COMP_MAX_POINTS of {axis} must be {len(nodes)} or more"]
+    out += [f"$AA_ENC_COMP[0,{k},{axis}]={v + 0.0:.7f}" for k, v in enumerate(np.degrees(value).tolist())]
+    step, low, high = np.degrees([nodes[1] - nodes[0], nodes[0], nodes[-1]]).tolist()
+    for word, entry in (("STEP", step), ("MIN", low), ("MAX", high)):
+        out.append(f"$AA_ENC_COMP_{word}[0,{axis}]={entry:.6f}")
+    return {"AX_EEC.INI": "\n".join([*out, f"$AA_ENC_COMP_IS_MODULO[0,{axis}]={modulo}", "M17"]) + "\n"}
+
+
+def _csv(tables: RotaryTables, head: Sequence[str]) -> dict[str, str]:
+    table, out = tables.table, io.StringIO()
+    out.writelines(f"# {line}\n" for line in (*head, "units here: rad"))
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(("name", "axis", "position", "deviation", "standard_uncertainty", "compensation", "unit"))
+    for axis, (half, spread) in tables.backlash.items():
+        rows.writerow([f"backlash_{axis.lower()}", axis, "", half, spread, "", "rad"])
+    for row in zip(table.nodes.tolist(), table.value.tolist(), table.uncertainty.tolist(), strict=True):
+        rows.writerow([table.name, table.axis, *row, -row[1], "rad"])
+    return {"compensation.csv": out.getvalue()}
+
+
+def _json(tables: RotaryTables, head: Sequence[str]) -> dict[str, str]:
+    table = tables.table
+    own = {"axis": table.axis, "position": table.nodes.tolist(), "deviation": table.value.tolist()}
+    own |= {"standard_uncertainty": table.uncertainty.tolist(), "compensation": (-table.value).tolist(), "unit": "rad"}
+    backlash = {a: {"half_width": v, "standard_uncertainty": u, "unit": "rad"} for a, (v, u) in tables.backlash.items()}
+    document = {"format": "mtcal-compensation/1", "remarks": [*head, "units here: rad"], "backlash": backlash}
+    text = json.dumps(document | {"tables": {table.name: own}}, indent=1, allow_nan=False, ensure_ascii=False)
+    return {"compensation.json": text + "\n"}
+
+
+_WRITERS = {
+    "linuxcnc": lambda tables, head: _linuxcnc(tables, head, 0),
+    "linuxcnc-trims": lambda tables, head: _linuxcnc(tables, head, 1),
+    "siemens": _siemens,
+    "csv": _csv,
+    "json": _json,
+}
+
+
+def remarks(form: str, tables: RotaryTables) -> list[str]:
+    """What whoever loads the files would find otherwise."""
+    axis, out = tables.table.axis, list[str]()
+    if form.startswith("linuxcnc"):
+        out += [
+            f"joint {_JOINT[axis]} must be {axis} and ANGULAR; change the section if yours differs",
+            "LinuxCNC repeats no table after a turn: beyond its ends it holds their values, so keep the axis within it",
+        ]
+    if form == "siemens" and tables.backlash:
+        out.append(f"the table holds no backlash: that of {axis} is left to the control's backlash compensation")
+    return out
+
+
+def read(form: str, files: Mapping[str, str], tables: RotaryTables) -> RotaryTables:
+    """Deviations as the controller takes them."""
+    table = tables.table
+    if form.startswith("linuxcnc"):
+        nodes, *columns = np.radians(np.loadtxt(files[f"{table.axis.lower()}.comp"].splitlines()).T)
+        kind = re.findall(r"^COMP_FILE_TYPE = (\d)", files["compensation.ini"], re.MULTILINE)[0]
+        forward, reverse = (-column if kind == "1" else column - nodes for column in columns)
+        half = float(np.mean(reverse - forward)) / 2.0
+        return _again(tables, nodes, (forward + reverse) / 2.0, {table.axis: (half, np.nan)} if half else {})
+    if form == "siemens":
+        values = re.findall(r"^\$AA_ENC_COMP\[0,\d+,\w+\]=(\S+)", files["AX_EEC.INI"], re.MULTILINE)
+        ends = dict(re.findall(r"^\$AA_ENC_COMP_(MIN|MAX)\[0,\w+\]=(\S+)", files["AX_EEC.INI"], re.MULTILINE))
+        low, high = np.radians([float(ends["MIN"]), float(ends["MAX"])])
+        return _again(tables, np.linspace(low, high, len(values)), np.radians(np.array(values, dtype=float)), {})
+    return tables
+
+
+def _again(tables: RotaryTables, nodes: Array, value: Array, backlash: dict[str, tuple[float, float]]) -> RotaryTables:
+    # The end of a turn is its beginning.
+    kept = nodes < nodes[0] + 2.0 * np.pi - 1e-6
+    own = AxisTable(tables.table.name, nodes[kept], value[kept], np.full(int(kept.sum()), np.nan))
+    return replace(tables, tables=(own,), backlash=backlash)
