@@ -184,7 +184,8 @@ def main() -> None:
         said = one.outcome
         marks = "WRONG " * bool(said.wrong) + "MISSED " * (not said.named)
         marks += "(oracle WRONG) " * (not one.oracle_right) + "(oracle MISSED)" * (not one.oracle_named)
-        print(number, said.plan, said.hidden, "->", said.accepted, marks, flush=True)
+        within = f"{sum(abs(off) <= 1.0 for off in one.off)} of {len(one.off)} within U, order {one.order:.2f}"
+        print(number, said.plan, said.hidden, "->", said.accepted, marks, within, flush=True)
     print(table(trials))
 
 
