@@ -45,7 +45,7 @@ KNOWN_KEYS = {
         "yaml")),
     "mcap-ros2-support",
     "action_msgs", "ament_flake8", "ament_index_python", "ament_pep257", "builtin_interfaces", "diagnostic_msgs",
-    "geometry_msgs", "launch", "launch_ros", "rcl_interfaces", "rclpy", "ros2launch", "rosgraph_msgs",
+    "geometry_msgs", "launch", "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy", "ros2launch", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "visualization_msgs",
 }  # fmt: skip
 
