@@ -22,11 +22,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.export.head import head, held_beyond, middle_line, positioning, rebuilt
-from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+from machine_tool_calibration.methods.axis_tables import AxisTables
 
 MOST_LINES = 256
-_JOINTS = {"X": 0, "Y": 1, "Z": 2}
-_INI = "compensation.ini"
+JOINTS = {axis: joint for joint, axis in enumerate("XYZABC")}
+INI = "compensation.ini"
 _SIGN = (
     "COMP_FILE_TYPE 0: commanded position, actual position moving forward, actual position moving in reverse; the "
     "controller adds commanded minus actual, which is minus the deviation",
@@ -47,25 +47,19 @@ def write(tables: AxisTables, source: str, kind: Literal[0, 1] = 0) -> dict[str,
     files = {}
     for table in own:
         name = f"{table.axis.lower()}.comp"
-        nodes, value = _thinned(table)
-        half = tables.backlash.get(table.axis, (0.0, 0.0))[0]
-        if kind == 0:
-            pairs = zip(nodes, nodes + value - half, nodes + value + half, strict=True)
-        else:
-            pairs = zip(nodes, half - value, -half - value, strict=True)
-        rows = [f"{1e3 * p:.6f} {1e3 * up + 0.0:.7f} {1e3 * down + 0.0:.7f}" for p, up, down in pairs]
-        files[name] = "\n".join(rows) + "\n"
+        nodes, value = thinned(table.nodes, table.value)
+        files[name] = comp_file(nodes, value, tables.backlash.get(table.axis, (0.0, 0.0))[0], kind, 1e3)
         ini += [
             "",
-            f"[JOINT_{_JOINTS[table.axis]}]",
-            f"# {table.name}, {len(rows)} positions from {1e3 * nodes[0]:g} to {1e3 * nodes[-1]:g} mm",
+            f"[JOINT_{JOINTS[table.axis]}]",
+            f"# {table.name}, {len(nodes)} positions from {1e3 * nodes[0]:g} to {1e3 * nodes[-1]:g} mm",
             f"COMP_FILE = {name}",
             f"COMP_FILE_TYPE = {kind}",
         ]
     for axis in sorted(tables.backlash.keys() - {table.axis for table in own}):
         half = tables.backlash[axis][0]
-        ini += ["", f"[JOINT_{_JOINTS[axis]}]", "# no table: the reversal error", f"BACKLASH = {2e3 * half:.7f}"]
-    return {**files, _INI: "\n".join(ini) + "\n"}
+        ini += ["", f"[JOINT_{JOINTS[axis]}]", "# no table: the reversal error", f"BACKLASH = {2e3 * half:.7f}"]
+    return {**files, INI: "\n".join(ini) + "\n"}
 
 
 def remarks(tables: AxisTables) -> list[str]:
@@ -77,7 +71,7 @@ def remarks(tables: AxisTables) -> list[str]:
         if table.is_positioning and len(table.nodes) > MOST_LINES
     ] + [
         "LinuxCNC corrects a joint by its own position alone: straightness, angles and squareness stay as they are",
-        f"put the lines of {_INI} into the sections [JOINT_n] that your INI file has: of two sections of one name "
+        f"put the lines of {INI} into the sections [JOINT_n] that your INI file has: of two sections of one name "
         "LinuxCNC reads the first, without a word about the other; it reads the files when it starts",
         "the files take the place of the COMP_FILE and the BACKLASH that these joints had (beside a COMP_FILE LinuxCNC "
         "does not use a BACKLASH): the machine must have been measured without them",
@@ -85,27 +79,38 @@ def remarks(tables: AxisTables) -> list[str]:
     ]
 
 
-def _thinned(table: AxisTable) -> tuple[Array, Array]:
-    """At most MOST_LINES nodes; beyond that evenly spaced ones, ends kept."""
-    if len(table.nodes) <= MOST_LINES:
-        return table.nodes, table.value
-    nodes = np.linspace(table.nodes[0], table.nodes[-1], MOST_LINES)
-    return nodes, np.interp(nodes, table.nodes, table.value)
+def thinned(nodes: Array, value: Array) -> tuple[Array, Array]:
+    """At most MOST_LINES nodes of a table; beyond that evenly spaced ones, ends kept."""
+    if len(nodes) <= MOST_LINES:
+        return nodes, value
+    fewer = np.linspace(nodes[0], nodes[-1], MOST_LINES)
+    return fewer, np.interp(fewer, nodes, value)
+
+
+def comp_file(nodes: Array, value: Array, half: float, kind: Literal[0, 1], unit: float) -> str:
+    """The text of a `.comp` of that type: deviations at nodes and half the reversal error, times `unit` in its own."""
+    columns = [nodes + value - half, nodes + value + half] if kind == 0 else [half - value, -half - value]
+    rows = (unit * np.array([nodes, *columns])).T.tolist()
+    return "".join(f"{p:.6f} {up + 0.0:.7f} {down + 0.0:.7f}\n" for p, up, down in rows)
+
+
+def deviations(text: str, kind: str, unit: float) -> tuple[Array, Array, float]:
+    """Nodes, deviations and half the reversal error that LinuxCNC takes from such a text of that type."""
+    nominal, *columns = (1.0 / unit) * np.loadtxt(text.splitlines()).T
+    forward, reverse = (-column if kind == "1" else column - nominal for column in columns)
+    return nominal, (forward + reverse) / 2, float(np.mean(reverse - forward)) / 2
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
     """Deviations as LinuxCNC takes them from such files."""
     ini = ConfigParser()
-    ini.read_string(files[_INI])
+    ini.read_string(files[INI])
     found, backlash = [], {}
-    for axis, joint in _JOINTS.items():
+    for axis, joint in JOINTS.items():
         entries = ini[f"JOINT_{joint}"] if ini.has_section(f"JOINT_{joint}") else {}
         if "COMP_FILE" in entries:
-            nominal, *columns = 1e-3 * np.loadtxt(files[entries["COMP_FILE"]].splitlines()).T
-            trims = entries["COMP_FILE_TYPE"] == "1"
-            forward, reverse = (-column if trims else column - nominal for column in columns)
-            found.append(held_beyond(f"E{axis}{axis}", nominal, (forward + reverse) / 2))
-            backlash[axis] = float(np.mean(reverse - forward)) / 2
+            nodes, value, backlash[axis] = deviations(files[entries["COMP_FILE"]], entries["COMP_FILE_TYPE"], 1e3)
+            found.append(held_beyond(f"E{axis}{axis}", nodes, value))
         elif "BACKLASH" in entries:
             backlash[axis] = 1e-3 * float(entries["BACKLASH"]) / 2
     return rebuilt(tables, found, backlash=backlash)

@@ -6,20 +6,19 @@ $AA_ENC_COMP_IS_MODULO = 1: the value at MAX is followed by that at MIN (functio
 five other error motions of the axis stay as they are: no format here takes them.
 """
 
-import csv
-import io
-import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect, axis_direction
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.export import linuxcnc, siemens
 from machine_tool_calibration.export.error_states import ErrorStates
-from machine_tool_calibration.export.linuxcnc import MOST_LINES
+from machine_tool_calibration.export.si_tables import csv_table, json_table
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import NotDetermined
@@ -27,7 +26,8 @@ from machine_tool_calibration.model.result import ErrorMap, Result
 
 # Longest step between angles that a turn may have where it is closed, over the usual one.
 _CLOSED = 1.5
-_JOINT = {"A": 3, "B": 4, "C": 5}
+_DEGREES = 180.0 / np.pi
+_HERE = "units here: rad"
 _SENSE = "degrees in the axis's own sense; deviations, actual minus commanded angle; 0 at the angle nearest to zero"
 
 
@@ -142,70 +142,28 @@ def _whole(table: AxisTable) -> tuple[Array, Array]:
     return table.nodes, table.value
 
 
-def _even(table: AxisTable, most: int | None = None) -> tuple[Array, Array]:
-    nodes, value = _whole(table)
-    count = round(float((nodes[-1] - nodes[0]) / np.diff(nodes).min())) + 1
-    at = np.linspace(nodes[0], nodes[-1], min(count, most or count))
-    return at, np.interp(at, nodes, value)
-
-
-def _linuxcnc(tables: RotaryTables, head: Sequence[str], kind: int) -> dict[str, str]:
-    axis, (nodes, value) = tables.table.axis, _whole(tables.table)
-    if len(nodes) > MOST_LINES:
-        nodes, value = _even(tables.table, MOST_LINES)
-    half = tables.backlash.get(axis, (0.0, 0.0))[0]
-    columns = [nodes + value - half, nodes + value + half] if kind == 0 else [half - value, -half - value]
-    rows = [
-        f"{p:.6f} {up + 0.0:.7f} {down + 0.0:.7f}" for p, up, down in np.degrees(np.array([nodes, *columns])).T.tolist()
-    ]
-    lines = [*(f"# {line}" for line in (*head, *remarks("linuxcnc", tables)))]
-    section = f"[JOINT_{_JOINT[axis]}]"
+def _linuxcnc(tables: RotaryTables, lines: Sequence[str], kind: Literal[0, 1]) -> dict[str, str]:
+    axis, (nodes, value) = tables.table.axis, linuxcnc.thinned(*_whole(tables.table))
     name = f"{axis.lower()}.comp"
-    ini = [*lines, "", section, f"COMP_FILE = {name}", f"COMP_FILE_TYPE = {kind}"]
-    return {name: "\n".join(rows) + "\n", "compensation.ini": "\n".join(ini) + "\n"}
+    text = linuxcnc.comp_file(nodes, value, tables.backlash.get(axis, (0.0, 0.0))[0], kind, _DEGREES)
+    ini = [*(f"# {line}" for line in (*lines, *remarks("linuxcnc", tables))), "", f"[JOINT_{linuxcnc.JOINTS[axis]}]"]
+    ini += [f"COMP_FILE = {name}", f"COMP_FILE_TYPE = {kind}"]
+    return {name: text, linuxcnc.INI: "\n".join(ini) + "\n"}
 
 
-def _siemens(tables: RotaryTables, head: Sequence[str]) -> dict[str, str]:
-    table = tables.table
-    axis, (nodes, value) = f"{table.axis}1", _even(table)
-    modulo = int(nodes[-1] - nodes[0] > 2.0 * np.pi - 1e-6)
-    out = ["%_N_AX_EEC_INI", "CHANDATA(1)", *(f"; {line}" for line in (*head, *remarks("siemens", tables)))]
-    out += [f"; MD38000 MM_ENC_COMP_MAX_POINTS of {axis} must be {len(nodes)} or more"]
-    out += [f"$AA_ENC_COMP[0,{k},{axis}]={v + 0.0:.7f}" for k, v in enumerate(np.degrees(value).tolist())]
-    step, low, high = np.degrees([nodes[1] - nodes[0], nodes[0], nodes[-1]]).tolist()
-    for word, entry in (("STEP", step), ("MIN", low), ("MAX", high)):
-        out.append(f"$AA_ENC_COMP_{word}[0,{axis}]={entry:.6f}")
-    return {"AX_EEC.INI": "\n".join([*out, f"$AA_ENC_COMP_IS_MODULO[0,{axis}]={modulo}", "M17"]) + "\n"}
+def _siemens(tables: RotaryTables, lines: Sequence[str]) -> dict[str, str]:
+    nodes, value = siemens.evenly(*_whole(tables.table))
+    whole_turn = bool(nodes[-1] - nodes[0] > 2.0 * np.pi - 1e-6)
+    own = siemens.screw(tables.table.axis, nodes, value, _DEGREES, digits=7, modulo=whole_turn)
+    return {siemens.SCREW: siemens.init_file("AX_EEC", [*lines, *remarks("siemens", tables)], [own])}
 
 
-def _csv(tables: RotaryTables, head: Sequence[str]) -> dict[str, str]:
-    table, out = tables.table, io.StringIO()
-    out.writelines(f"# {line}\n" for line in (*head, "units here: rad"))
-    rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(("name", "axis", "position", "deviation", "standard_uncertainty", "compensation", "unit"))
-    for axis, (half, spread) in tables.backlash.items():
-        rows.writerow([f"backlash_{axis.lower()}", axis, "", half, spread, "", "rad"])
-    for row in zip(table.nodes.tolist(), table.value.tolist(), table.uncertainty.tolist(), strict=True):
-        rows.writerow([table.name, table.axis, *row, -row[1], "rad"])
-    return {"compensation.csv": out.getvalue()}
-
-
-def _json(tables: RotaryTables, head: Sequence[str]) -> dict[str, str]:
-    table = tables.table
-    own = {"axis": table.axis, "position": table.nodes.tolist(), "deviation": table.value.tolist()}
-    own |= {"standard_uncertainty": table.uncertainty.tolist(), "compensation": (-table.value).tolist(), "unit": "rad"}
-    backlash = {a: {"half_width": v, "standard_uncertainty": u, "unit": "rad"} for a, (v, u) in tables.backlash.items()}
-    document = {"format": "mtcal-compensation/1", "remarks": [*head, "units here: rad"], "backlash": backlash}
-    text = json.dumps(document | {"tables": {table.name: own}}, indent=1, allow_nan=False, ensure_ascii=False)
-    return {"compensation.json": text + "\n"}
-
-
-_WRITERS = {
-    "linuxcnc": lambda tables, head: _linuxcnc(tables, head, 0),
-    "linuxcnc-trims": lambda tables, head: _linuxcnc(tables, head, 1),
+_WRITERS: Mapping[str, Callable[[RotaryTables, Sequence[str]], dict[str, str]]] = {
+    "linuxcnc": partial(_linuxcnc, kind=0),
+    "linuxcnc-trims": partial(_linuxcnc, kind=1),
     "siemens": _siemens,
-    "csv": _csv,
-    "json": _json,
+    "csv": lambda tables, lines: csv_table(tables, [*lines, _HERE]),
+    "json": lambda tables, lines: json_table(tables, [*lines, _HERE]),
 }
 
 
@@ -214,7 +172,7 @@ def remarks(form: str, tables: RotaryTables) -> list[str]:
     axis, out = tables.table.axis, list[str]()
     if form.startswith("linuxcnc"):
         out += [
-            f"joint {_JOINT[axis]} must be {axis} and ANGULAR; change the section if yours differs",
+            f"joint {linuxcnc.JOINTS[axis]} must be {axis} and ANGULAR; change the section if yours differs",
             "LinuxCNC repeats no table after a turn: beyond its ends it holds their values, so keep the axis within it",
         ]
     if form == "siemens" and tables.backlash:
@@ -224,18 +182,15 @@ def remarks(form: str, tables: RotaryTables) -> list[str]:
 
 def read(form: str, files: Mapping[str, str], tables: RotaryTables) -> RotaryTables:
     """Deviations as the controller takes them."""
-    table = tables.table
+    axis = tables.table.axis
     if form.startswith("linuxcnc"):
-        nodes, *columns = np.radians(np.loadtxt(files[f"{table.axis.lower()}.comp"].splitlines()).T)
-        kind = re.findall(r"^COMP_FILE_TYPE = (\d)", files["compensation.ini"], re.MULTILINE)[0]
-        forward, reverse = (-column if kind == "1" else column - nodes for column in columns)
-        half = float(np.mean(reverse - forward)) / 2.0
-        return _again(tables, nodes, (forward + reverse) / 2.0, {table.axis: (half, np.nan)} if half else {})
+        kind = files[linuxcnc.INI].rpartition("COMP_FILE_TYPE = ")[2].strip()
+        nodes, value, half = linuxcnc.deviations(files[f"{axis.lower()}.comp"], kind, _DEGREES)
+        return _again(tables, nodes, value, {axis: (half, np.nan)} if half else {})
     if form == "siemens":
-        values = re.findall(r"^\$AA_ENC_COMP\[0,\d+,\w+\]=(\S+)", files["AX_EEC.INI"], re.MULTILINE)
-        ends = dict(re.findall(r"^\$AA_ENC_COMP_(MIN|MAX)\[0,\w+\]=(\S+)", files["AX_EEC.INI"], re.MULTILINE))
-        low, high = np.radians([float(ends["MIN"]), float(ends["MAX"])])
-        return _again(tables, np.linspace(low, high, len(values)), np.radians(np.array(values, dtype=float)), {})
+        ((own, values),) = siemens.entries(files).values()
+        low, high = np.radians([float(own["MIN"]), float(own["MAX"])])
+        return _again(tables, np.linspace(low, high, len(values)), np.radians(values), {})
     return tables
 
 

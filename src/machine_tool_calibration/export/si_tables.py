@@ -4,9 +4,10 @@
 import csv
 import io
 import json
+from collections.abc import Sequence
 
 from machine_tool_calibration.export.head import SIGN, head
-from machine_tool_calibration.methods.axis_tables import AxisTables
+from machine_tool_calibration.methods.axis_tables import AxisTables, unit_of
 
 _COLUMNS = ("name", "axis", "position", "deviation", "standard_uncertainty", "compensation", "unit")
 
@@ -15,6 +16,11 @@ def write_csv_table(tables: AxisTables, source: str) -> dict[str, str]:
     """One file; numbers that come back to the last bit."""
     lines = head(tables, source, SIGN, "SI: positions in m; values in m or rad as the column unit says")
     lines.append("backlash_x …: half the reversal error b; the axis is off by -b times the sign of its last move")
+    return csv_table(tables, lines)
+
+
+def csv_table(tables: AxisTables, lines: Sequence[str]) -> dict[str, str]:
+    """The same with these lines at its head."""
     out = io.StringIO()
     out.writelines(f"# {line}\n" for line in lines)
     rows = csv.writer(out, lineterminator="\n")
@@ -22,7 +28,9 @@ def write_csv_table(tables: AxisTables, source: str) -> dict[str, str]:
     for name, (value, spread) in tables.squareness.items():
         rows.writerow([name, "", "", repr(float(value)), repr(float(spread)), repr(float(-value)), "rad"])
     for axis, (value, spread) in tables.backlash.items():
-        rows.writerow([f"backlash_{axis.lower()}", axis, "", repr(float(value)), repr(float(spread)), "", "m"])
+        rows.writerow(
+            [f"backlash_{axis.lower()}", axis, "", repr(float(value)), repr(float(spread)), "", unit_of(axis)]
+        )
     for table in tables.tables:
         columns = (table.nodes.tolist(), table.value.tolist(), table.uncertainty.tolist())
         for position, value, spread in zip(*columns, strict=True):
@@ -32,16 +40,21 @@ def write_csv_table(tables: AxisTables, source: str) -> dict[str, str]:
 
 def write_json_table(tables: AxisTables, source: str) -> dict[str, str]:
     """One file; numbers that come back to the last bit."""
+    return json_table(tables, head(tables, source, SIGN, "SI: m and rad"))
+
+
+def json_table(tables: AxisTables, lines: Sequence[str]) -> dict[str, str]:
+    """The same with these remarks."""
     document = {
         "format": "mtcal-compensation/1",
-        "remarks": head(tables, source, SIGN, "SI: m and rad"),
+        "remarks": list(lines),
         "chain": "-".join(["w", *tables.chain.workpiece_side, "b", *tables.chain.tool_side, "t"]),
         "squareness": {
             name: {"deviation": value, "standard_uncertainty": u, "compensation": -value, "unit": "rad"}
             for name, (value, u) in tables.squareness.items()
         },
         "backlash": {
-            axis: {"half_width": value, "standard_uncertainty": u, "unit": "m"}
+            axis: {"half_width": value, "standard_uncertainty": u, "unit": unit_of(axis)}
             for axis, (value, u) in tables.backlash.items()
         },
         "tables": {

@@ -33,7 +33,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export.head import head, held_beyond, middle_line, rebuilt
 from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTable, AxisTables
 
-_SCREW, _SAG = "AX_EEC.INI", "NC_CEC.INI"
+SCREW, _SAG = "AX_EEC.INI", "NC_CEC.INI"
 _SIGN = (
     "a positive value moves the axis in the negative direction, so a value is the deviation itself: actual minus "
     "commanded position of the tool in the workpiece frame (ISO 230-1)"
@@ -66,72 +66,77 @@ def write(tables: AxisTables, source: str) -> dict[str, str]:
     if screws:
         lines = [*head(tables, source, _SIGN, _UNITS, absent), middle_line(tables), _RESOLUTION]
         lines += ["MD32700 ENC_COMP_ENABLE switches it on; first measuring system; axes named X1, Y1, Z1"]
-        files[_SCREW] = _file("AX_EEC", lines, [_screw(table) for table in screws])
+        files[SCREW] = init_file("AX_EEC", lines, [screw(t.axis, *evenly(t.nodes, t.value)) for t in screws])
     if sags:
         lines = [*head(tables, source, _SIGN, _UNITS, absent), _TRY_SAG, middle_line(tables), _RESOLUTION]
         lines += ["squareness is in the slopes of these tables"] if tables.squareness else []
         lines += ["MD32710 CEC_ENABLE and SD41300 CEC_TABLE_ENABLE switch it on; axes named X1, Y1, Z1"]
-        files[_SAG] = _file("NC_CEC", lines, [_sag(k, table) for k, table in enumerate(sags)])
+        files[_SAG] = init_file("NC_CEC", lines, [_sag(k, table) for k, table in enumerate(sags)])
     return files
 
 
-def _file(name: str, lines: Sequence[str], parts: Sequence[Sequence[str]]) -> str:
+def init_file(name: str, lines: Sequence[str], parts: Sequence[Sequence[str]]) -> str:
+    """The text of an initialisation file: remarks, and the entries of every table."""
     out = [f"%_N_{name}_INI", "CHANDATA(1)", *(f"; {line}" for line in lines)]
     return "\n".join([*out, *(line for part in parts for line in part), "M17"]) + "\n"
 
 
-def _screw(table: AxisTable) -> list[str]:
-    axis = f"{table.axis}1"
-    nodes, value = _evenly(table)
-    out = [f"; {table.name}: MD38000 MM_ENC_COMP_MAX_POINTS of {axis} must be {len(nodes)} or more"]
-    out += [f"$AA_ENC_COMP[0,{k},{axis}]={1e3 * v + 0.0:.6f}" for k, v in enumerate(value)]
-    for word, entry in _range(nodes):
+def screw(
+    letter: str, nodes: Array, value: Array, unit: float = 1e3, *, digits: int = 6, modulo: bool = False
+) -> list[str]:
+    """The entries of a leadscrew table at even steps, times `unit` in the control's; `modulo`: again every turn."""
+    axis = f"{letter}1"
+    out = [f"; E{letter}{letter}: MD38000 MM_ENC_COMP_MAX_POINTS of {axis} must be {len(nodes)} or more"]
+    out += [f"$AA_ENC_COMP[0,{k},{axis}]={unit * v + 0.0:.{digits}f}" for k, v in enumerate(value)]
+    for word, entry in (*_range(nodes, unit), ("IS_MODULO", f"{modulo:d}")):
         out.append(f"$AA_ENC_COMP_{word}[0,{axis}]={entry}")
     return out
 
 
 def _sag(k: int, table: AxisTable) -> list[str]:
-    nodes, value = _evenly(table)
+    nodes, value = evenly(table.nodes, table.value)
     enough = "" if len(nodes) <= _NODES_OF_828D else f"; an 828D holds {_NODES_OF_828D}"
     out = [f"; {table.name}: MD18342 MM_CEC_MAX_POINTS[{k}] must be {len(nodes)} or more{enough}"]
     out += [f"$AN_CEC[{k},{n}]={1e3 * v + 0.0:.6f}" for n, v in enumerate(value)]
-    entries = [("INPUT_AXIS", f"({table.axis}1)"), ("OUTPUT_AXIS", f"({table.name[1]}1)"), *_range(nodes)[:3]]
+    entries = [("INPUT_AXIS", f"({table.axis}1)"), ("OUTPUT_AXIS", f"({table.name[1]}1)"), *_range(nodes, 1e3)]
     entries += [("DIRECTION", "0"), ("MULT_BY_TABLE", "0"), ("IS_MODULO", "0")]
     return out + [f"$AN_CEC_{word}[{k}]={entry}" for word, entry in entries]
 
 
-def _range(nodes: Array) -> list[tuple[str, str]]:
+def _range(nodes: Array, unit: float) -> list[tuple[str, str]]:
     step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
-    numbers = [("STEP", step), ("MIN", nodes[0]), ("MAX", nodes[-1])]
-    return [*((word, f"{1e3 * value:.6f}") for word, value in numbers), ("IS_MODULO", "0")]
+    return [(word, f"{unit * value:.6f}") for word, value in (("STEP", step), ("MIN", nodes[0]), ("MAX", nodes[-1]))]
 
 
-def _evenly(table: AxisTable) -> tuple[Array, Array]:
-    """The table at even steps, ends kept, no step longer than the shortest between its nodes."""
-    steps = np.diff(table.nodes)
-    count = int(np.ceil((table.nodes[-1] - table.nodes[0]) / steps.min() * (1.0 - _EVEN)))
-    nodes = np.linspace(table.nodes[0], table.nodes[-1], count + 1)
-    return nodes, np.interp(nodes, table.nodes, table.value)
+def evenly(nodes: Array, value: Array) -> tuple[Array, Array]:
+    """A table at even steps, ends kept, no step longer than the shortest between its nodes."""
+    count = int(np.ceil((nodes[-1] - nodes[0]) / np.diff(nodes).min() * (1.0 - _EVEN)))
+    even = np.linspace(nodes[0], nodes[-1], count + 1)
+    return even, np.interp(even, nodes, value)
+
+
+def entries(files: Mapping[str, str]) -> dict[tuple[str, str], tuple[dict[str, str], Array]]:
+    """By kind and axis or number of every table its parameters and its values, in the control's units."""
+    out: dict[tuple[str, str], tuple[dict[str, str], list[float]]] = {}
+    for text in files.values():
+        for kind, word, inside, entry in _LINE.findall(re.sub(r";.*", "", text)):
+            places = inside.split(",")
+            own, values = out.setdefault((kind, places[-1] if kind == "AA_ENC_COMP" else places[0]), ({}, []))
+            if word:
+                own[word[1:]] = entry
+            else:  # in the order of the points
+                values.append(float(entry))
+    return {owner: (own, np.array(values)) for owner, (own, values) in out.items()}
 
 
 def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
     """Deviations that the control takes away by such files: straight lines between the points, beyond them the ends."""
-    values: dict[tuple[str, str], list[float]] = {}
-    parameters: dict[tuple[str, str], dict[str, str]] = {}
-    for text in files.values():
-        for kind, word, inside, entry in _LINE.findall(re.sub(r";.*", "", text)):
-            places = inside.split(",")
-            owner = (kind, places[-1] if kind == "AA_ENC_COMP" else places[0])
-            if word:
-                parameters.setdefault(owner, {})[word[1:]] = entry
-            else:  # in the order of the points
-                values.setdefault(owner, []).append(1e-3 * float(entry))
     found = []
-    for (kind, which), own in parameters.items():
+    for (kind, which), (own, values) in entries(files).items():
         low, step = (1e-3 * float(own[word]) for word in ("MIN", "STEP"))
         moved = output = which
         if kind == "AN_CEC":
             moved, output = own["INPUT_AXIS"].strip("()"), own["OUTPUT_AXIS"].strip("()")
-        value = np.array(values[kind, which])
+        value = 1e-3 * values
         found.append(held_beyond(f"E{output[0]}{moved[0]}", low + step * np.arange(len(value), dtype=float), value))
     return rebuilt(tables, found)

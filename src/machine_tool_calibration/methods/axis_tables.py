@@ -40,18 +40,23 @@ _IN_PROFILES = (
 )
 
 
+def unit_of(axis: str) -> str:
+    """Of an axis's positions and of its reversal error: m, or rad of one that turns."""
+    return "rad" if axis in "ABC" else "m"
+
+
 @dataclass(frozen=True)
 class AxisTable:
-    """One error motion of a linear axis."""
+    """One error motion of an axis."""
 
     name: str  # EXX, ECY, …, as in ISO 230-1
-    nodes: Array  # (k,) increasing positions of the axis, m; k is 2 or more
+    nodes: Array  # (k,) increasing positions of the axis, m or rad; k is 2 or more
     value: Array  # (k,) deviation, actual minus commanded, m or rad; straight lines between the nodes
     uncertainty: Array  # (k,) standard uncertainty; NaN if it is not known
 
     @property
     def axis(self) -> str:
-        """X, Y or Z."""
+        """X, Y or Z; A, B or C."""
         return parse_motion(self.name).axis
 
     @property
@@ -72,7 +77,7 @@ class AxisTables:
     chain: Chain  # decides the lever arms of angles
     tables: tuple[AxisTable, ...]  # error motions that are determined at all their nodes
     squareness: Mapping[str, tuple[float, float]]  # value and standard uncertainty, rad, of A0Z, B0Z, C0Y
-    # half the reversal error b of an axis (position -b dir) and its standard uncertainty, m
+    # half the reversal error b of an axis (position -b dir) and its standard uncertainty, m or rad
     backlash: Mapping[str, tuple[float, float]]
     left_out: tuple[NotDetermined, ...]  # what the result does not determine, or determines at a part of its nodes only
     datum: str  # in words: where every table is zero
