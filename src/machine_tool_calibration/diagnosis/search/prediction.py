@@ -87,14 +87,14 @@ def predictions(
     found = [search.of(name) for name in names]
     every = Pool(search.fit)
     shaped = [shaped_at(every, f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
-    whole = _log_factors(search.fit, shaped, search)
+    whole = _log_factors(every, every, shaped, search)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
         gains, readings, needed = [], 0, 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
-                gains.append(whole - _log_factors(fit_of(left), shaped, search))
+                gains.append(whole - _log_factors(Pool(fit_of(left)), every, shaped, search))
             except (CalibrationError, np.linalg.LinAlgError):
                 needed += 1
                 continue
@@ -106,7 +106,7 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(fit: JointFit, shaped: Sequence[Shaped], search: EffectSearch) -> np.ndarray:
+def _log_factors(pool: Pool, every: Pool, shaped: Sequence[Shaped], search: EffectSearch) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
     The noise and what does not reproduce have the same size for all readings and for a part of them, and each pass, run
@@ -115,11 +115,11 @@ def _log_factors(fit: JointFit, shaped: Sequence[Shaped], search: EffectSearch) 
     nothing tells passes from what the direction does, would speak for what all cycles together share with the passes.
 
     Args:
-        fit: of all readings, or of a part.
+        pool: all readings, or a part of them.
+        every: all readings.
         shaped: the effects' columns at all readings.
         search: at all readings, with the size of the noise and of what does not reproduce.
     """
-    every, pool = Pool(search.fit), Pool(fit)
     columns, family, names = every.spread
     # Structures without a cause stand beside every effect: what they leave out would count against it.
     further = search.without_cause
