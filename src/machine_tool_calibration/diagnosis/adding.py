@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.diagnosis.search.candidates import Candidate
 from machine_tool_calibration.diagnosis.search.effect_search import EffectSearch
 from machine_tool_calibration.diagnosis.search.prediction import Prediction
 from machine_tool_calibration.errors import ModelError
@@ -25,18 +26,22 @@ _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece
 
 
 def with_probable(
+    names: Sequence[str],
     search: EffectSearch,
     predicted: Mapping[str, Sequence[Prediction]],
     first: FittedSessions,
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
     unsized: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[tuple[FittedSessions, ...], dict[str, str]]:
-    """The first model and one after every effect that can be added, and why the other probable ones cannot.
+) -> tuple[tuple[FittedSessions, ...], dict[str, str], dict[str, str]]:
+    """The first model and one after every one of some effects that can be added, and why the others cannot.
 
     What has a time constant, and no size of its own any more beside a further effect, was that one: it is in `unsized`.
+
+    Returns:
+        The fits; by effect, why it is not what is missing; and by effect, why the data does not allow it all the same.
     """
-    fitted, accepted, refused = [first], list[str](), dict(unsized)
-    for name in (name for name in search.accepted if name not in unsized):
+    fitted, accepted, refused, impossible = [first], list[str](), dict(unsized), dict[str, str]()
+    for name in (name for name in names if name not in unsized):
         against = [p.what for p in predicted.get(name, ()) if p.speaks_against]
         if not search.of(name).plausible:
             refused[name] = say("undetermined.no_such_size")
@@ -46,17 +51,19 @@ def with_probable(
             try:
                 wider = fit_with((*accepted, name))
                 _settled(wider.joint)
-                _explains(fitted[-1].joint, wider.joint)
                 _hold(fitted[-1].error_map, wider.error_map)
                 late = _not_themselves(search, first.joint, (*accepted, name), fit_with)
             except ModelError as error:
-                refused[name] = str(error)
+                impossible[name] = str(error)
                 continue
             if late:
-                return with_probable(search, predicted, first, fit_with, {**unsized, **late})
+                return with_probable(names, search, predicted, first, fit_with, {**unsized, **late})
+            if not _explains(fitted[-1].joint, wider.joint):
+                refused[name] = say("undetermined.explains_nothing")
+                continue
             fitted.append(wider)
             accepted.append(name)
-    return tuple(fitted), refused
+    return tuple(fitted), refused, impossible
 
 
 def _settled(fit: JointFit) -> None:
@@ -71,15 +78,10 @@ def _settled(fit: JointFit) -> None:
         raise ModelError("together with the model's own unknowns the data does not determine it")
 
 
-def _explains(before: JointFit, after: JointFit) -> None:
-    """Nothing, if an effect lowers the sum of squares.
-
-    Raises:
-        ModelError: the model without it explains the readings as well, unknowns that are random functions aside.
-    """
+def _explains(before: JointFit, after: JointFit) -> bool:
+    """Whether an effect lowers the sum of squares, unknowns that are random functions aside."""
     gain = before.without_random.solution.chi_square - after.without_random.solution.chi_square
-    if gain < priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0):
-        raise ModelError("the model explains the readings as well without it")
+    return gain >= priors.LEAST_GAIN * min(after.reduced_chi_square, 1.0)
 
 
 def _not_themselves(
@@ -88,7 +90,7 @@ def _not_themselves(
     names: tuple[str, ...],
     fit_with: Callable[[tuple[str, ...]], FittedSessions],
 ) -> dict[str, str]:
-    """Why some of the effects with a time constant are not what is missing, by name: without those that are.
+    """Why some of the effects are not what is missing, by name: the last if it has no size, and of those that decay.
 
     Args:
         search: what was found.
@@ -97,6 +99,8 @@ def _not_themselves(
         fit_with: the fit with effects.
     """
     after, out, known = fit_with(names).joint, dict[str, str](), {f.name for f in search.findings if f.rank}
+    if not _sized(after, names[-1]):
+        return {names[-1]: say("undetermined.no_size_beside")}
     for name in (name for name in names if search.of(name).candidate.decays):
         # What it changes that the model does not absorb, and the residual.
         squares = np.diag(Pool(before).screen(effect_signal(after, name)[0][None]).gram)
@@ -111,8 +115,17 @@ def _not_themselves(
     return out
 
 
+def simpler(candidate: Candidate, fit_with: Callable[[tuple[str, ...]], FittedSessions]) -> tuple[str, ...]:
+    """Special cases of an effect that explain more than it does, each by itself."""
+    try:
+        least = fit_with((candidate.name,)).joint.solution.chi_square
+        return tuple(n for n in candidate.contains if fit_with((n,)).joint.solution.chi_square < least)
+    except ModelError:
+        return ()
+
+
 def _sized(fit: JointFit, name: str) -> bool:
-    """Whether the sizes of an effect with a time constant, jointly, stand out of their uncertainty.
+    """Whether the sizes of an effect, jointly, stand out of their uncertainty.
 
     Where they do not, its coefficients describe something else, in one place or at one moment.
     """

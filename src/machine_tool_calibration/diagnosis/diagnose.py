@@ -10,7 +10,7 @@ import threadpoolctl
 from scipy import special
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.adding import with_probable
+from machine_tool_calibration.diagnosis.adding import simpler, with_probable
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.effect_search import (
     EffectSearch,
@@ -18,7 +18,7 @@ from machine_tool_calibration.diagnosis.search.effect_search import (
     led_by_places,
     search_effects,
 )
-from machine_tool_calibration.diagnosis.search.findings import Finding
+from machine_tool_calibration.diagnosis.search.findings import Finding, in_order
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -37,6 +37,7 @@ from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.words import say, together
 
 # Rounds of gross errors beside effects.
 _GROSS_ERROR_ROUNDS = 4
@@ -219,29 +220,11 @@ def _search(
     candidates, excluded = effect_candidates(pool, [e for e in chosen.absent if e.id not in held])
     excluded |= {e.id: "the model has it already, as a random function" for e in chosen.absent if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    side_by_side = all(spec_of(session).reads_machine for session in chosen.sessions)
-    structures = structure_candidates(pool)
-
-    @cache
-    def fit_with(ids: tuple[str, ...]) -> FittedSessions:
-        return fit_sessions(searched.adding(ids))
-
-    def look_for(tried: Sequence[Candidate]) -> EffectSearch:
-        return search_effects(first.joint, tried, structures, side_by_side=side_by_side)
-
-    search = look_for(candidates)
-    fine = _resolved(pool, candidates, search, fit_with)
-    if fine is not None:
-        search = look_for(fine)
-    progress("readings that are left out", 0.7)
-    predicted = predictions(
-        searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
-    )
+    search, predicted, fitted, refused = _possible(searched, first, candidates, progress)
     noise = search.noise[0]
     if repeated is not None:
         said = {name: getattr(repeated, name) for name in ("from_repeats", "repeats", "as_read")}
         noise = replace(noise, **said)
-    fitted, refused = with_probable(search, predicted, first, fit_with)
     found = Diagnosis(
         chosen=chosen,
         searched=searched,
@@ -259,6 +242,57 @@ def _search(
     if verdict == "missing_effect":
         return replace(found, verdict=verdict)
     return replace(found, verdict=verdict, accepted=(), fitted=fitted[:1])
+
+
+def _possible(
+    searched: FitRequest,
+    first: FittedSessions,
+    candidates: Sequence[Candidate],
+    progress: Callable[[str, float], None],
+) -> tuple[EffectSearch, dict[str, tuple[Prediction, ...]], tuple[FittedSessions, ...], dict[str, str]]:
+    """The search among all effects but those that cannot be what is missing, as often as it finds such.
+
+    What was probable beside them alone is not any longer. What is probable in their place alone is no cause for that,
+    but where it is a special case that explains more.
+
+    Returns:
+        The search; how its effects do on readings that were left out; the first model's fit and one after every effect
+        added; and which probable effects were not, with the reason.
+    """
+    pool = Pool(first.joint)
+    side_by_side = all(spec_of(session).reads_machine for session in searched.sessions)
+    structures = structure_candidates(pool)
+
+    @cache
+    def fit_with(ids: tuple[str, ...]) -> FittedSessions:
+        return fit_sessions(searched.adding(ids))
+
+    def look_for(tried: Sequence[Candidate]) -> EffectSearch:
+        return search_effects(first.joint, tried, structures, side_by_side=side_by_side)
+
+    gone, refused, predicted = list[Finding](), dict[str, str](), dict[str, tuple[Prediction, ...]]()
+    possible = {candidate.name for candidate in candidates}
+    while True:
+        tried = [c for c in candidates if c.name not in refused]
+        search = look_for(tried)
+        fine = _resolved(pool, tried, search, fit_with)
+        if fine is not None:
+            search = look_for(fine)
+        progress("readings that are left out", 0.7)
+        predicted |= predictions(
+            searched.sessions, search, lambda left: fit_sessions(replace(searched, sessions=left)).joint
+        )
+        names = [name for name in search.accepted if name in possible]
+        fitted, ruled_out, impossible = with_probable(names, search, predicted, first, fit_with)
+        possible = {*names, *(case for name in ruled_out for case in simpler(search.of(name).candidate, fit_with))}
+        refused |= ruled_out
+        gone += map(search.of, ruled_out)
+        if not ruled_out:
+            # The refused keep what was found of them.
+            search = replace(search, findings=in_order([*search.findings, *gone]))
+            instead = say("undetermined.in_place", names=together([f.name for f in gone], say("text.and")))
+            impossible |= {name: instead for name in search.accepted if name not in names}
+            return search, predicted, fitted, refused | impossible
 
 
 def _first_model(chosen: FitRequest) -> tuple[FitRequest, FittedSessions, Noise | None]:

@@ -194,7 +194,7 @@ SIZE_MARGIN = 2.0
 
 STANDS_OUT = 2.0
 """Standard uncertainties of a size beside the other effects, or the probability of that for several together, below
-which an effect with a time constant is not added: what decays resembles much else."""
+which an effect is not added: what it is said to be may be zero."""
 
 TAKEN_BACK = 2.0
 """What an effect with a time constant changes, over all that the model lacks, from which it is not added: the others

@@ -66,11 +66,13 @@ def test_an_effect_that_its_predictions_speak_against_is_refused_although_it_is_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=(FlawSpec(id="backlash_x", size=2e-6),))
-    against = {"backlash_x": (Prediction("setups", (30.0, -4.0, -4.0, 1.0), 100),)}
+    speaks_against = (Prediction("setups", (30.0, -4.0, -4.0, 1.0), 100),)
+    # What contains it takes its place, and fails as well.
+    against = dict.fromkeys(("backlash_x", "lost_motion_x"), speaks_against)
     monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.predictions", lambda *_: against)
     found = diagnose(simulate(spec).session)
-    assert found.search.accepted == ("backlash_x",)
-    assert found.accepted == () and set(found.refused) == {"backlash_x"}
+    assert found.search.of("backlash_x").probability > 0.95
+    assert found.accepted == () and set(found.refused) >= {"backlash_x", "lost_motion_x"}
 
 
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:

@@ -17,6 +17,7 @@ from machine_tool_calibration.diagnosis.search.findings import (
     basis_of,
     finding_of,
     fitted_in,
+    in_order,
     posterior_of,
     without_laws,
 )
@@ -311,9 +312,7 @@ def _findings(columns: _Columns, found: Posterior) -> tuple[Finding, ...]:
     ratio, families = found.marginals[0].ratio, len(found.marginals[0].ratio) - len(columns.gram.sizes)
     plain = marginal_at(columns.gram, (0.0,) * families + ratio[families:])
     effects = enumerate(columns.candidates[: columns.effects])
-    out = [finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects]
-    # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
-    return tuple(sorted(out, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
+    return in_order([finding_of(k, candidate, columns.pool, plain, found) for k, candidate in effects])
 
 
 def _accepted(

@@ -68,6 +68,12 @@ class Finding:
         return all(size.plausible for size in self.sizes)
 
 
+def in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The most probable first, absorbed ones last; those with the same columns in the catalogue's order."""
+    # Whatever the last bits say.
+    return tuple(sorted(findings, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
+
+
 def basis_of(inner: Array) -> Array:
     """(k, r) combinations of columns that are orthonormal outside the model, without what the model absorbs.
 
