@@ -194,9 +194,10 @@ def test_a_lag_that_explains_less_than_expansion_without_one_is_not_named() -> N
     chamber = 26.0 + 8.0 * (followed(time, bed, 900.0) - 26.0) / 44.0
     moved = 1e-6 * (1.3 * chamber + 0.64 * followed(time, bed, 50.0) + 0.156 * followed(time, nozzle, 120.0))
     found = diagnose(frame_that_warms(time, moved, temperature_z=chamber, bed=bed, nozzle=nozzle))
-    # The expansion is there; the rest follows the bed.
-    assert (found.verdict, found.accepted) == ("missing_effect", ("thermal_expansion_z",))
-    assert (found.search.left[0].covariate, found.search.left[0].share > 0.9) == ("bed", True)
+    # The expansion is there; the rest follows the bed, and a drift may be in it.
+    assert found.verdict == "missing_effect" and "thermal_expansion_z" in found.accepted
+    assert "thermal_lag_z" not in found.accepted
+    assert any(left.covariate == "bed" and left.share > 0.8 for left in found.search.left)
 
 
 def test_reversal_of_no_simple_form_is_said_place_by_place() -> None:

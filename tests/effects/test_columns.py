@@ -159,7 +159,9 @@ def coefficients(name: str, plan: str, chosen: Chosen) -> tuple[dict[str, float]
         play = size * np.cos(0.5 * np.pi * (share - more["where"])) ** 2
         known = {f"b{k}": b for k, b in enumerate(np.polynomial.legendre.legfit(2 * share - 1, play, 12))}
     shape = tuple(more[key] for key in ("tau", "lead", "reach", "frequency") if key in more)
-    return known, (float(max(more["orders"])),) if "orders" in more else shape
+    if "orders" in more:
+        shape = (float(max(more["orders"])), *((1.0,) if name == "pointer_radial_error" else ()))
+    return known, shape
 
 
 def expected(name: str, plan: str, chosen: Chosen) -> Array | None:
@@ -372,3 +374,18 @@ def test_drift_of_a_tables_axis(axis: str) -> None:
     for name, (value, u) in values.items():
         assert abs(value - 3e-9 * expected[name]) < 4 * u, name
     assert values["vx"][1] < 1e-9
+
+
+@pytest.mark.parametrize("cosines", [0.0, 1.0])
+def test_beams_that_rise_tell_whether_a_pointers_error_takes_their_elevation(cosines: float) -> None:
+    session = simulate(spec("tracking_3d")).session
+    observations = build_model(session)[0].observations
+    effect = catalogue()["pointer_radial_error"]
+    shapes = [shape for shape in effect.shape_grid(observations) if shape[0] == 3.0]
+    assert {power for _, power in shapes} == {0.0, 1.0}
+    moved = np.array([0.0, 0.0, 3e-6, 2e-6]) @ effect.columns(observations, (3.0, cosines))
+    readings = replace(session.readings, displacement=session.readings.displacement + moved)
+    joint = fit_models([build_model(session.with_readings(readings))[0]])
+    shape, ((*_, sine, cosine),) = common_shape(joint, effect, shapes)
+    assert shape == (3.0, cosines)
+    assert (sine, cosine) == pytest.approx((3e-6, 2e-6), rel=0.1)

@@ -90,7 +90,7 @@ def test_a_part_that_is_turned_turns_its_effect_only(simulated: Simulated) -> No
     session = simulated("tracking_2d")
     option = next(o for o in further_options(session) if o.kind == "turned")
     form = assumed("retroreflector_form", (3.0,), s2=1e-6, c3=1e-6)
-    radial = assumed("pointer_radial_error", (3.0,), s2=1e-6, c3=1e-6)
+    radial = assumed("pointer_radial_error", (3.0, 1.0), s2=1e-6, c3=1e-6)
     plain = sense(option.session, [form, radial], first_row=option.first_row)
     turned = sense(option.session, [form, radial], first_row=option.first_row, turned=option.turned)
     assert plain.cosine("retroreflector_form", "pointer_radial_error") == pytest.approx(1.0, abs=1e-6)

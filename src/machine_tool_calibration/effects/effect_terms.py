@@ -93,7 +93,8 @@ def common_shape(
     best = int(np.argmax(gains))
     if all(coefficient.discrete for coefficient in effect.shapes):
         # As many unknowns as the readings tell: how large they plausibly are keeps those that are nothing small.
-        best = max((k for k, enough in enumerate(told) if enough), default=0)
+        enough = [k for k, each in enumerate(told) if each]
+        best = max(enough, key=lambda k: (sum(map(len, sizes[k])), gains[k]), default=0)
         return grid[best], sizes[best]
     if len(grid[best]) > 1 or len(grid) == 1:
         return grid[best], sizes[best]

@@ -94,7 +94,9 @@ class HarmonicEffect(Effect):
     """
 
     kind = "reading"
-    shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True, meaning=say("coefficient.waves_most")),)
+    shapes: tuple[Shape, ...] = (
+        Shape("highest_order", "1", 2.0, 8.0, discrete=True, meaning=say("coefficient.waves_most")),
+    )
     limit: float  # largest plausible amplitude, m
 
     @abstractmethod

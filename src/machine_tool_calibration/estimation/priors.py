@@ -6,6 +6,8 @@ what every model lacks a little, what does not reproduce, single gross errors, a
 (rounding, memory, steps of a grid) stand where they are used and move no answer.
 """
 
+import numpy as np
+
 # --- noise ---
 
 DECLARED_DOF = 20.0
@@ -60,8 +62,18 @@ effects."""
 
 SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
 """The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
-steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
-spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
+steps of this factor (or finer ones, `scale_step`), all equally probable, down to where its signal is this many standard
+uncertainties: the prior spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
+
+
+def scale_step(coefficients: int) -> float:
+    """Factor between the scales of an effect of so many coefficients, so that none is at a disadvantage by the grid.
+
+    Halfway between two scales k coefficients have less evidence by about k h^2 / 4 in its logarithm, with h that of the
+    step: one for two coefficients, and five for eight of them at the same step.
+    """
+    return float(SCALE_STEP ** (1.0 / np.ceil(np.sqrt(max(coefficients, 2) / 2.0))))
+
 
 BEYOND = 2.0
 """Times the limits of its coefficients up to which an effect is tried: what is plausible is known to no better."""

@@ -76,8 +76,9 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
         inner = covariance[np.ix_(place, place)] / np.outer(unit, unit)
         value = mean[place] / unit
         signal = np.sqrt(1.0 / max(float(np.linalg.eigvalsh(inner)[0]), 1e-300))
-        steps = int(np.log(max(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))
-        scales = np.append(priors.SCALE_STEP ** -np.arange(steps + 1.0), priors.RARE_SIZE)
+        step = priors.scale_step(int(scaled.sum()))
+        steps = int(np.log(max(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(step))
+        scales = np.append(step ** -np.arange(steps + 1.0), priors.RARE_SIZE)
         share = np.append(np.full(steps + 1, (1.0 - priors.RARE) / (steps + 1)), priors.RARE)
         logs, gains = [], []
         for scale, probability in zip(scales, share, strict=True):
@@ -106,8 +107,9 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = p
         power: probability to reach it.
     """
     largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
-    steps = max(int(np.floor(np.log(max(largest / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))) + 1, 1)
-    s2 = priors.SCALE_STEP ** (-2.0 * np.arange(steps))
+    between = priors.scale_step(len(values))
+    steps = max(int(np.floor(np.log(max(largest / priors.SMALLEST_SIGNAL, 1.0)) / np.log(between))) + 1, 1)
+    s2 = between ** (-2.0 * np.arange(steps))
     cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(steps)
     share = s2 * along / (1.0 + s2 * along)
 

@@ -346,11 +346,21 @@ def _accepted(
 
 
 def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: Sequence[int]) -> int:
-    """Of look-alikes the likeliest, or one of as many coefficients, nearly as likely, that the catalogue has first."""
+    """Of look-alikes the likeliest, or one of as many coefficients, nearly as likely, that the catalogue has first.
+
+    Where these sizes are usual: a dead path of metres stands for no drift that is as likely.
+    """
     probability = {k: found.of(k, given=accepted) for k in group}
     size = {k: len(columns.candidates[k].shapes[0].columns) for k in group}
     best = max(group, key=lambda k: probability[k])
-    return min(k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best])
+    alike = [k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
+    return min(alike, key=lambda k: (_is_seldom(columns, found, k), k))
+
+
+def _is_seldom(columns: _Columns, found: Posterior, k: int) -> bool:
+    """Whether a candidate is larger than usual."""
+    point = found.best.get(k) or found.single.best.get(k)
+    return point is not None and bool(columns.blocks[point.block].is_seldom(np.array(point.scale)))
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:

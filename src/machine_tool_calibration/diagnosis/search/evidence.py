@@ -58,6 +58,10 @@ class Block:
         """Where its columns are without those of the law."""
         return slice(self.place.start, self.place.start + len(self.shaped.columns))
 
+    def is_seldom(self, scale: Array) -> BoolArray:
+        """Where scales of its coefficients are beyond what is usual."""
+        return np.asarray(scale > self.usual * priors.SCALE_STEP**0.5)
+
     @classmethod
     def of(cls, candidate: int, place: slice, shaped: Shaped, squares: Array, log_share: float = 0.0) -> Block:
         """That of an effect, within the limits of its coefficients, or of a structure, whose size is hardly limited.
@@ -145,13 +149,13 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
         only: the one that is asked for; the others count as absorbed.
     """
     gram = tried[0].gram
-    alike: dict[tuple[int, bool], list[int]] = {}
+    alike: dict[tuple[int, int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
         if len(block.unit) and (only is None or block.candidate == only):
-            alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
+            alike.setdefault((len(block.unit), len(block.shaped.columns), _is_bounded(block)), []).append(k)
     # Of each block: its evidence, and that at its best scale, with and without the cut.
     total, most, uncut, scale = np.full((4, len(blocks)), -np.inf)
-    for (size, _), every in alike.items():
+    for (size, _, _), every in alike.items():
         scales, count = _scales(gram, [blocks[k] for k in every])
         showing = np.flatnonzero(count)
         step = max(int(NUMBERS_AT_ONCE / (len(tried) * size)), 1)
@@ -160,8 +164,8 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
             own = scales[rows, : count[rows].max()]
             logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
             share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
-            usual = np.array([blocks[k].usual for k in mine])[:, None]
-            share = share[:, None] - np.where(own > usual * priors.SCALE_STEP**0.5, np.log(priors.SELDOM), 0.0)
+            seldom = np.array([blocks[k].is_seldom(row) for k, row in zip(mine, own, strict=True)])
+            share = share[:, None] - np.where(seldom, np.log(priors.SELDOM), 0.0)
             logs = np.where(np.isnan(own), -np.inf, logs + share)
             total[mine] = _log_sum(logs.T)
             at = np.arange(len(mine)), np.argmax(logs, axis=1)
@@ -198,11 +202,12 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> tuple[Array, IntArray]:
     columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
     signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
-    steps = np.floor(np.log(np.maximum(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(priors.SCALE_STEP))
-    every = np.arange(float(_MOST_SCALES))
+    step = priors.scale_step(len(blocks[0].shaped.columns))
+    steps = np.floor(np.log(np.maximum(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(step))
+    every = np.arange(np.ceil(_MOST_SCALES * np.log(priors.SCALE_STEP) / np.log(step)))
     shows = (every <= steps[:, None]) & (signal[:, None] > 0)
-    allowed = priors.SCALE_STEP**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
-    return np.where(shows & allowed, priors.SCALE_STEP**-every, np.nan), shows.sum(axis=1)
+    allowed = step**-every <= 1.01 * np.array([block.largest for block in blocks])[:, None]
+    return np.where(shows & allowed, step**-every, np.nan), shows.sum(axis=1)
 
 
 def _evidence(blocks: Sequence[Block], scales: Array, tried: Sequence[Marginal]) -> tuple[Array, Array]:
