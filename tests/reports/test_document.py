@@ -160,11 +160,12 @@ def test_a_look_alike_of_the_effect_found_is_in_its_group_and_not_called_absorbe
     assert document["accepted"][0] in pair
     assert any(pair <= set(group) for group in document["alias_groups"])
     assert not pair & {a["effect"] for a in document["absorbed"]}
-    # Their columns are the same: nothing but the sizes that occur distinguishes them, so that neither is ruled out.
+    # Their columns are the same: nothing but the sizes that occur distinguishes them, and by these how many waves there
+    # are, so that neither is ruled out.
     one, other = (next(c for c in document["candidates"] if c["effect"] == name) for name in sorted(pair))
-    assert one["delta_bic"] == pytest.approx(other["delta_bic"])
-    assert one["rms_after"] == pytest.approx(other["rms_after"], rel=1e-6)
-    assert min(one["probability"], other["probability"]) > 0.05
+    assert max(one["delta_bic"], other["delta_bic"]) < -50.0
+    assert one["rms_after"] == pytest.approx(other["rms_after"], rel=0.02)
+    assert min(one["probability"], other["probability"]) > 0.3
     assert one["probability"] + other["probability"] > 0.95
 
 
