@@ -55,6 +55,7 @@ class Effect(ABC):
     instruments: tuple[str, ...] = ()
     covariates: tuple[str, ...] = ()  # what the readings depend on through the effect; its columns if empty
     tolerance: float = 0.1  # share of its size to which the law holds, one standard deviation
+    seldom: bool = False  # whether other causes are usual: a finer point of one, or one of a dozen of a kind
     setup_level: bool = False  # whether its coefficients belong to single setups, which then are the sample
     contains: tuple[str, ...] = ()  # ids of simpler effects that are a special case of it: a model does not hold both
     chain: str = ""  # letters of linear axes that the machine must have

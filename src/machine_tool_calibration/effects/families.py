@@ -76,6 +76,7 @@ class SquarenessEffect(AxisEffect):
 
     kind = "position"
     moves = "{AXIS}"
+    seldom = True
 
     def __init__(self, name: str) -> None:
         """Of A0Z, B0Z or C0Y."""

@@ -27,6 +27,7 @@ class Reversal(ReversalEffect):
     formula = "{name} = -b dir_{axis}"
     source = "ISO 230-1:2012, bi-directional error motions; half width b"
     chain = "{AXIS}"
+    seldom = True
 
     def __init__(self, name: str) -> None:
         """Reversal of a straightness or an angle of X, Y or Z, such as EYX or ECX."""

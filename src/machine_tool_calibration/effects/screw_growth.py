@@ -41,6 +41,7 @@ class ScrewGrowth(LateEffect):
     shapes = (replace(LateEffect.shapes[0], low=_QUICKEST),)
     needs = ("{axis}", "time")
     moves = "{AXIS}"
+    seldom = True
     contains = (Warmup.id,)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

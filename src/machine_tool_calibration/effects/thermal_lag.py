@@ -26,6 +26,7 @@ class ThermalLag(LateEffect, ThermalExpansion):
     source = "ISO 230-3; first-order lag, ISO/TR 16015, thermal inertia"
     needs = (*ThermalExpansion.needs, "time")
     contains = (ThermalExpansion.id,)
+    seldom = True
 
     def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
         """What follows the sensor's."""

@@ -53,8 +53,8 @@ the readings scatter, since what is larger is an effect, or a structure to be na
 # --- effects of the catalogue, and structures without a cause ---
 
 EFFECT = 0.05
-"""Probability that one effect of the catalogue is missing: with the twenty or so that a plan can show, that something
-is missing and that nothing is are about even."""
+"""Probability that one usual effect of the catalogue is missing: with the twenty or so that a plan can show, that
+something is missing and that nothing is are about even."""
 
 STRUCTURE = 0.003
 """The same of a structure without a cause, of which many are tried: together they are as probable as one or two
@@ -79,7 +79,9 @@ BEYOND = 2.0
 """Times the limits of its coefficients up to which an effect is tried: what is plausible is known to no better."""
 
 SELDOM = 4.0
-"""Odds against a size beyond what is usual, such as a dead path of metres on a small machine."""
+"""Odds against a size beyond what is usual, such as a dead path of metres on a small machine; and against an effect
+that is a finer point of another (a lag behind the sensor, a squareness that changes with the temperature), or one of a
+dozen of a kind (the reversals of angles and straightness): together such are no more probable than the usual ones."""
 
 RARE, RARE_SIZE = 0.01, SCALE_STEP**2
 """Probability that an effect which was put into a model is larger than plausible, and its size then over half of that:

@@ -64,6 +64,11 @@ class Candidate:
         return () if self.effect is None else self.effect.contains
 
     @property
+    def is_seldom(self) -> bool:
+        """Whether it is an effect beside which others are usual."""
+        return self.effect is not None and self.effect.seldom
+
+    @property
     def decays(self) -> bool:
         """Whether it has a time constant."""
         return any(shape.unit == "s" for shape in self.nonlinear)

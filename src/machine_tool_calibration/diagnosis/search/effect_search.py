@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logit
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, to_some_percent
@@ -158,10 +159,11 @@ def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
 
 def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
     effects = [k for k in columns.seen if k < columns.effects]
-    log_odds = np.full(len(columns.candidates), -np.inf)
-    for k in columns.seen:
-        prior = min(priors.EFFECT, 1.0 / len(effects)) if k in effects else priors.STRUCTURE
-        log_odds[k] = np.log(prior / (1.0 - prior))
+    prior = np.zeros(len(columns.candidates))
+    prior[columns.seen] = priors.STRUCTURE
+    often = np.array([priors.SELDOM ** -float(columns.candidates[k].is_seldom) for k in effects])
+    prior[effects] = often * min(priors.EFFECT, 1.0 / max(often.sum(), 1.0))
+    log_odds = logit(prior)
     exclusive = _exclusive(columns)
     return search(
         columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, exclusive=exclusive
