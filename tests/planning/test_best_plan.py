@@ -18,12 +18,12 @@ from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, best_plan
+from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, best_plan, quickest_plan
 from machine_tool_calibration.planning.design import Candidates, map_errors
 from machine_tool_calibration.planning.dominant import expected_model
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
-from machine_tool_calibration.planning.optimise import _Relaxed, bound, quickest, search
+from machine_tool_calibration.planning.optimise import _Relaxed, _relaxed, bound, quickest, search
 from machine_tool_calibration.procedure import parse_procedure, plan
 from machine_tool_calibration.procedure.description import expanded
 
@@ -138,6 +138,20 @@ def test_the_bound_holds_for_every_plan_of_a_small_offer() -> None:
     assert best.largest == pytest.approx(exact, rel=1e-9)
 
 
+def test_the_bound_is_raised_until_it_is_close_or_above_the_plan() -> None:
+    """From round to round; one that is above the plan's variance says no more than that at once."""
+    offered = offer(PLANE, "plane")
+    candidates = _candidates(offered)
+    largest = float(search(offered, candidates).variances.max())
+    found, rounds = {}, {}
+    for share in (1.0, 1e-3):
+        told: list[float] = []
+        found[share] = _relaxed(_Relaxed(offered, 2), candidates, share * largest, told.append)
+        rounds[share] = len(told)
+    assert rounds[1e-3] == 1 < rounds[1.0] < 60
+    assert 1e-3 < 1e-3 * found[1e-3] < found[1.0] < 1.0
+
+
 @pytest.mark.parametrize("name", ["plane", "rotary_axis_one_way"])
 def test_every_plan_that_is_allowed_keeps_the_rules_of_the_bound_and_one_with_too_many_setups_does_not(
     name: str,
@@ -189,6 +203,28 @@ def test_a_plan_has_readings_that_check_each_other() -> None:
     candidates = _candidates(offered)
     three, four = (candidates.judged(offered.weights(Choice(tuple(range(n)), (0,), 3)))[1] for n in (3, 4))
     assert three < 0.1 < four
+
+
+def test_the_file_of_the_quickest_plan_has_its_setups_in_their_order() -> None:
+    """With a margin for what does not reproduce between setups, which no plan can know of."""
+    text = _changed(seconds=700.0)
+    offered = offer(text, "plane")
+    wanted = quickest(offered, _candidates(offered), 0.85 * 1.4e-6, lambda what, share: None)
+    assert quickest_plan(text, "plane", Assumed(), u=1.4e-6) == offered.text(wanted)
+
+
+def test_what_a_plan_is_made_of_and_how_far_the_work_is() -> None:
+    shares: list[float] = []
+    found = best_plan(PLANE, "plane.yaml", Assumed(), progress=lambda what, share: shares.append(share))
+    assert shares[0] == 0.0 and shares[-1] <= 1.0
+    assert shares == sorted(shares)
+    assert any(share > 0.7 for share in shares) and any(0.0 < share < 0.7 for share in shares)
+    assert found.best.stations.shape == (len(found.best.setups), 3)
+    np.testing.assert_allclose(found.present.stations[0], [-0.35, 0.05, 0.0])
+    assert found.present.typical == pytest.approx(np.linalg.norm(found.present.u) / np.sqrt(len(found.present.u)))
+    document = found.document()
+    assert document["for"] == "position_error" and document["bound"] == found.bound > 0.0
+    assert document["candidates"] == {"setups": 9, "targets": 0}
 
 
 def test_same_seed_same_plan(found: BestPlan) -> None:

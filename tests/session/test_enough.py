@@ -87,6 +87,12 @@ def test_two_targets(session_folder) -> None:
     assert folder.refusal().startswith("observations.csv: there are fewer than three targets; ")
 
 
+def test_one_rotary_target_is_enough_with_one_angle_more_than_is_refused(session_folder) -> None:
+    folder = session_folder("rotary_axis")
+    folder.edit_rows(lambda fields, _: fields if fields["target"] == "P" and float(fields["c"]) < 3.3 else None)
+    assert len(read_session(folder.path).readings) == 40  # for 3 * 10 + 10 unknowns of four stations
+
+
 @pytest.mark.parametrize("targets", ["P", "PQ"])
 def test_one_and_two_rotary_targets_are_enough_for_what_they_show(session_folder, targets: str) -> None:
     folder = session_folder("rotary_axis")

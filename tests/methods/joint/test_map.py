@@ -13,7 +13,8 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
-from machine_tool_calibration.model.rigid_body import map_field
+from machine_tool_calibration.methods.joint.model import _translated, _translation
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
@@ -72,6 +73,28 @@ def test_nodes_of_all_sessions_in_one_table(several: SimpleNamespace) -> None:
     result = identify_sessions(FitRequest(tuple(s.session for s in simulated), ("grid", "diagonals")))
     (table,) = (table for table in result.common.tables if table.name == "EXX")
     np.testing.assert_allclose(table.nodes, np.union1d(np.round(several.nodes, 9), np.round(np.arange(11) * 0.04, 9)))
+
+
+def test_a_condition_on_a_table_says_the_same_of_one_with_more_nodes(several: SimpleNamespace) -> None:
+    """Of every motion that is a straight line between the nodes of the finer table; what is not a table stays."""
+    rng = np.random.default_rng(3)
+    chain = several.measured("grid", 0).session.description.machine.kinematics
+    own = MachineTable(chain, "EXX", np.array([0.0, 0.1, 0.4]))
+    finer = MachineTable(chain, "EXX", np.array([0.0, 0.05, 0.2, 0.3, 0.4]))
+    square = MachineTable(chain, "C0Y")
+    weights = dict(zip((*own.labels, "C0Y", "A.dead_path"), rng.normal(size=5).tolist(), strict=True))
+    restated = _translated(weights, _translation((own, square), (finer, square)))
+    motion = rng.normal(size=5)
+    values = dict(
+        zip((*own.labels, "C0Y", "A.dead_path"), [*np.interp(own.nodes, finer.nodes, motion), 0.7, -0.2], strict=True)
+    )
+    on_finer = dict(zip((*finer.labels, "C0Y", "A.dead_path"), [*motion, 0.7, -0.2], strict=True))
+    assert sum(w * on_finer[name] for name, w in restated.items()) == pytest.approx(
+        sum(w * values[name] for name, w in weights.items())
+    )
+    # nothing of a table that is not there any more, nor of a sum that cancels
+    assert _translated(weights, _translation((own, square), ())) == {"A.dead_path": weights["A.dead_path"]}
+    assert _translated({"one": 1.0, "other": -1.0}, {"one": {"x": 1.0}, "other": {"x": 1.0}}) == {}
 
 
 def test_effect_of_one_session_only(several: SimpleNamespace) -> None:

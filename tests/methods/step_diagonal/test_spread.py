@@ -139,6 +139,17 @@ def test_parameters_are_those_of_the_map(exact):
     assert SMALLEST * content["angular_probability"] ** 0.5 <= content["angular_size"] <= LARGEST
 
 
+@pytest.mark.parametrize("size", [2e-6, 1e-5])
+def test_angles_that_are_expected_have_the_size_that_was_said(exact, size):
+    model = build(exact(3, noise=1.0, angular=5e-6).session).expecting(size)
+    for labels, where in zip(model.spread.names, model.spread.nodes, strict=True):
+        own = [prior for prior in model.priors if set(prior.weights) == set(labels)]
+        axes = np.array([[prior.weights[label] for label in labels] for prior in own])
+        covariance = axes.T @ np.diag([prior.sigma**2 for prior in own]) @ axes
+        assert covariance == pytest.approx(size**2 * mean_shape(*where), abs=1e-4 * size**2)
+    assert model.random is None
+
+
 @pytest.mark.parametrize("angular", [0.0, 1.5e-5])
 def test_what_the_readings_tell_of_the_size(exact, angular):
     found = [build(exact(seed, noise=1.0, angular=angular, repeats=2).session).spread.posterior for seed in range(4)]
