@@ -21,8 +21,7 @@ from typing import Any
 import yaml
 
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import Graph
-from machine_tool_calibration.nodes.ros.domain import claimed_domain
+from machine_tool_calibration.nodes.graph import Graph, claimed_domain
 from machine_tool_calibration.nodes.shared import procedure_file
 
 NODES = ("recorder", "axis_simulator", "rotary_pointer", "instrument", "estimator", "procedure")

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import settings
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.domain import free_domain
+from machine_tool_calibration.nodes.graph import free_domain
 
 from .told import Verb
 

@@ -14,7 +14,7 @@ import pytest
 
 from machine_tool_calibration.certificate.dcc import SPACES, dcc_text, lacks_for_dcc
 from machine_tool_calibration.certificate.particulars import Certificate, Item, read_certificate
-from machine_tool_calibration.certificate.points import missing
+from machine_tool_calibration.certificate.texts import missing
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.reports.result_tables import tidy

@@ -16,7 +16,7 @@ import pytest
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import SimulationSpec, simulate
-from machine_tool_calibration.simulation.plans import PLANS
+from machine_tool_calibration.simulation.spec import PLANS
 
 from ..told import Verb
 

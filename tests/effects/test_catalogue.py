@@ -30,7 +30,7 @@ from machine_tool_calibration.simulation import (
     TrackingPlan,
     simulate,
 )
-from machine_tool_calibration.simulation.plans import AnyPlan
+from machine_tool_calibration.simulation.spec import AnyPlan
 
 # Where each effect is put in, and how closely its columns follow the exact geometry (cosine outside the model). A
 # polynomial of degree 4 does not quite follow the simulator's smooth functions.

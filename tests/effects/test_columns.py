@@ -33,10 +33,9 @@ from machine_tool_calibration.simulation import (
     simulate,
 )
 from machine_tool_calibration.simulation.circle_run import CirclePlan
-from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.flaw import ALL_METHODS, Chosen, Flaw
+from machine_tool_calibration.simulation.flaw import ALL_METHODS, Chosen, Disturbance, Flaw
 from machine_tool_calibration.simulation.plan import since_first
-from machine_tool_calibration.simulation.plans import AnyPlan
+from machine_tool_calibration.simulation.spec import AnyPlan
 
 # The same places from both sides and in oblique directions of space, at random.
 _PLACES = np.random.default_rng(5).choice(np.linspace(0.0, 0.4, 9), (150, 3))

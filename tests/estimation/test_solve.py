@@ -10,9 +10,8 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import reduction as module
-from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.problem import FunctionPart, LinearPart, PriorRows, Problem, group_rows
-from machine_tool_calibration.estimation.solve import solve
+from machine_tool_calibration.estimation.solve import solve, solve_normal
 
 NO_DATUM = np.zeros((0, 0))
 

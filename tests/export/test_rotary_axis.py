@@ -12,8 +12,7 @@ from machine_tool_calibration.export.rotary import RotaryTables
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.simulation import RotaryPlan, SimulationSpec, simulate
-from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.flaw import Chosen, Flaw
+from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Flaw
 
 SIZE, HALF = 6e-5, 2e-5
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.domain import claimed_domain, free_domain
+from machine_tool_calibration.nodes.graph import claimed_domain, free_domain
 from machine_tool_calibration.nodes.ros.process import default_environment
 
 MIDDLEWARE = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
@@ -72,7 +72,7 @@ def test_a_node_starts_without_a_home(monkeypatch: pytest.MonkeyPatch, tmp_path:
 HOLDER = """
 import os, sys
 user = int(sys.argv[1])
-from machine_tool_calibration.nodes.ros.domain import free_domain
+from machine_tool_calibration.nodes.graph import free_domain
 if user:
     os.setgid(user)
     os.setuid(user)

@@ -16,11 +16,11 @@ from sensor_msgs.msg import JointState
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.axis_simulator import AxisSimulator
 from machine_tool_calibration.nodes.estimator import Estimator
+from machine_tool_calibration.nodes.graph import free_domain
 from machine_tool_calibration.nodes.instrument import Instrument
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.recorder import Recorder
-from machine_tool_calibration.nodes.ros.domain import free_domain
 from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.nodes.rotary_pointer import RotaryPointer
 

@@ -11,7 +11,7 @@ import pytest
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.goodness import only_if_right, scatter_p_value
+from machine_tool_calibration.model.result import only_if_right, scatter_p_value
 from machine_tool_calibration.planning.what_to_measure import Advice
 from machine_tool_calibration.reports.comparison import comparison_parts
 from machine_tool_calibration.reports.goodness import scatter_words

@@ -24,7 +24,7 @@ from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation import SimulationSpec, simulate
-from machine_tool_calibration.simulation.plans import PLANS
+from machine_tool_calibration.simulation.spec import PLANS
 
 DATA = Path(__file__).parents[1] / "data"
 YAML = (DATA / "tracking_2d" / "session.yaml").read_bytes()

@@ -28,7 +28,7 @@ from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.session.session import Session, refuse_repeated
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
-from machine_tool_calibration.simulation.plans import PLANS
+from machine_tool_calibration.simulation.spec import PLANS
 from machine_tool_calibration.words import words
 
 from ..again import measured_again

@@ -15,7 +15,7 @@ from machine_tool_calibration.simulation import (
     choose_flaw,
     simulate,
 )
-from machine_tool_calibration.simulation.disturbance import Sight
+from machine_tool_calibration.simulation.flaw import Sight
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.scene import COLUMNS, Environment, random_environment
 from machine_tool_calibration.simulation.sensors import sensed_path

@@ -308,7 +308,7 @@ def test_unknowns_are_read_from_a_line() -> None:
 
 
 def test_a_map_is_drawn_with_its_expanded_uncertainty(state: State) -> None:
-    from machine_tool_calibration.workbench.map_plot import map_arrows
+    from machine_tool_calibration.workbench.look import map_arrows
 
     found = state.model.fit.result.error_map
     drawn = map_arrows(found, 1000.0)

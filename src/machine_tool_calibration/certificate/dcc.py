@@ -9,8 +9,7 @@ from xml.etree import ElementTree
 import pandas as pd
 
 from machine_tool_calibration.certificate.particulars import Certificate, Item, Party
-from machine_tool_calibration.certificate.points import unstated
-from machine_tool_calibration.certificate.texts import recorded_conditions, stated_conditions, statements
+from machine_tool_calibration.certificate.texts import recorded_conditions, stated_conditions, statements, unstated
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import printable

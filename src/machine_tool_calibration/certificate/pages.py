@@ -7,8 +7,7 @@ from pathlib import Path
 
 from machine_tool_calibration.certificate.dcc import dcc_text, lacks_for_dcc
 from machine_tool_calibration.certificate.particulars import Certificate
-from machine_tool_calibration.certificate.points import missing
-from machine_tool_calibration.certificate.texts import facts, instruments, procedure, statements
+from machine_tool_calibration.certificate.texts import facts, instruments, missing, procedure, statements
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import pdf, rendered, save_all

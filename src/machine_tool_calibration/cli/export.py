@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
     """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
-    from machine_tool_calibration.model.goodness import fits
+    from machine_tool_calibration.model.result import fits
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
     if fits(fit.p_value) != "bad":

@@ -19,7 +19,7 @@ from machine_tool_calibration.cli.output import (
     seed_option,
     tell,
 )
-from machine_tool_calibration.interface.arguments import MOST_DRAWS
+from machine_tool_calibration.interface.show import MOST_DRAWS
 
 
 def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]:

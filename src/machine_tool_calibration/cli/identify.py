@@ -109,9 +109,9 @@ def _identify_each(
     scheduler: str | None,
 ) -> None:
     from machine_tool_calibration.fleet.each import each
+    from machine_tool_calibration.fleet.fleet import identified_document, identified_table
     from machine_tool_calibration.fleet.parquet import identified_tables, write_tables
     from machine_tool_calibration.fleet.sessions import identified, places
-    from machine_tool_calibration.fleet.texts import identified_document, identified_table
 
     found = places(folders)
     work = each(partial(identified, fit=fit), found, workers=workers, scheduler=scheduler)

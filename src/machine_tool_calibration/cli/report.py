@@ -64,7 +64,7 @@ def command(
     from machine_tool_calibration.budget.tolerances import read_tolerances
     from machine_tool_calibration.certificate.pages import write_certificate
     from machine_tool_calibration.certificate.particulars import DecisionRule, read_certificate
-    from machine_tool_calibration.certificate.points import missing
+    from machine_tool_calibration.certificate.texts import missing
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
 

@@ -122,11 +122,7 @@ class Comparison:
         return provenance([self.session], model=self.variant, effects=self.effects)
 
     def covariate(self, name: str) -> Array:
-        """(n,) the covariate of that name.
-
-        Raises:
-            ModelError: there is none, or it does not vary.
-        """
+        """(n,) the covariate of that name. A ModelError: there is none, or it does not vary."""
         if name not in self.covariates:
             hint = did_you_mean(name, self.covariates) or f"; there are {', '.join(self.covariates)}"
             raise ModelError(f"there is no covariate {name!r} that varies{hint}")

@@ -193,11 +193,7 @@ class History(Record):
         return self
 
     def entry(self, number: int) -> Entry:
-        """The model of that number.
-
-        Raises:
-            ModelError: there is none.
-        """
+        """The model of that number. A ModelError: there is none."""
         for entry in self.models:
             if entry.number == number:
                 return entry
@@ -207,8 +203,7 @@ class History(Record):
     def way_to(self, number: int) -> tuple[Entry, ...]:
         """The models from a first one to that of a number, each made from the one before.
 
-        Raises:
-            ModelError: there is none of that number.
+        A ModelError: there is none of that number.
         """
         way = [self.entry(number)]
         while way[0].parent is not None:
@@ -252,8 +247,7 @@ class History(Record):
     def undone(self) -> History:
         """With that model in use which the current one was made from.
 
-        Raises:
-            ModelError: the current model is a first one, or there is none.
+        A ModelError: the current model is a first one, or there is none.
         """
         now = self.in_use
         if now is None:
@@ -263,9 +257,5 @@ class History(Record):
         return self.using(now.parent)
 
     def using(self, number: int) -> History:
-        """With the model of that number in use.
-
-        Raises:
-            ModelError: there is none.
-        """
+        """With the model of that number in use. A ModelError: there is none."""
         return self.model_copy(update={"current": self.entry(number).number})

@@ -76,8 +76,7 @@ class RotaryTables(AxisTables):
 def rotary_tables(result: Result | JointResult) -> RotaryTables | None:
     """The positioning error of a rotary axis that was measured by itself; None where none was.
 
-    Raises:
-        ModelError: it is not determined at every angle.
+    A ModelError: it is not determined at every angle.
     """
     content = result.error_map.content
     axis = next((a for a in "ABC" if a.lower() in content and f"E{a}{a}" in content), None)

@@ -10,11 +10,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.importing.circles import circle_rows
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import ROLES, Mapping
 from machine_tool_calibration.importing.points import point_rows, range_rows
-from machine_tool_calibration.importing.positioning import positioning_rows
+from machine_tool_calibration.importing.positioning import circle_rows, positioning_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
 from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.direct.model import asked_tables

@@ -24,13 +24,12 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.interface.arguments import require_kind, require_whole
 from machine_tool_calibration.interface.budget import Budget, Conformity
 from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
 from machine_tool_calibration.interface.features import Features
 from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
-from machine_tool_calibration.interface.show import Answer, chosen
+from machine_tool_calibration.interface.show import Answer, chosen, require_kind, require_whole
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions

@@ -173,8 +173,7 @@ def simulate(
     """
     from machine_tool_calibration.simulation import PRESETS
     from machine_tool_calibration.simulation import simulate as simulated_by
-    from machine_tool_calibration.simulation.plans import PLANS
-    from machine_tool_calibration.simulation.spec import spec_from
+    from machine_tool_calibration.simulation.spec import PLANS, spec_from
 
     if plan not in PRESETS and plan not in PLANS:
         known = ", ".join(dict.fromkeys([*PLANS, *PRESETS]))

@@ -12,7 +12,6 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import (
     Projected,
@@ -23,11 +22,9 @@ from machine_tool_calibration.estimation.reduction import (
     projected,
     single_blas,
 )
-from machine_tool_calibration.estimation.solve import Solution, solve
-from machine_tool_calibration.model.marginal_fit import MarginalFit, marginal_fit
-from machine_tool_calibration.model.model import POINTS, MethodModel, Parameter, Term, assemble
-from machine_tool_calibration.model.random_unknowns import RandomUnknowns
-from machine_tool_calibration.model.solved import Solved
+from machine_tool_calibration.estimation.solve import Solution, covariance_root, solve
+from machine_tool_calibration.model.marginal_fit import MarginalFit, Solved, marginal_fit
+from machine_tool_calibration.model.model import POINTS, MethodModel, Parameter, RandomUnknowns, Term, assemble
 
 # Before the name of a column that is screened: it must not be confused with an unknown of the model.
 _FURTHER = "\0further "

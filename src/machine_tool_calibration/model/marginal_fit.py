@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,10 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.marginal import Gram, left_at, marginal_at, noise_variance
-from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
-from machine_tool_calibration.estimation.solve import Solution, local_steps
+from machine_tool_calibration.estimation.robust import scaled_residuals
+from machine_tool_calibration.estimation.solve import Solution, covariance_root, local_steps
 from machine_tool_calibration.estimation.variance_components import (
     Components,
     WidenedPart,
@@ -32,10 +33,32 @@ from machine_tool_calibration.estimation.variance_components import (
 )
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
+from machine_tool_calibration.model.model import Assembly, RandomPosterior, RandomUnknowns, assemble
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.random_unknowns import RandomPosterior, RandomUnknowns
 from machine_tool_calibration.model.reproducibility import DRIFT, Family, of_repeats, offsets_apart, with_drift
-from machine_tool_calibration.model.solved import Solved
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Several sessions in one problem; for a single session it has one part."""
+
+    assembly: Assembly  # the models and their problem
+    solution: Solution  # where the sum of squares is least, every reading for itself
+    random: RandomUnknowns | None = None  # unknowns that are small random functions; None without any
+
+    def normalised(self, index: int) -> Array:
+        """(n,) measured minus predicted over the declared uncertainty, of a session."""
+        part = self.assembly.problem.parts[index]
+        return scaled_residuals(part, self.solution.theta, self.solution.local[index])
+
+    @cached_property
+    def without_expectations(self) -> Problem:
+        """The problem without what is expected of unknowns that are random functions."""
+        if self.random is None:
+            return self.assembly.problem
+        names = frozenset(self.random.names)
+        return assemble([model.without_priors(names) for model in self.assembly.models], self.assembly.labels).problem
+
 
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
 # Fewer where unknowns are random functions, whose own sizes are averaged over for each.

@@ -58,8 +58,7 @@ class Outcome:
 def identified(request: Request, progress: Progress) -> Outcome:
     """Fit the model: the map in all its forms, and the document `mtcal-result/1`.
 
-    Raises:
-        CalibrationError: the readings do not allow it.
+    A CalibrationError: the readings do not allow it.
     """
     progress("fitting the model", 0.0)
     result = complete.identify(request.chosen())
@@ -77,8 +76,7 @@ def identified(request: Request, progress: Progress) -> Outcome:
 def compared(request: Request, progress: Progress) -> Outcome:
     """Hold the readings against the fitted model: the document `mtcal-comparison/1`.
 
-    Raises:
-        CalibrationError: the readings do not allow it.
+    A CalibrationError: the readings do not allow it.
     """
     # Here, as they bring pandas.
     from machine_tool_calibration.diagnosis.compare import compare
@@ -93,8 +91,7 @@ def compared(request: Request, progress: Progress) -> Outcome:
 def diagnosed(request: Request, progress: Progress) -> Outcome:
     """Look for the effects that the model lacks: verdict, and the document `mtcal-diagnosis/1`.
 
-    Raises:
-        CalibrationError: the readings do not allow it.
+    A CalibrationError: the readings do not allow it.
     """
     found, then = complete.diagnose(request.chosen(), progress=progress)
     words, content, messages = _diagnosis(request, found, then)
@@ -110,8 +107,7 @@ def diagnosed(request: Request, progress: Progress) -> Outcome:
 def improved(request: Request, progress: Progress) -> Outcome:
     """Diagnose, accept what is found, and identify again: all of both, and the document `mtcal-improvement/1`.
 
-    Raises:
-        CalibrationError: the readings do not allow it.
+    A CalibrationError: the readings do not allow it.
     """
     steps = complete.improve(request.chosen(), progress=lambda step, share: progress(step, SEARCH * share))
     then = complete.conclude(steps.diagnosis, progress=progress)

@@ -209,8 +209,7 @@ class Client:
     def call(self, service: str, timeout: float) -> str:
         """Call a `std_srvs/Trigger` and give its message.
 
-        Raises:
-            CalibrationError: the service is missing, refuses, or does not answer in time.
+        A CalibrationError: the service is missing, refuses, or does not answer in time.
         """
         client = self.client(service)
         if not self.wait(client.service_is_ready, timeout):
@@ -227,10 +226,8 @@ class Client:
     def outcome(self, service: str, timeout: float, in_vain: Callable[[], bool] = lambda: False) -> Mapping[str, str]:
         """Call a service that has an outcome (as `estimator/identify`), wait for it and give its values.
 
-        There are none where it is `in_vain`: the node that was asked has gone.
-
-        Raises:
-            CalibrationError: it refuses, fails, is cancelled, or takes longer than the timeout, s.
+        There are none where it is `in_vain`: the node that was asked has gone. A CalibrationError: it refuses, fails,
+        is cancelled, or takes longer than the timeout, s.
         """
         node, goal = service.rpartition("/")[0], goal_of(self.call(service, timeout))
         if not self.wait(lambda: self.heard.outcome(node).device == goal or in_vain(), timeout):

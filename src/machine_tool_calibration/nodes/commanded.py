@@ -127,11 +127,7 @@ class Executions:
         self._place: Mapping[str, float] = {}
 
     def take(self, message: JointTrajectory) -> Executed:
-        """The content of a message of `axes/executed`.
-
-        Raises:
-            CalibrationError: a point has not a position for each axis.
-        """
+        """The content of a message of `axes/executed`. A CalibrationError: a point has not a position for each axis."""
         names, command = list(message.joint_names), from_message(message.header.stamp)
         if any(len(point.positions) != len(names) for point in message.points):
             raise CalibrationError(f"a point has not one position for each of {len(names)} axes")

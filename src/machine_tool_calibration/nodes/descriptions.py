@@ -17,11 +17,7 @@ _LONGEST = 1_000_000  # characters: some 15 000 setups, and 1.5 s in which a nod
 
 
 def require_readable(text: str) -> str:
-    """The text of a description.
-
-    Raises:
-        CalibrationError: it is longer than a node reads.
-    """
+    """The text of a description. A CalibrationError: it is longer than a node reads."""
     if len(text) > _LONGEST:
         raise CalibrationError(
             f"the session's description has {len(text)} characters; a node reads {_LONGEST} at most, some 15 000 setups"
@@ -30,11 +26,7 @@ def require_readable(text: str) -> str:
 
 
 def description_of(text: str) -> Description:
-    """The description that a message of the topic `session` holds.
-
-    Raises:
-        CalibrationError: it is none, or too long.
-    """
+    """The description that a message of the topic `session` holds. A CalibrationError: it is none, or too long."""
     return parse_description(require_readable(text), "session")
 
 

@@ -7,12 +7,15 @@ Launch files need parameters of the nodes, arguments that are checked before any
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +111,7 @@ class Graph:
         }
 
     def check(self) -> None:
-        """Raise if a node has ended by itself.
-
-        Raises:
-            CalibrationError: with the last line of its log.
-        """
+        """A CalibrationError, with the last line of its log, if a node has ended by itself."""
         for why in self.ended().values():
             raise CalibrationError(why)
 
@@ -262,3 +261,61 @@ def managed_nodes(
         return node(name, values, ends)
 
     return [listener(name) if name in LISTENERS else node(name, values, on_exit) for name, values in parameters.items()]
+
+
+# larger ones need ports that the system gives to outgoing connections
+_IDS = range(0, 102)
+
+
+@contextmanager
+def claimed_domain(wanted: int | None = None) -> Iterator[int]:
+    """A domain id for a measurement, kept from others for as long as the context lasts.
+
+    Args:
+        wanted: this one, whoever else uses it; by default the user's ROS_DOMAIN_ID, and else the first that no other
+            measurement on this machine has claimed.
+
+    Raises:
+        CalibrationError: not a domain id, or none is free.
+    """
+    chosen = os.environ.get("ROS_DOMAIN_ID", "") if wanted is None else str(wanted)
+    if chosen:
+        if not chosen.isdigit() or int(chosen) > 232:
+            raise CalibrationError(f"ROS domain id {chosen!r} is not a whole number from 0 to 232")
+        yield int(chosen)
+        return
+    with free_domain() as domain:
+        yield domain
+
+
+@contextmanager
+def free_domain(ids: Iterable[int] = _IDS) -> Iterator[int]:
+    """The first of these domain ids that nobody on this machine has claimed, claimed for as long as this lasts.
+
+    A CalibrationError: none is free.
+    """
+    for domain in ids:
+        claim = _claim(domain)
+        if claim is not None:
+            with claim:
+                yield domain
+            return
+    raise CalibrationError("no ROS domain id is free on this machine; --domain-id chooses one")
+
+
+def _claim(domain: int) -> socket.socket | None:
+    """A socket that holds a name which only one program can hold; None if another has it.
+
+    The name is in the kernel and not in a folder: it is the same for every user, reaches as far as the network on which
+    graphs would meet (a container with a network of its own has names of its own), and goes with its program. A
+    CalibrationError: the system gives no such name at all.
+    """
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0machine_tool_calibration/domain/{domain}")
+    except OSError as error:
+        claim.close()
+        if error.errno == errno.EADDRINUSE:
+            return None
+        raise CalibrationError(f"no ROS domain id can be claimed here ({error}); --domain-id chooses one") from error
+    return claim

@@ -118,11 +118,7 @@ class Heard:
     # --- the thread that hears
 
     def describe(self, text: str) -> None:
-        """The session's description came.
-
-        Raises:
-            CalibrationError: it is none.
-        """
+        """The session's description came. A CalibrationError: it is none."""
         setups = tuple(setup.id for setup in description_of(text).setups)
         with self._lock:
             self.description, self.setups = text, setups
@@ -146,8 +142,7 @@ class Heard:
     def say(self, state: NodeState) -> None:
         """A node said how it is: again and again, or on the topic of its own.
 
-        Raises:
-            CalibrationError: there are more nodes than any graph has.
+        A CalibrationError: there are more nodes than any graph has.
         """
         states = self._spoken if state.repeats else self._said
         key = f"{state.node}: {state.kind}"

@@ -27,14 +27,7 @@ from machine_tool_calibration.instruments.samples import Batch, DriverSource, No
 from machine_tool_calibration.nodes.commanded import INPUT, Pairs, PointerCommand, hear_targets, setup_named
 from machine_tool_calibration.nodes.descriptions import declare_site, description_of
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
-from machine_tool_calibration.nodes.ros.messages import (
-    LATCHED,
-    STATE,
-    Level,
-    from_message,
-    now,
-    seconds,
-)
+from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, from_message, now, seconds
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import place_of, rotation_of
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later

@@ -15,8 +15,7 @@ import yaml
 from machine_tool_calibration.budget.enough import Reached, Until
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
-from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, graph_parameters
-from machine_tool_calibration.nodes.ros.domain import claimed_domain
+from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
 from machine_tool_calibration.nodes.stages import Stages
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.collect import live_session
@@ -98,11 +97,7 @@ class _Listeners:
         self.remarks: list[str] = []
 
     def watch(self) -> None:
-        """Look after the processes.
-
-        Raises:
-            CalibrationError: one has ended that the measurement cannot do without.
-        """
+        """Look after the processes. A CalibrationError: one has ended that the measurement cannot do without."""
         for name, why in self._graph.ended().items():
             if name not in LISTENERS or self.client is None:
                 raise CalibrationError(why)
@@ -126,8 +121,7 @@ class _Listeners:
 def free_folder(name: str, given: Path | None) -> Path:
     """The folder for the output: the one given if it is free, else `mtcal_output/<name>` or the next number.
 
-    Raises:
-        CalibrationError: the one given holds something.
+    A CalibrationError: the one given holds something.
     """
     if given is not None:
         if given.exists() and (not given.is_dir() or any(given.iterdir())):

@@ -43,8 +43,7 @@ from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.services import Outcomes, Reply, offer_later
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.simulation.part import SimulatedPart
-from machine_tool_calibration.simulation.site import Site, read_site
+from machine_tool_calibration.simulation.site import SimulatedPart, Site, read_site
 
 _CHECK = 0.1  # s of the wall clock
 _AGAIN = 1.0  # s of the wall clock after which a command that the axes do not tell of is sent again

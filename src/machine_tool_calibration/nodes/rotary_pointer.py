@@ -19,15 +19,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.commanded import SETUP, PointerCommand, hear_targets
 from machine_tool_calibration.nodes.descriptions import declare_site, description_of
-from machine_tool_calibration.nodes.ros.messages import (
-    LATCHED,
-    STATE,
-    Level,
-    joint_state,
-    nanoseconds,
-    now,
-    seconds,
-)
+from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, joint_state, nanoseconds, now, seconds
 from machine_tool_calibration.nodes.ros.node import ManagedNode
 from machine_tool_calibration.nodes.ros.poses import pose_message, quaternion_along
 from machine_tool_calibration.nodes.ros.status import StatusTopic

@@ -30,8 +30,7 @@ def _shares() -> Iterator[Path]:
 def shared_file(name: str) -> Path:
     """A file of the package by its path below the package's share folder, such as `msg_docs/estimator.md`.
 
-    Raises:
-        CalibrationError: it is not installed.
+    A CalibrationError: it is not installed.
     """
     for share in _shares():
         if (share / name).is_file():
@@ -42,8 +41,7 @@ def shared_file(name: str) -> Path:
 def procedure_file(name: str) -> Path:
     """A procedure by its file, or by the name of one that the package brings.
 
-    Raises:
-        CalibrationError: there is no such file; the message names those that there are.
+    A CalibrationError: there is no such file; the message names those that there are.
     """
     path = Path(name)
     if path.is_file() or path.suffix or path.parent != Path():
@@ -62,8 +60,7 @@ def procedure_names() -> list[str]:
 def usage(node: str, about: str) -> str:
     """The help of a node's executable: what the node is, and the tables of its parameters in msg_docs.
 
-    Raises:
-        CalibrationError: msg_docs is not installed.
+    A CalibrationError: msg_docs is not installed.
     """
     common = shared_file("msg_docs/README.md")
     heading = f"\n## Parameters of `{node}`\n"

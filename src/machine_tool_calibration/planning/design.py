@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind

@@ -11,8 +11,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group, last_sign
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
-from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import gram, project
+from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.fitted import FitRequest, joint_models
 from machine_tool_calibration.model.model import Assembly, Term, assemble
 from machine_tool_calibration.model.observations import Observations

@@ -73,8 +73,7 @@ def save(file: Path, content: str | bytes) -> Path:
 def check_endings(files: Sequence[Path], *, certificate: bool = False) -> None:
     """Refuse what a report cannot be, before it is calculated.
 
-    Raises:
-        CalibrationError: a file that is neither .html nor .pdf, nor .xml of a certificate.
+    A CalibrationError: a file that is neither .html nor .pdf, nor .xml of a certificate.
     """
     for file in files:
         if file.suffix.lower() == ".xml" and not certificate:

@@ -7,9 +7,15 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.goodness import fits, lacks_reversal, one_direction, only_if_right, scatter_p_value
 from machine_tool_calibration.model.observations import SAME_POSITION
-from machine_tool_calibration.model.result import effect_estimates
+from machine_tool_calibration.model.result import (
+    effect_estimates,
+    fits,
+    lacks_reversal,
+    one_direction,
+    only_if_right,
+    scatter_p_value,
+)
 from machine_tool_calibration.reports.quantities import p_value as chance
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.catalogue import method_spec

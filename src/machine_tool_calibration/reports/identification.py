@@ -13,9 +13,8 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARE
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.goodness import fits, only_if_right, scatter_p_value
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.model.result import Result, fits, only_if_right, scatter_p_value
 from machine_tool_calibration.reports.goodness import fit_words, free_words, negative_words, scatter_words
 from machine_tool_calibration.reports.quantities import (
     as_exact,
@@ -26,10 +25,10 @@ from machine_tool_calibration.reports.quantities import (
     quantity,
     reproducibility_words,
     rounded,
+    unknown_in_words,
     value_and_uncertainties,
 )
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
-from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session

@@ -144,7 +144,7 @@ def _unknowns(result: Result) -> Iterator[_Value]:
 
 def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.DataFrame:
     """Every unknown of the model, by name."""
-    from machine_tool_calibration.reports.unknowns import named_in_words
+    from machine_tool_calibration.reports.quantities import named_in_words
 
     unknowns = result.joint.assembly.unknowns
     words = named_in_words(result.joint, document["effects"])

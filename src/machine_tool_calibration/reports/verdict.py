@@ -10,7 +10,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.effect_search import Structure
 from machine_tool_calibration.estimation import priors
-from machine_tool_calibration.model.goodness import fits
+from machine_tool_calibration.model.result import fits
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation
 from machine_tool_calibration.reports.comparison import stand_out
 from machine_tool_calibration.reports.goodness import free_words, negative_words, scatter_words

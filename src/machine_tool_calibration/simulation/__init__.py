@@ -34,8 +34,7 @@ nodes: `site.py`, `interferometer.py`, `part.py`, with the geometry of whole ses
 
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
 from machine_tool_calibration.simulation.direct_run import DirectPlan
-from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.flaw import Chosen, Flaw
+from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Flaw
 from machine_tool_calibration.simulation.flaws import FLAWS, choose_flaw
 from machine_tool_calibration.simulation.machine_file import (
     Amplitudes,
@@ -44,12 +43,11 @@ from machine_tool_calibration.simulation.machine_file import (
     build_machine,
     read_machine,
 )
-from machine_tool_calibration.simulation.plans import PRESETS
 from machine_tool_calibration.simulation.probing_run import PartPoint, ProbingPlan
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
 from machine_tool_calibration.simulation.scene import Drift
 from machine_tool_calibration.simulation.simulate import Simulated, Truth, measured_again, simulate
-from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
+from machine_tool_calibration.simulation.spec import PRESETS, Chips, FlawSpec, SimulationSpec, Spread
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 
 __all__ = [

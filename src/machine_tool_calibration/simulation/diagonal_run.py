@@ -9,7 +9,7 @@ from pydantic import Field
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.description import DiagonalSetup
 from machine_tool_calibration.session.record import Positive
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, since_first

@@ -8,8 +8,92 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.motions import Table, rotate
 from machine_tool_calibration.simulation.scene import Scene
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the instrument looks at in each reading; what a method lacks is zero."""
+
+    # (n,) length from the instrument (rotation centre, or the mirror at the start of a run) to the target, m
+    path: Array
+    direction: Array  # (n, 3) unit vector along which a displacement is sensed
+    # (n,) azimuth of that direction (of the commanded beam, for a pointer), rad
+    azimuth: Array = field(default_factory=lambda: np.zeros(1))
+    # (n,) direction from which the beam meets the retroreflector, in the frame that carries it: an azimuth in the plane
+    # or on a table, an angle to the spindle's axis in space, rad
+    incidence: Array = field(default_factory=lambda: np.zeros(1))
+    change: Array = field(default_factory=lambda: np.zeros(1))  # (n,) path minus that of the run's first reading, m
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Deviations from the ideal, each (n,) unless said otherwise; 0.0 where there are none."""
+
+    # carriage or table ahead of its command along its own motion, by axis letter, m or rad
+    axis: Mapping[str, Array] = field(default_factory=dict)
+    point: Array | float = 0.0  # (n, 3) shift of the functional point, m
+    station: Array | float = 0.0  # (n, 3) shift of the station's rotation centre, m
+    turn: Array | float = 0.0  # turn of the beam's azimuth, rad
+    optical: Array | float = 0.0  # relative excess of the optical over the geometric path
+    dead: Array | float = 0.0  # excess of the optical path outside the measured one, m
+    # (n, 2) further tilt of the flat mirror's normal off the beam, towards its left and upwards, rad
+    mirror: Array | float = 0.0
+    growth: Array | float = 0.0  # relative growth of the workpiece about the table's centre
+    table_radial: Array | float = 0.0  # relative growth of the table's targets away from the axis
+    table_axial: Array | float = 0.0  # relative growth along the axis
+    # added to the reading as a function of what the instrument looks at
+    reading: tuple[Callable[[Sight], Array], ...] = ()
+    tables: tuple[tuple[str, Table], ...] = ()  # further error motions of the machine
+    squareness: Mapping[str, float] = field(default_factory=dict)  # further squareness, rad
+    # further error motions of an axis at each reading, whatever its position, by axis letter: (n, 6) EX, EY, EZ (m) and
+    # EA, EB, EC (rad)
+    errors: Mapping[str, Array] = field(default_factory=dict)
+    table_shift: Array | float = 0.0  # (n, 3) shift of the rotary table's axis, m
+    table_tilt: Array | float = 0.0  # (n, 3) small rotation of it about the machine's zero, rad
+
+    def functional_point(self, machine: VirtualMachine, command: Array) -> Array:
+        """(n, 3) where the functional point really is in the workpiece frame when x, y, z (n, 3) are commanded, m."""
+        return np.asarray(machine.functional_point(command, self.axis, self.errors) + self.point)
+
+    def on_table(self, machine: VirtualMachine, point: Array, angle: Array, axis: str) -> Array:
+        """(n, 3) where points (n, 3) of the table, given in its own frame, really are in the machine frame, m."""
+        return self.with_table(machine.on_table(self.grown(point, axis), angle, axis, self.axis.get(axis, 0.0)))
+
+    def grown(self, points: Array, axis: str) -> Array:
+        """Where points (n, 3) of the table are in its own frame when it, or the part on it, has grown, m."""
+        axial = np.eye(3)["ABC".index(axis)]
+        radial_growth = np.multiply.outer(self.growth + self.table_radial, 1.0 - axial)
+        axial_growth = np.multiply.outer(self.growth + self.table_axial, axial)
+        return np.asarray(points + (radial_growth + axial_growth) * points)
+
+    def with_table(self, place: Array) -> Array:
+        """Where points (n, 3) that the table carries are when its axis has moved, m."""
+        # A node asks for each reading by itself: most tables do not tilt, and turning takes longer than all else here.
+        turned = rotate(place, np.broadcast_to(self.table_tilt, place.shape)) if np.any(self.table_tilt) else place
+        return np.asarray(turned + self.table_shift)
+
+    def added(self, sight: Sight) -> Array:
+        """(n,) the sum of what is added to the reading, m: excess of the optical path and the rest."""
+        total: Array = self.optical * sight.path + self.dead
+        for function in self.reading:
+            total = total + function(sight)
+        return total
+
+
+def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
+    """The sum of several disturbances."""
+    total: dict[str, Any] = vars(Disturbance()).copy()
+    for part in parts:
+        for name, value in vars(part).items():
+            if isinstance(value, Mapping):
+                total[name] = total[name] | {key: total[name].get(key, 0.0) + item for key, item in value.items()}
+            else:
+                total[name] = total[name] + value
+    return Disturbance(**total)
+
 
 Parameters = Mapping[str, Any]
 Disturb = Callable[[float, Parameters, Scene], Disturbance]

@@ -7,8 +7,16 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
-from machine_tool_calibration.simulation.disturbance import Disturbance
-from machine_tool_calibration.simulation.flaw import BEAM, LINEAR, Chosen, Flaw, Parameters, drawn_phase, reads
+from machine_tool_calibration.simulation.flaw import (
+    BEAM,
+    LINEAR,
+    Chosen,
+    Disturbance,
+    Flaw,
+    Parameters,
+    drawn_phase,
+    reads,
+)
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS, THERMAL_FLAWS
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
 from machine_tool_calibration.simulation.scene import Scene

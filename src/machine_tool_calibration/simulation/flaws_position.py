@@ -8,11 +8,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.flaw import (
     CIRCLE,
     LINEAR,
     TABLE,
+    Disturbance,
     Draw,
     Flaw,
     Parameters,

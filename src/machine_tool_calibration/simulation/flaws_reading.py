@@ -6,8 +6,16 @@ from collections.abc import Callable
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
-from machine_tool_calibration.simulation.flaw import BEAM, STATIONS, Flaw, Parameters, drawn_seed, reads
+from machine_tool_calibration.simulation.flaw import (
+    BEAM,
+    STATIONS,
+    Disturbance,
+    Flaw,
+    Parameters,
+    Sight,
+    drawn_seed,
+    reads,
+)
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import beam_direction
 

@@ -18,8 +18,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight, combine
-from machine_tool_calibration.simulation.flaw import Chosen
+from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Sight, combine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.scene import Environment, Scene
 from machine_tool_calibration.simulation.sensors import Pointer

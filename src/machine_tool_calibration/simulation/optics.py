@@ -20,7 +20,7 @@ from machine_tool_calibration.session.description import (
     TrackingInterferometer,
 )
 from machine_tool_calibration.simulation import rotary_run, tracking_run
-from machine_tool_calibration.simulation.disturbance import Sight
+from machine_tool_calibration.simulation.flaw import Sight
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 from machine_tool_calibration.simulation.site import Beam, Site

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from machine_tool_calibration.arrays import Array, IntArray, first_of_group
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
-from machine_tool_calibration.simulation.disturbance import Disturbance
+from machine_tool_calibration.simulation.flaw import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.scene import Environment, Scene

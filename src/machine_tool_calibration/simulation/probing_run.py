@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from machine_tool_calibration.arrays import Array, last_sign
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.record import Finite, Positive
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.motions import turn

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.session.record import Finite, Positive
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
 from machine_tool_calibration.simulation.plan import (

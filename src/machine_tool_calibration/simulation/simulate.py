@@ -11,8 +11,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
-from machine_tool_calibration.simulation.disturbance import Disturbance, combine
-from machine_tool_calibration.simulation.flaw import Chosen
+from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, combine
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import build_machine, machine_document

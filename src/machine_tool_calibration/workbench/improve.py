@@ -8,19 +8,20 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.history_tables import compared_models, tried_models
+from machine_tool_calibration.reports.improvement import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import of_map, quantity
 from machine_tool_calibration.workbench.look import (
+    MapPlot,
     bar_button,
     beside,
     choice,
     controls,
     legend_above,
+    magnification,
     new_figure,
     tables,
     text,
 )
-from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.own_effect import addable
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State

@@ -22,16 +22,17 @@ from machine_tool_calibration.reports.quantities import expanded_text, micrometr
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import (
+    MapPlot,
     bar_button,
     beside,
     choice,
     html_table,
+    magnification,
     new_figure,
     tables,
     text,
     zero_line,
 )
-from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 

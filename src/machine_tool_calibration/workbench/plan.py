@@ -25,13 +25,13 @@ from machine_tool_calibration.workbench.look import (
     draw_stations,
     folded,
     legend_above,
+    map_arrows,
     new_figure,
     stations_of,
     tables,
     text,
     typed_out,
 )
-from machine_tool_calibration.workbench.map_plot import map_arrows
 from machine_tool_calibration.workbench.models import looked_ahead, planned
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings

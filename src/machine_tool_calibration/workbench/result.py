@@ -8,8 +8,16 @@ from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.identification import result_parts
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.workbench.look import beside, choice, controls, paragraphs, tables, text
-from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
+from machine_tool_calibration.workbench.look import (
+    MapPlot,
+    beside,
+    choice,
+    controls,
+    magnification,
+    paragraphs,
+    tables,
+    text,
+)
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work

@@ -18,7 +18,6 @@ from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
-from machine_tool_calibration.methods.direct import free
 from machine_tool_calibration.methods.direct import model as direct_model
 from machine_tool_calibration.methods.direct.datum import silent_directions
 from machine_tool_calibration.methods.direct.model import sensed_axes
@@ -274,7 +273,7 @@ def test_identify_says_where_axes_are_not_rigid_and_more_places_than_can_be_are_
         result = identify(session, model=model)
         told = list(result_parts(result.document(), [session], result))
         assert any("the model free (--model) gives" in part for part in told if isinstance(part, str)) is said
-    monkeypatch.setattr(free, "_MOST", 100)
+    monkeypatch.setattr(direct_model, "_MOST_UNKNOWNS", 100)
     with pytest.raises(ModelError, match="the model 'free' takes 50 places at most, and 81 were read"):
         identify(session, model="free")
 

@@ -78,11 +78,7 @@ class CircleModel(MethodModel):
 
 
 def build(session: Session, model: str = "circle") -> CircleModel:
-    """The model of a session of circles.
-
-    Raises:
-        ModelError: no reading.
-    """
+    """The model of a session of circles. A ModelError: no reading."""
     description = session.description.as_a(BallBar)
     readings = session.readings.select(np.flatnonzero(np.isfinite(session.readings.displacement)))
     if not len(readings):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.normal import LEAST_EIGENVALUE
+from machine_tool_calibration.estimation.solve import LEAST_EIGENVALUE
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.words import say

@@ -23,8 +23,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import COVERAGE, Array, standard_draws
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
-from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.probing.geometry import Circle, Element, Line, elements, point_means, through
 from machine_tool_calibration.methods.probing.model import ProbingModel, common_motions, points_of_form, responses
 from machine_tool_calibration.model.fit import Fit

@@ -45,9 +45,8 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.estimation.normal import solve_normal
-from machine_tool_calibration.model.model import Prior
-from machine_tool_calibration.model.random_unknowns import RandomPosterior
+from machine_tool_calibration.estimation.solve import solve_normal
+from machine_tool_calibration.model.model import Prior, RandomPosterior
 
 # Smallest and largest size that is considered, rad. What is larger is not small: it belongs in the model by name.
 SMALLEST, LARGEST = 2e-7, 2e-5

@@ -128,10 +128,7 @@ def _made(create: Callable[[], Node], args: list[str]) -> Node:
 def run_here(create: Callable[[], Node], parameters: Mapping[str, Any], rules: Iterable[str] = ()) -> Node:
     """Run a node in this process until it ends or is interrupted, and return it.
 
-    `rules` are for names of topics and the namespace, `FROM:=TO`.
-
-    Raises:
-        CalibrationError: it cannot start.
+    `rules` are for names of topics and the namespace, `FROM:=TO`. A CalibrationError: it cannot start.
     """
     arguments = ["--ros-args"]
     for name, value in parameters.items():

@@ -102,8 +102,7 @@ class Taps:
     def add(self, topic: str, message_type: str, request: Qos | None = None) -> None:
         """Subscribe to a topic by its absolute name, as requested, or for what all publishers that are there can give.
 
-        Raises:
-            CalibrationError: the message type is not installed.
+        A CalibrationError: the message type is not installed.
         """
         if request is None:
             request = request_for(self._offered(topic))
