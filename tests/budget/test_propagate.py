@@ -123,7 +123,7 @@ def test_rms_over_a_quantity(fitted: FittedSessions, contributor: Callable[..., 
     assert found is not None
     assert found.u == pytest.approx(2e-6 * np.sqrt(np.mean(X**2)))
     stated = budget.numbers.u[budget.numbers.quantity("EXX").members]
-    assert found.stated == pytest.approx(np.sqrt(np.mean(stated**2)))
+    assert found.u_identification == pytest.approx(np.sqrt(np.mean(stated**2)))
 
 
 def test_monte_carlo_agrees(fitted: FittedSessions, contributor: Callable[..., Contributor]) -> None:

@@ -160,7 +160,7 @@ def test_what_was_too_uncertain_and_what_only_one_has_is_said() -> None:
     found = check(first, statement(np.array([2e-6]), 1e-6, "second", "C0Y"))
     assert [one.name for one in found.blind] == ["C0Y"] and found.changes[0].p_value > LEVEL
     more = replace(first, parts={**first.parts, "A0Z": replace(first.parts["C0Y"], name="A0Z")})
-    assert check(more, statement(np.array([2e-6]), 1e-6, "second", "C0Y")).untold == ("A0Z",)
+    assert check(more, statement(np.array([2e-6]), 1e-6, "second", "C0Y")).not_compared == ("A0Z",)
     with pytest.raises(CalibrationError, match="no error in common"):
         check(first, statement(np.array([2e-6]), 1e-6, "second", "B0Z"))
 

@@ -31,7 +31,7 @@ from machine_tool_calibration.session.session import Session
 Either = TypeVar("Either", bound=Identified)
 
 
-def stated(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
+def declared_contributors(sessions: Sequence[Session]) -> tuple[Contributor, ...]:
     """Contributors of the budgets that sessions state; none unless every one of them states one."""
     return known_contributors(sessions)[0] if all(session.description.budget for session in sessions) else ()
 
@@ -41,7 +41,7 @@ def identify(chosen: FitRequest) -> Result | JointResult:
 
     A ModelError as for `identify_sessions`.
     """
-    result, lines = identify_sessions(chosen), stated(chosen.sessions)
+    result, lines = identify_sessions(chosen), declared_contributors(chosen.sessions)
     return completed(result, propagate(fitted_sessions(result), lines)) if lines else result
 
 
@@ -53,7 +53,7 @@ def improve(
     A ModelError if the data does not allow the model.
     """
     chosen = FitRequest.of(subject)
-    return completed_steps(improve_models(chosen, progress=progress), stated(chosen.sessions))
+    return completed_steps(improve_models(chosen, progress=progress), declared_contributors(chosen.sessions))
 
 
 def diagnose(chosen: FitRequest, *, progress: Callable[[str, float], None]) -> tuple[Diagnosis, Conclusions]:
@@ -76,7 +76,7 @@ def conclude(
 
     By the contributors of a budget, else those that the sessions state; that of the readings without any.
     """
-    lines = stated(found.chosen.sessions) if contributors is None else contributors
+    lines = declared_contributors(found.chosen.sessions) if contributors is None else contributors
 
     def added(fitted: FittedSessions) -> Mapping[str, float]:
         return _of_unknowns(propagate(fitted, lines, seed=seed)) if lines else {}

@@ -106,7 +106,7 @@ class Sum:
     u: float  # combined standard uncertainty
     degrees_of_freedom: float  # effective ones, by Welch and Satterthwaite; infinite where nothing is said of them
     k: float  # coverage factor for 95.45 %
-    stated: float  # standard uncertainty that the identification states
+    u_identification: float  # standard uncertainty that the identification states
 
     @property
     def expanded(self) -> float:
@@ -173,13 +173,13 @@ class Budget:
         parts = [float(np.sqrt(np.mean(line.u[known] ** 2))) for line in self.lines]
         return self._sum(quantity, None, parts, float(np.sqrt(np.mean(self.numbers.u[known] ** 2))))
 
-    def _sum(self, quantity: Quantity, index: int | None, parts: Sequence[float], stated: float) -> Sum:
+    def _sum(self, quantity: Quantity, index: int | None, parts: Sequence[float], u_identification: float) -> Sum:
         squares = np.array(parts) ** 2
         total = float(squares.sum())
         shares = tuple(Share(float(p), float(s / total) if total else 0.0) for p, s in zip(parts, squares, strict=True))
         dof = float(_effective(squares[:, None], self.lines)[0])
         k = float(coverage_factor(np.array(dof)))
-        return Sum(quantity, index, shares, float(np.sqrt(total)), dof, k, float(stated))
+        return Sum(quantity, index, shares, float(np.sqrt(total)), dof, k, float(u_identification))
 
 
 def coverage_factor(dof: Array) -> Array:

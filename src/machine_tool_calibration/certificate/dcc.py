@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pandas as pd
 
 from machine_tool_calibration.certificate.particulars import Certificate, Item, Party
-from machine_tool_calibration.certificate.texts import recorded_conditions, stated_conditions, statements, unstated
+from machine_tool_calibration.certificate.texts import declared_conditions, recorded_conditions, statements, unstated
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.page import printable
@@ -172,7 +172,7 @@ class _Writer:
         )
 
     def conditions(self) -> Iterator[Element]:
-        for name, text in stated_conditions(self.own):
+        for name, text in declared_conditions(self.own):
             yield _node("influenceCondition", self.text("name", name), _node("data", self.text("text", text)))
         for column in (one for session in self.found.measured.recorded for one in recorded_conditions(session)):
             unit = _UNITS[_CONDITION_UNITS.get(column.name, "°C")]

@@ -163,7 +163,7 @@ def read_certificate(files: Sequence[Path], sessions: Sequence[Session]) -> Cert
 
     A SessionError if a file cannot be read, or something in it is wrong; one line that says what and where.
     """
-    stated = _of_sessions([session.description.about for session in sessions])
+    declared = _of_sessions([session.description.about for session in sessions])
     for file in files:
         own = parse_record(read_text(file), str(file), _File, FORMAT).certificate
         content = own.model_dump(exclude_unset=True)
@@ -171,8 +171,8 @@ def read_certificate(files: Sequence[Path], sessions: Sequence[Session]) -> Cert
             content["laboratory"]["logo"] = str(file.parent / own.laboratory.logo)
         if own.template:
             content["template"] = str(file.parent / own.template)
-        stated = _merged(stated, content)
-    return validated(Certificate, stated, " + ".join(map(str, files)))
+        declared = _merged(declared, content)
+    return validated(Certificate, declared, " + ".join(map(str, files)))
 
 
 def _merged(first: Mapping[str, Any], then: Mapping[str, Any]) -> dict[str, Any]:

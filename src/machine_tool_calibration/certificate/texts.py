@@ -61,10 +61,10 @@ def statements(own: Certificate, found: Evaluation) -> Iterator[str]:
 def procedure(own: Certificate, found: Evaluation) -> Iterator[TextTable]:
     """How it was measured, and under what."""
     names = [say("certificate.procedure"), *[""] * len(own.procedure)]
-    stated = [(name, Verbatim(text)) for name, text in zip(names, own.procedure, strict=False)]
-    stated += [(say(f"certificate.{key}"), Verbatim(getattr(own, key))) for key in ("deviations", "adjustment")]
-    yield TextTable("", ("", ""), tuple(row for row in stated if row[1]))
-    yield TextTable(say("certificate.conditions"), ("", ""), tuple(stated_conditions(own)))
+    entries = [(name, Verbatim(text)) for name, text in zip(names, own.procedure, strict=False)]
+    entries += [(say(f"certificate.{key}"), Verbatim(getattr(own, key))) for key in ("deviations", "adjustment")]
+    yield TextTable("", ("", ""), tuple(row for row in entries if row[1]))
+    yield TextTable(say("certificate.conditions"), ("", ""), tuple(declared_conditions(own)))
     for session in found.measured.recorded:
         yield set_up(session)
         summary = summarize(session)
@@ -75,7 +75,7 @@ def procedure(own: Certificate, found: Evaluation) -> Iterator[TextTable]:
     yield TextTable("", ("", ""), ((say("certificate.remarks"), Verbatim(own.remarks)),) if own.remarks else ())
 
 
-def stated_conditions(own: Certificate) -> Iterator[tuple[str, str]]:
+def declared_conditions(own: Certificate) -> Iterator[tuple[str, str]]:
     """Conditions that were stated, and what they are called."""
     for key in ("temperature", "reference_temperature", "compensation", "remarks"):
         if text := getattr(own.conditions, key):

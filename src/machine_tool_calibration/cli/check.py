@@ -53,7 +53,7 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     asked = replace(wanted, from_history=tried[1]).open([measurement]).chosen
     history: list[Statement] = []
     with progress_bar() as progress:
-        state = partial(_stated, seed=seed, progress=progress)
+        state = partial(_statement, seed=seed, progress=progress)
         if is_logbook(earlier):
             entries = _before(Logbook(earlier).of_one(machine), asked)
             last = entries[-1]
@@ -77,7 +77,7 @@ def command(earlier: Path, measurement: Path, machine: str | None, wanted: Wante
     tell(answer, as_json)
 
 
-def _stated(request: FitRequest, label: str, *, seed: int, progress: Report) -> Statement:
+def _statement(request: FitRequest, label: str, *, seed: int, progress: Report) -> Statement:
     from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
     from machine_tool_calibration.trends.statement import of_fit
 

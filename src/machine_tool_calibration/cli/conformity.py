@@ -81,11 +81,11 @@ def command(
 
 def _note_budget(sessions: Sequence[Session]) -> None:
     """Say whose budget decides where none is given, or what to do where there is none."""
-    from machine_tool_calibration.budget.complete import stated
+    from machine_tool_calibration.budget.complete import declared_contributors
 
     lines, why = known_contributors(sessions)
     if not lines:
         note(f"note: no tolerance is decided, as U is without instrument and temperature: {why}")
-    elif not stated(sessions):
+    elif not declared_contributors(sessions):
         names = ", ".join(dict.fromkeys(str(session.instrument) for session in sessions))
         note(f"note: U is by the budget to begin with of {names}; yours: `mtcal budget --template`, then --budget FILE")

@@ -249,12 +249,12 @@ def _parts(story: _Demonstration) -> Iterator[Part]:
     yield files_table(measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
-def _error_in_words(session: Session, before: MapError, after: MapError, stated: float | None) -> str:
+def _error_in_words(session: Session, before: MapError, after: MapError, u: float | None) -> str:
     direct = spec_of(session).reads_machine
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
-    known = stated is not None and not direct
-    expected = f" The last model's own uncertainty says {quantity(stated or 0.0, 'm')} RMS (k = 1)." if known else ""
+    known = u is not None and not direct
+    expected = f" The last model's own uncertainty says {quantity(u or 0.0, 'm')} RMS (k = 1)." if known else ""
     return (
         f"The {COMPARED[session.method]} is off the truth by {quantity(before.rms, 'm')} RMS with the first model and "
         f"by {quantity(after.rms, 'm')} with the last ({out} taken out); {own} are {quantity(before.before, 'm')} RMS."

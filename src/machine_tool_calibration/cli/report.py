@@ -28,7 +28,7 @@ from machine_tool_calibration.words import words
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
 @click.option(
     "--certificate",
-    "stated",
+    "certificates",
     type=PATH,
     multiple=True,
     help="A certificate to sign in the place of the report: YAML file with laboratory, customer, …; repeatable.",
@@ -43,7 +43,7 @@ def command(
     budgets: tuple[Path, ...],
     tolerances: Path | None,
     diagnosis: bool,
-    stated: tuple[Path, ...],
+    certificates: tuple[Path, ...],
     wanted: Wanted,
     seed: int,
 ) -> None:
@@ -68,14 +68,14 @@ def command(
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
 
-    outputs = outputs or (Path("certificate.pdf" if stated else "report.html"),)
-    check_endings(outputs, certificate=bool(stated))
+    outputs = outputs or (Path("certificate.pdf" if certificates else "report.html"),)
+    check_endings(outputs, certificate=bool(certificates))
     spoken = words(language)
     contributors = contributors_of(budgets, ())
     limits = read_tolerances(tolerances) if tolerances else {}
     with progress_bar() as progress:
         measured = wanted.open(measurements)
-        own = read_certificate(stated, measured.recorded) if stated else None
+        own = read_certificate(certificates, measured.recorded) if certificates else None
         agreed = own.decision_rule if own else DecisionRule()
         found = evaluate(
             measured,

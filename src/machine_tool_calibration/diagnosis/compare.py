@@ -200,12 +200,8 @@ class JointComparison:
 def compare(subject: Session | FitRequest | Fit | Result | JointResult) -> Comparison | JointComparison:
     """Hold a model against its readings; that of several sessions of one machine against the readings of each.
 
-    Args:
-        subject: measurements, to which the model is fitted; or a fit or result: one session's share in a fit of several
-            is held against that session's readings.
-
-    Raises:
-        ModelError: the data does not allow the model.
+    To measurements the model is fitted; one session's share in a fit of several is held against that session's
+    readings. A ModelError: the data does not allow the model.
     """
     if isinstance(subject, Fit):
         return _compared(subject, (), (), "")

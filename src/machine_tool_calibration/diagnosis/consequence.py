@@ -45,15 +45,8 @@ def consequences(
 ) -> dict[str, Consequence]:
     """What each of the best candidates would change; of those accepted, what each did change, in their order.
 
-    The coefficients of accepted effects are those with all of them in the model.
-
-    Args:
-        diagnosis: the candidates.
-        added: with which the coefficients' uncertainties are published.
-        most: how many candidates beside those accepted.
-
-    Returns:
-        By id; without a candidate that cannot be fitted.
+    The coefficients of accepted effects are those with all of them in the model; what is `added` to variances is in
+    their uncertainties. By id, so many beside those accepted at `most`; without a candidate that cannot be fitted.
     """
     out = {}
     accepted, fitted = diagnosis.accepted, diagnosis.fitted

@@ -134,13 +134,9 @@ class Entry(Record):
         return None
 
     def own_effects(self, known: Sequence[Effect] = ()) -> list[Effect]:
-        """Effects of the user's own: those given, and those that the model has by formula.
+        """Effects of the user's own: those known at present, and others that the model has by formula.
 
-        Args:
-            known: given at present; they take the place of the history's of the same name.
-
-        Raises:
-            ModelError: a definition cannot be.
+        A ModelError: a definition cannot be.
         """
         there = {effect.id for effect in known}
         kept = [definition for definition in self.own if definition.get("id") not in there]

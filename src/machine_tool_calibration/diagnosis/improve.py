@@ -116,12 +116,8 @@ def improve(
 
     Nothing is added unless the diagnosis names it as the cause; readings that it sets aside are left out first.
 
-    Args:
-        subject: the measurement, or several of one machine, and the first model.
-        progress: called with what is being done and the share that is finished.
-
-    Raises:
-        ModelError: the data does not allow the model.
+    `progress` is called with what is being done and the share that is finished. A ModelError: the data does not allow
+    the model.
     """
     chosen = replace(FitRequest.of(subject), keep_all=True)
     found = diagnose(chosen, progress=lambda what, share: progress(what, 0.9 * share))
@@ -137,11 +133,8 @@ def improve(
 def accepted_models(found: Diagnosis, progress: Callable[[str, float], None]) -> Iterator[tuple[str, FitRequest]]:
     """The models that a diagnosis names, each made from the one before, with what it has and that one has not.
 
-    Without the readings that were set aside, if any; then with the effects found, one after the other.
-
-    Args:
-        found: the diagnosis.
-        progress: called with what is being done and the share that is finished.
+    Without the readings that were set aside, if any; then with the effects found, one after the other. `progress` is
+    called with what is being done and the share that is finished.
     """
     start = found.chosen
     if found.gross_errors:

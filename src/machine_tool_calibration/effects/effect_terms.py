@@ -261,7 +261,7 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
         held = [effect_term(effect, observations, shapes[effect.id][0], sizes[effect.id]) for effect in curved]
         unbounded = tuple(NotDetermined(name, why, effect) for effect, name in loose.items())
         full = replace(base, left_out=base.left_out + unbounded).with_terms(held)
-    return full.settled()
+    return full.reestimated()
 
 
 def _unbounded(

@@ -48,8 +48,8 @@ class LostMotion(ReversalEffect):
         """Legendre polynomials of the position, sensed along the axis, against the direction of approach."""
         position = observations.readings.column(self.axis)
         # The declared travel, so that sessions fitted together mean the same by a coefficient.
-        stated = observations.session.description.machine.travel.get(self.axis, (np.inf, -np.inf))
-        low, high = min(stated[0], float(position.min())), max(stated[1], float(position.max()))
+        travel = observations.session.description.machine.travel.get(self.axis, (np.inf, -np.inf))
+        low, high = min(travel[0], float(position.min())), max(travel[1], float(position.max()))
         over = (2.0 * position - low - high) / (high - low)
         series = np.polynomial.legendre.legvander(over, len(self.coefficients_for(observations)) - 1)
         return np.asarray(-series.T * self.approach(observations) * self.along(observations))

@@ -65,7 +65,7 @@ class _Work:
         self.theta_motion = theta_motion
         self.d, self.n = self.local.shape
         self.m, self.t = theta_motion.shape
-        self.undetermined = solution.loose_directions()
+        self.undetermined = solution.undetermined_directions()
         self.determined = np.asarray(solution.local_determined[index].all(axis=0))
         # The first pass leaves here the inverse of each point's normal matrix for the second.
         self.covariance = np.empty((self.d, self.d, self.n))

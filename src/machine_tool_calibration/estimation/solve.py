@@ -117,7 +117,7 @@ class Solution:
     degrees_of_freedom: int  # readings and priors minus unknowns that they fix
     steps: int  # Gauss-Newton steps taken
 
-    def loose_directions(self) -> Array:
+    def undetermined_directions(self) -> Array:
         """(m, k) the undetermined directions, exactly zero in what is determined."""
         return np.where(self.determined[:, None], 0.0, self.undetermined)
 

@@ -66,9 +66,8 @@ class Components:
 def components(gram: Gram) -> Components:
     """Posterior of the sizes of all families.
 
-    Args:
-        gram: inner products of the spread's columns and the residual, the model's unknowns projected off; or those
-            among readings of the same thing.
+    From inner products of the spread's columns and the residual, the model's unknowns projected off, or from those
+    among readings of the same thing.
     """
     left = dict[tuple[float, ...], float]()
 

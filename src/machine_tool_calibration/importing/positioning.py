@@ -193,8 +193,8 @@ def circle_rows(columns: Columns, name: str) -> Rows:
         number[mine] = np.unique(run[mine], return_inverse=True)[1]
     numbers |= {"repeat": number, "displacement": deviation}
     numbers |= columns.others(("angle", "radius", "deviation", "way", "repeat", *numbers))
-    stated = setup.model_dump(exclude_none=True, mode="json")
-    described = {"method": "ball_bar", "setups": [stated], "repeats": int(number.max(initial=0.0)) + 1}
+    entry = setup.model_dump(exclude_none=True, mode="json")
+    described = {"method": "ball_bar", "setups": [entry], "repeats": int(number.max(initial=0.0)) + 1}
     return Rows(numbers, {"setup": np.full(len(angle), setup.id)}, np.arange(len(angle)), described)
 
 

@@ -54,7 +54,7 @@ class Check(Answer, Checked):
             "sessions_of_spread": self.sessions,
             "moved": [one.name for one in self.moved],
             "too_uncertain": [one.name for one in self.blind],
-            "not_compared": self.untold,
+            "not_compared": self.not_compared,
             "changes": [asdict(one) | {"moved": one.moved, "too_uncertain": one.blind} for one in self.changes],
         }
 

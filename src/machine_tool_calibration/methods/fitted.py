@@ -19,7 +19,7 @@ from machine_tool_calibration.errors import ModelError, did_you_mean, suspected
 from machine_tool_calibration.methods.build import build_model, error_map, sharing_variant
 from machine_tool_calibration.methods.joint.map import joint_map
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models, with_effects
-from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
+from machine_tool_calibration.methods.joint.small_angles import published_angles, random_of, with_estimated_angles
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
@@ -124,7 +124,7 @@ class FittedSessions:
         """The machine's errors by another fit of the same models, such as those of `model.refits`."""
         if self.common is None:
             return error_map(joint.fits[0])
-        return joint_map(joint, self.common, stated(joint, self.common.angles))
+        return joint_map(joint, self.common, published_angles(joint, self.common.angles))
 
 
 def fit_sessions(subject: Session | FitRequest, built: Sequence[Built | None] = ()) -> FittedSessions:
@@ -156,11 +156,11 @@ def joint_models(chosen: FitRequest, built: Sequence[Built | None] = ()) -> tupl
         raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")
     models, names = zip(*_all_built(chosen, built), strict=True)
     common = common_models(models, labels)
-    common = replace(common, models=settled(common.models, labels, common.angles))
+    common = replace(common, models=with_estimated_angles(common.models, labels, common.angles))
     if not effects:
         return common, names
     common = with_effects(common, labels, effects)
-    return replace(common, models=settled(common.models, labels, common.angles)), names
+    return replace(common, models=with_estimated_angles(common.models, labels, common.angles)), names
 
 
 def _all_built(chosen: FitRequest, built: Sequence[Built | None]) -> list[Built]:

@@ -23,7 +23,7 @@ from machine_tool_calibration.methods.fitted import (
 )
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
-from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
+from machine_tool_calibration.methods.joint.small_angles import PublishedAngles, published_angles
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.result import Estimate, Identified, Rejected, Result, correlated_with, plain
@@ -38,7 +38,7 @@ class JointResult(Identified):
     fit: JointFit  # of all of them
     # small angular errors that a step diagonal has as random functions, and all else with the mean over them; None
     # where there are none
-    angles: StatedAngles | None
+    angles: PublishedAngles | None
     common: CommonModels  # the models and what they share
     agreement: Agreement  # whether the sessions agree
     model_names: tuple[str, ...]  # variant of each session's model
@@ -69,7 +69,7 @@ class JointResult(Identified):
         for k in np.flatnonzero(~solution.determined):
             out[names[k]] = correlated_with(solution.undetermined, names, int(k), points)
         if self.angles is not None:
-            out |= {entry.name: entry.why for entry in self.angles.untold}
+            out |= {entry.name: entry.why for entry in self.angles.not_determined}
         out |= {entry.name: entry.why for entry in self.error_map.not_determined}
         return [NotDetermined(name, why) for name, why in out.items()]
 
@@ -125,7 +125,7 @@ def identify_sessions(chosen: FitRequest) -> Result | JointResult:
     joint, common = fitted.joint, fitted.common
     names = joint.assembly.labels
     assert common is not None and names is not None
-    angles = stated(joint, common.angles)
+    angles = published_angles(joint, common.angles)
     agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=angles.hiding(agreed.statement))

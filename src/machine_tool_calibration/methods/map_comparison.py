@@ -153,13 +153,13 @@ def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple
     # All six rows of the right side, of few components too, but not a square of thousands on the left.
     _, sizes, right = np.linalg.svd(moves, full_matrices=len(moves) < moves.shape[1])
     rank = int((sizes > _LEAST_SINGULAR_VALUE * sizes[0]).sum())
-    loose = np.linalg.norm(right[rank:], axis=0) > _ROUNDING_SHARE
+    undetermined = np.linalg.norm(right[rank:], axis=0) > _ROUNDING_SHARE
     solve = np.linalg.pinv(moves, rcond=_LEAST_SINGULAR_VALUE)
     value, spread = solve @ difference, np.sqrt(np.einsum("mk,mk->m", solve @ rows.T, solve @ rows.T))
     out = []
     for k, name in enumerate(_MOTIONS):
         factor, unit = (1.0, "m") if k < 3 else (1.0 / scale, "rad")
-        known = not loose[k]
+        known = not undetermined[k]
         number, u = (factor * float(value[k]), factor * float(spread[k])) if known else (np.nan, np.nan)
         out.append(Motion(name, number, u, unit))
     return tuple(out)

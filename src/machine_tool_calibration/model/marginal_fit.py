@@ -109,11 +109,7 @@ class MarginalFit:
 
 @single_blas()
 def marginal_fit(solved: Solved) -> MarginalFit:
-    """The fit with what does not reproduce in it.
-
-    Args:
-        solved: models of one or several sessions.
-    """
+    """The fit with what does not reproduce in it."""
     problem, solution = solved.without_expectations, solved.solution
     # Rows of a plate that differ are the part's, as far as the map is concerned.
     families = [with_drift(m.observations) for m in solved.assembly.models]

@@ -115,15 +115,15 @@ def motion_value(motion: str, at: float | str, unit: str, *, shared: bool = True
     return Parameter(f"{prefix}{motion}({place})", unit, shared=shared, kind=Kind.MOTION, owner=motion, at=where)
 
 
-def place_of(owner: str, axis: str, stated: float) -> Parameter:
+def place_of(owner: str, axis: str, nominal: float) -> Parameter:
     """A coordinate of a station or target, counted from where it is stated to be, m."""
-    return Parameter(f"{owner}.{axis}", "m", reference=stated, kind=Kind.PLACE, owner=owner)
+    return Parameter(f"{owner}.{axis}", "m", reference=nominal, kind=Kind.PLACE, owner=owner)
 
 
-def dead_path_of(owner: str, stated: float, repeat: int | None = None) -> Parameter:
+def dead_path_of(owner: str, nominal: float, repeat: int | None = None) -> Parameter:
     """The distance at which a station (or a station and its target) reads zero, of every repeat or of one, m."""
     middle = "" if repeat is None else f".{repeat}"
-    return Parameter(f"{owner}{middle}.dead_path", "m", reference=stated, kind=Kind.DEAD_PATH, owner=owner, at=repeat)
+    return Parameter(f"{owner}{middle}.dead_path", "m", reference=nominal, kind=Kind.DEAD_PATH, owner=owner, at=repeat)
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class MethodModel(ABC):
             constraints=tuple(replace(c, weights=w) for c, w in zip(self.constraints, kept, strict=True) if w),
         )
 
-    def settled(self) -> Self:
+    def reestimated(self) -> Self:
         """The same model with what it draws from the readings besides unknowns (a spread) estimated again.
 
         To be called when terms were added for good: a spread that was estimated without them would hold them too.

@@ -99,12 +99,7 @@ class PureError:
     dof: int  # degrees of freedom
 
     def outside(self, own: BoolArray, family: IntArray) -> Gram:
-        """Without functions that the model has as unknowns of its own, such as the constants of runs.
-
-        Args:
-            own: (u,) whether it has each.
-            family: (u,) of each.
-        """
+        """Without functions (u,) that the model has as unknowns of its `own`, such as the constants of runs."""
         held = self.gram[np.ix_(own, own)]
         values, vectors = np.linalg.eigh(held)
         kept = values > _ROUNDING * max(float(values.max(initial=0.0)), 1e-300)

@@ -30,12 +30,7 @@ def main(name: str, args: list[str]) -> int:
     Asked for help, it prints what the node is and takes, and starts nothing. An interpreter that tidies up, or waits
     for a calculation that nobody wants any more, could take seconds under load.
 
-    Args:
-        name: of the node.
-        args: its command line.
-
-    Returns:
-        Exit status where no node was wanted, but help.
+    The exit status is returned where no node was wanted, but help.
     """
     for number in (signal.SIGINT, signal.SIGTERM):  # while it is still importing: as when it runs, not a word
         signal.signal(number, lambda *_: sys.exit(0))

@@ -271,12 +271,8 @@ _IDS = range(0, 102)
 def claimed_domain(wanted: int | None = None) -> Iterator[int]:
     """A domain id for a measurement, kept from others for as long as the context lasts.
 
-    Args:
-        wanted: this one, whoever else uses it; by default the user's ROS_DOMAIN_ID, and else the first that no other
-            measurement on this machine has claimed.
-
-    Raises:
-        CalibrationError: not a domain id, or none is free.
+    The one that is wanted, whoever else uses it; by default the user's ROS_DOMAIN_ID, and else the first that no other
+    measurement on this machine has claimed. A CalibrationError: not a domain id, or none is free.
     """
     chosen = os.environ.get("ROS_DOMAIN_ID", "") if wanted is None else str(wanted)
     if chosen:

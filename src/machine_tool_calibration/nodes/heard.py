@@ -173,14 +173,9 @@ class Heard:
     # --- those who look
 
     def rows(self, run: int, first: int) -> tuple[int, int, Sequence[tuple[int, float]]]:
-        """Readings in the order of their coming.
+        """Readings in the order of their coming, beyond the `first` ones of a run, which are known already.
 
-        Args:
-            run: of which those are that are known already.
-            first: how many of them are known.
-
-        Returns:
-            The present run, how many of its readings are known, and the others: place of the setup, displacement (m).
+        The present run, how many of its readings are known, and the others: place of the setup, displacement (m).
         """
         with self._lock:
             known = first if run == self._run else 0

@@ -137,14 +137,8 @@ def free_folder(name: str, given: Path | None) -> Path:
 def measure(file: Path, setting: Setting, progress: Progress = lambda text, done, total: None) -> Measured:
     """Run a procedure from the first process to the last file.
 
-    Args:
-        file: the procedure's YAML file.
-        setting: how.
-        progress: hears how it goes.
-
-    Raises:
-        CalibrationError: the procedure or the setting is wrong, a node does not start or ends, or the procedure ends
-            in an error; what was measured until then stays in the output folder.
+    A CalibrationError: the procedure or the setting is wrong, a node does not start or ends, or the procedure ends in
+    an error; what was measured until then stays in the output folder.
     """
     procedure = read_procedure(file)
     if setting.parameters is not None and not setting.parameters.is_file():

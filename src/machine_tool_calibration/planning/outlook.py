@@ -118,14 +118,14 @@ def _with(chosen: FitRequest, at: int, option: Option, angular: float) -> tuple[
     """The fit with a further measurement in one of the sessions."""
     session, old = option.session, chosen.sessions[at]
     said = session.description.standard_uncertainty
-    loose = {
+    silent = {
         name: said.model_copy(update={"displacement": _SILENT_UNCERTAINTY})
         for name in session.setup_ids[len(old.setup_ids) :]
     }
-    if loose:
+    if silent:
         # Those of a perfect machine with everything where it is stated would pull the fit, and with it the geometry on
         # which the uncertainty rests: what the present readings predict is read there.
-        hardly = said.model_copy(update={"setups": {**said.setups, **loose}})
+        hardly = said.model_copy(update={"setups": {**said.setups, **silent}})
         description = session.description.model_copy(update={"standard_uncertainty": hardly})
         fit = _fitted(chosen.instead(at, replace(session, description=description)), angular)[0].fits[at]
         rows, there = session.readings.row, fit.model.observations.readings.row

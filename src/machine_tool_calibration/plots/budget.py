@@ -48,7 +48,7 @@ def _contributions(panel: Axes, budget: Budget, one: Sum) -> None:
     order = np.argsort([-part.u for part in one.shares], kind="stable")
     names = [named("contributor", budget.lines[k].name) for k in order]
     names += [say("budget.combined_short"), say("budget.readings_show")]
-    values = [one.shares[k].u for k in order] + [one.u, one.stated]
+    values = [one.shares[k].u for k in order] + [one.u, one.u_identification]
     colors = [FOUND] * len(order) + [COLORS[6], BAND]
     place = np.arange(len(names))
     shown = factor * np.nan_to_num(np.array(values))

@@ -151,10 +151,10 @@ def _acts_through(diagnosis: Diagnosis, known: Collection[str]) -> list[str]:
     if effect is None:
         return []
     # Where no times were recorded the order of the readings serves.
-    stated = [name if name in known else name.replace("time", "order") for name in effect.covariates or effect.needs]
+    needed = [name if name in known else name.replace("time", "order") for name in effect.covariates or effect.needs]
     # A direction of approach shows as the sign of the step along what the reading senses.
-    along = [name for name in known if name.split(" along ")[0] in stated and " along " in name]
-    return along or [name for name in known if name in stated]
+    along = [name for name in known if name.split(" along ")[0] in needed and " along " in name]
+    return along or [name for name in known if name in needed]
 
 
 def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> pd.DataFrame:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from machine_tool_calibration.budget.complete import completed, completed_steps, conclude, stated
+from machine_tool_calibration.budget.complete import completed, completed_steps, conclude, declared_contributors
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import known_contributors
 from machine_tool_calibration.budget.propagate import Budget, propagate
@@ -79,7 +79,7 @@ def evaluate(
     improved = then = None
     fitted = fitted_sessions(result)
     budget = None
-    own = stated(measured.recorded)
+    own = declared_contributors(measured.recorded)
     general = not contributors and not own
     contributors = contributors or own or (known_contributors(measured.recorded)[0] if tolerances else ())
     if diagnosis:

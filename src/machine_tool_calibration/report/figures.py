@@ -232,8 +232,7 @@ def library() -> str:
 def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | None:
     """The nominal grid and the found one with its errors magnified; None where the map has no extent to be turned.
 
-    Returns:
-        `data` and `layout` of plotly.js.
+    They are `data` and `layout` of plotly.js.
     """
     table = error_map(result)
     place, error, u = (table[[f"{begin}{axis}" for axis in "xyz"]].to_numpy(dtype=float) for begin in ("", "e", "u"))

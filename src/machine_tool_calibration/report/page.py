@@ -30,14 +30,7 @@ def write_report(
     figures: Path | None = None,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[Path]:
-    """Write a report.
-
-    Returns:
-        The files.
-
-    Raises:
-        CalibrationError: another ending, a file that cannot be written, or no Pango for PDF.
-    """
+    """The files of a report. A CalibrationError: another ending, one that cannot be written, no Pango for PDF."""
     check_endings(files)
     progress("drawing", 0.0)
     content = sections(found, words)
@@ -107,12 +100,9 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
 
 
 def rendered(template: str, *packages: str | Path, **values: Any) -> str:
-    """A page made of a template.
+    """A page made of a template, which may extend `report.html`, and the values that it takes.
 
-    Args:
-        template: its file; it may extend `report.html`.
-        packages: where it is, or what it extends, beside this one; a folder of the user's as a path.
-        values: that it takes.
+    It is in one of the packages, or in this one; a folder of the user's is given as a path.
     """
     from jinja2 import ChoiceLoader, FileSystemLoader, PackageLoader, StrictUndefined
     from jinja2.sandbox import SandboxedEnvironment

@@ -84,10 +84,7 @@ class Section:
 def sections(found: Evaluation, words: Words, only: Container[str] | None = None) -> list[Section]:
     """The report's content in a language, in the order in which it is read; without sections of what there is not.
 
-    Args:
-        found: what it tells.
-        words: of the language.
-        only: ids of the sections that are made; all if None.
+    `only` has the ids of the sections that are made; all if None.
     """
     parts = {
         "summary": _summary(found),

@@ -18,7 +18,7 @@ _LEAST_NAMED = 1.0  # %
 # Figures of ISO 230-2 and ISO 230-6 that are told unless others are asked for.
 _USUAL = ("B", "B_mean", "R", "E", "M", "A", "E_D", "B_D")
 # Degrees of freedom above which k is 2 to three figures.
-_MOST_FREEDOM = 1000
+_MOST_DEGREES_OF_FREEDOM = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 
@@ -103,10 +103,10 @@ def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         rows.append((line_name(line), *(_part(one, k) for one in sums)))
     rows += [
         (say("budget.combined"), *(_shown(one, one.u) for one in sums)),
-        (say("budget.freedom"), *(_freedom(one.degrees_of_freedom) for one in sums)),
+        (say("budget.freedom"), *(_degrees_of_freedom(one.degrees_of_freedom) for one in sums)),
         (say("budget.coverage"), *(f"{one.k:.2f}" for one in sums)),
         (say("budget.expanded"), *(_shown(one, one.expanded, 0) for one in sums)),
-        (say("budget.u_readings"), *(_shown(one, one.stated) for one in sums)),
+        (say("budget.u_readings"), *(_shown(one, one.u_identification) for one in sums)),
     ]
     return TextTable(say("budget.contribute"), (*heads("contributor"), *map(_title, sums)), tuple(rows))
 
@@ -131,8 +131,14 @@ def _part(one: Sum, k: int) -> str:
     return f"{_shown(one, part.u)} {share:>6} %"
 
 
-def _freedom(value: float) -> str:
-    text = "∞" if math.isinf(value) else f"{value:.0f}" if value <= _MOST_FREEDOM else f"> {_MOST_FREEDOM}"
+def _degrees_of_freedom(value: float) -> str:
+    text = (
+        "∞"
+        if math.isinf(value)
+        else f"{value:.0f}"
+        if value <= _MOST_DEGREES_OF_FREEDOM
+        else f"> {_MOST_DEGREES_OF_FREEDOM}"
+    )
     return f"{text:>6}"
 
 
@@ -144,7 +150,7 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
         u=lambda one: _shown(one, one.u).strip(),
         k=lambda one: f"{one.k:.2f}",
         U=lambda one: _shown(one, one.expanded, 0).strip(),
-        u_readings=lambda one: _shown(one, one.stated).strip(),
+        u_readings=lambda one: _shown(one, one.u_identification).strip(),
         most_from=lambda one: _most(budget, one),
     )
 
@@ -228,7 +234,9 @@ def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
         "effective_degrees_of_freedom": None if math.isinf(dof) else dof,
         "coverage_factor": one.k,
         "expanded_uncertainty": one.expanded,
-        "identification": {"standard_uncertainty": one.stated if math.isfinite(one.stated) else None},
+        "identification": {
+            "standard_uncertainty": one.u_identification if math.isfinite(one.u_identification) else None
+        },
     }
     if budget.drawn is not None and one.index is not None:
         out["monte_carlo"] = {

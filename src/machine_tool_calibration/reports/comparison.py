@@ -166,7 +166,7 @@ def _uncertain(name: str, factor: float = _MICRO) -> Callable[[_Row], str]:
     return lambda row: plus_minus(row[name], row[f"{name}_u"], factor)
 
 
-def _apart(row: _Row) -> str:
+def _displacement(row: _Row) -> str:
     text = _uncertain("displacement")(row)
     return text if row["displacement"] is None else f"{text} {'µrad' if row['axis'] == 'c' else 'µm'}"
 
@@ -181,7 +181,7 @@ _UNCERTAIN: dict[str, Callable[[_Row], str]] = {
     "mean_um": _uncertain("mean"),
     "drift": _uncertain("slope", _MICRO * _HOUR),
     "difference": _uncertain("difference"),
-    "stands_apart": _apart,
+    "stands_apart": _displacement,
 }
 """Cells of columns of which a row may leave the figure undetermined, by the key of the column's head."""
 _CELLS: dict[str, Callable[[_Row], str]] = _UNCERTAIN | {

@@ -77,8 +77,8 @@ def check_remarks(check: Check) -> Iterator[str]:
         yield say("check.since_until", **dates) if check.until else say("check.since", since=check.since)
     if check.blind:
         yield say("check.blind_words", names=enumeration([_name(one) for one in check.blind]))
-    if check.untold:
-        yield say("check.untold", names=", ".join(check.untold))
+    if check.not_compared:
+        yield say("check.not_compared", names=", ".join(check.not_compared))
     if not check.correlated:
         yield say("check.uncorrelated")
     yield say("check.between", n=check.sessions) if check.sessions else say("check.no_between", n=SESSIONS)

@@ -105,10 +105,10 @@ def _verdict(diagnosis: Diagnosis) -> Said:
     residual = say("diagnosis.residual", found=found, declared=declared)
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
-        chances = [look.of(name).probability for name in diagnosis.accepted]
+        probabilities = [look.of(name).probability for name in diagnosis.accepted]
         names = [
             say("diagnosis.or_alike", what=name) if chance < priors.ACCEPTED else name
-            for name, chance in zip(names, chances, strict=True)
+            for name, chance in zip(names, probabilities, strict=True)
         ]
         what = say("diagnosis.effects", n=len(names), names=together(names, ", "))
         return say("diagnosis.only_reversal" if only_reversal(diagnosis) else "diagnosis.lacks", what=what)
@@ -143,8 +143,8 @@ def next_step(diagnosis: Diagnosis, advice: Advice) -> str:
         mine = next((s for s in advice.separations if s.effects[0] in diagnosis.accepted), None)
         if mine is not None and _as_good(diagnosis, mine):
             measure = mine.measure if mine.kind is not None else say("next.no_measure")
-            rivals = together(mine.effects[1:], say("diagnosis.or"))
-            return together((text, say("next.from_rivals", names=rivals, measure=measure)))
+            others = together(mine.effects[1:], say("diagnosis.or"))
+            return together((text, say("next.from_rivals", names=others, measure=measure)))
         return text
     if diagnosis.likely and told is not None:
         return say("next.between", names=together(told.effects, say("text.and")), measure=told.measure)
@@ -298,8 +298,8 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
         # "place" is what places differ by without a pattern.
         patterns = [structure for structure in diagnosis.left if structure.covariate != "place"]
-        chances = [alike_beside_p(own) for own in fit.fits]
-        alike = any(p is not None and p < priors.STRUCTURE_P for p in chances)
+        probabilities = [alike_beside_p(own) for own in fit.fits]
+        alike = any(p is not None and p < priors.STRUCTURE_P for p in probabilities)
         if alike or not patterns:
             yield say("diagnosis.places_alike" if alike else "diagnosis.places_differ", repeats=quantity(repeats, "m"))
     if diagnosis.verdict == "missing_effect" and diagnosis.left:

@@ -165,9 +165,9 @@ class DiagonalSetup(Setup):
         """The id without the order, and the order of the moves; one letter for a linear run."""
         moving = "".join(axis for axis, sign in zip("xyz", self.direction, strict=True) if sign)
         found = _ORDER.match(self.id)
-        stated = "".join(letter for letter in found["order"].lower() if letter in moving) if found else ""
+        declared = "".join(letter for letter in found["order"].lower() if letter in moving) if found else ""
         # Letters that are not all moving axes, once each, are a name and no order.
-        return (found["name"], stated) if found and sorted(stated) == sorted(moving) else (self.id, moving)
+        return (found["name"], declared) if found and sorted(declared) == sorted(moving) else (self.id, moving)
 
     def path(self, step: Sequence[float], blocks: int) -> list[tuple[float, ...]]:
         """Places x, y, z at which it is read, m: moves of a step along single axes, block after block."""

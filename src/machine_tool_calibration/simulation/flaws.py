@@ -98,13 +98,13 @@ def choose_flaw(
     """
     flaw = find_flaw(name)
     drawn = dict(flaw.draw(np.random.default_rng(seed), scene)) if flaw.draw else {}
-    settled = {**flaw.defaults, **drawn}
+    values = {**flaw.defaults, **drawn}
     for key, value in (parameters or {}).items():
-        if key not in settled:
-            known = ", ".join(settled) or "none"
+        if key not in values:
+            known = ", ".join(values) or "none"
             raise CalibrationError(f"effect {name} has no parameter {key!r}; its parameters are: {known}")
-        settled[key] = value
+        values[key] = value
     chosen = flaw.typical if size is None else float(size)
     if not np.isfinite(chosen):
         raise CalibrationError(f"effect {name}: the size must be a finite number")
-    return Chosen(flaw, chosen, settled)
+    return Chosen(flaw, chosen, values)

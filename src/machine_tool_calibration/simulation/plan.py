@@ -81,7 +81,7 @@ def station_name(index: int) -> str:
     return ascii_uppercase[index] if index < len(ascii_uppercase) else f"S{index + 1}"
 
 
-def stated_places(ids: Iterable[str], places: Array, uncertainty: float) -> list[dict[str, Any]]:
+def declared_places(ids: Iterable[str], places: Array, uncertainty: float) -> list[dict[str, Any]]:
     """What a session says of places (k, 3), m, whose standard uncertainty is stated where there is one."""
     own = {"position_uncertainty": uncertainty} if uncertainty > 0 else {}
     return [{"id": name, "position": place, **own} for name, place in zip(ids, places.tolist(), strict=False)]

@@ -19,8 +19,8 @@ from machine_tool_calibration.simulation.plan import (
     Measurement,
     Plan,
     Vector3,
+    declared_places,
     since_first,
-    stated_places,
     station_name,
 )
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
@@ -115,10 +115,10 @@ class RotaryPlan(Plan):
     def measured(self, environment: Environment, rng: np.random.Generator) -> Measurement:
         """The measurement: station by station, repeat by repeat; all angles for each target, or the reverse."""
         names = list(self.marks())
-        stated = np.array([self.marks()[name] for name in names], float)
+        nominal = np.array([self.marks()[name] for name in names], float)
         station = self.places()
         estimate = station + self.station_uncertainty * rng.normal(size=station.shape)
-        target = stated + self.target_uncertainty * rng.normal(size=stated.shape)
+        target = nominal + self.target_uncertainty * rng.normal(size=nominal.shape)
         turns = self.turns()
         inner = (len(turns), len(names)) if self.at_every_angle else (len(names), len(turns))
         setup, repeat, *within = (index.ravel() for index in np.indices((len(station), self.repeats, *inner)))
@@ -147,8 +147,8 @@ class RotaryPlan(Plan):
 
         description = {
             "rotation_sign": self.sign,
-            "targets": stated_places(names, stated, self.target_uncertainty),
-            "setups": stated_places(map(station_name, count()), estimate, self.station_uncertainty),
+            "targets": declared_places(names, nominal, self.target_uncertainty),
+            "setups": declared_places(map(station_name, count()), estimate, self.station_uncertainty),
         }
         letter = self.axis.lower()
         return Measurement(

@@ -163,8 +163,8 @@ class Site(LiveMachine):
         drawn = self._drawn(13, index, self.spec.target_uncertainty, target.position_uncertainty)
         return np.array(target.position) + drawn
 
-    def _drawn(self, stream: int, index: int, spread: float | None, stated: float | None) -> Array:
-        size = (stated or 0.0) if spread is None else spread
+    def _drawn(self, stream: int, index: int, spread: float | None, declared: float | None) -> Array:
+        size = (declared or 0.0) if spread is None else spread
         return np.random.default_rng([self.spec.seed, stream, index]).normal(size=3) * size
 
     def mirror_tilt(self, index: int) -> Array:

@@ -19,9 +19,9 @@ from machine_tool_calibration.simulation.plan import (
     Plan,
     Vector3,
     axis_columns,
+    declared_places,
     since_first,
     spanned,
-    stated_places,
     station_name,
 )
 from machine_tool_calibration.simulation.scene import Environment, Scene, last_direction, ordered_times
@@ -133,7 +133,7 @@ class TrackingPlan(Plan, Pointer):
         description = {
             "dimension": self.dimension,
             "pointing": self.pointing,
-            "setups": stated_places(map(station_name, count()), estimate, self.station_uncertainty),
+            "setups": declared_places(map(station_name, count()), estimate, self.station_uncertainty),
         }
         columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
         return Measurement(description, scene, read, setup, columns, truth=judged)

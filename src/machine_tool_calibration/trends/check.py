@@ -76,7 +76,7 @@ class Check:
     since: str | None  # since, until: their dates; None where nothing says them
     until: str | None
     changes: tuple[Change, ...]  # what both have, the most significant first
-    untold: tuple[str, ...]  # what only one of both has
+    not_compared: tuple[str, ...]  # what only one of both has
     correlated: bool  # whether the correlations of both are known
     sessions: int = 0  # number of sessions that tell the spread between sessions; 0 where it is not known
 
@@ -121,7 +121,7 @@ def check(earlier: Statement, now: Statement, history: Sequence[Statement] = ())
         since=earlier.date,
         until=now.date,
         changes=tuple(replace(changes[k], adjusted=float(p)) for k, p in zip(order, adjusted, strict=True)),
-        untold=tuple(name for name in {**earlier.parts, **now.parts} if name not in told),
+        not_compared=tuple(name for name in {**earlier.parts, **now.parts} if name not in told),
         correlated=correlated,
         sessions=len(history) if between else 0,
     )
@@ -138,8 +138,8 @@ def between_sessions(history: Sequence[Statement]) -> dict[str, float]:
     names = set.intersection(*({*one.parts} for one in history))
     rows = {name: [(o.numbers.value[m := o.parts[name].members], o.numbers.u[m]) for o in history] for name in names}
     if all(len(one.points) and np.array_equal(one.points, history[0].points) for one in history):
-        stated = [one.position_error for one in history]
-        rows[POSITION_ERROR] = [(value.reshape(-1), u.reshape(-1)) for value, u in stated]
+        errors = [one.position_error for one in history]
+        rows[POSITION_ERROR] = [(value.reshape(-1), u.reshape(-1)) for value, u in errors]
     out = {}
     for name, pairs in rows.items():
         if len({len(value) for value, _ in pairs}) > 1:

@@ -113,7 +113,7 @@ class Subject:
     def judged(self, chosen: FitRequest, aside: Iterable[int], kept: Iterable[int]) -> dict[int, float]:
         """What `mtcal identify` would set aside beside a model: see `Model.found`."""
         chosen = replace(chosen, sessions=self.without(aside, kept).sessions, own=self.own)
-        return self.deviations(sifted.outliers for sifted in gross_errors(chosen))
+        return self.deviations(own.outliers for own in gross_errors(chosen))
 
     def anew(
         self, before: Model, words: str, chosen: FitRequest, by_user: frozenset[int], kept: frozenset[int]

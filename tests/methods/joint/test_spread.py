@@ -14,7 +14,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.methods.joint.map import between_nodes, squared_bend
 from machine_tool_calibration.methods.joint.model import common_models
-from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
+from machine_tool_calibration.methods.joint.small_angles import published_angles, random_of, with_estimated_angles
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
@@ -87,9 +87,9 @@ def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace, repro
     session = several.measured("diagonals", 2, _random(2, 5e-6)).session
     alone = build(session)
     common = common_models([alone], [""])
-    fit = fit_models(settled(common.models, [""], common.angles), random=random_of(common.angles))
+    fit = fit_models(with_estimated_angles(common.models, [""], common.angles), random=random_of(common.angles))
     assert fit.marginal.scatter == 1.0  # readings that scatter no more than declared
-    found = stated(fit, common.angles)
+    found = published_angles(fit, common.angles)
     assert found is not None and alone.spread is not None and alone.spread.posterior is not None
     assert found.size == pytest.approx(alone.spread.posterior.size, rel=1e-4)
     assert found.probability == pytest.approx(alone.spread.posterior.probability, rel=1e-4)

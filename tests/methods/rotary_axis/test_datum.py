@@ -9,12 +9,12 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.rotary_axis.datum import (
     covered_angle,
-    loose_motions,
     motion_constraints,
     open_directions,
     target_constraints,
     unseen_motions,
     unseen_names,
+    unsensed_motions,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, axis_rotation
 from machine_tool_calibration.session.session import Readings
@@ -38,18 +38,18 @@ def test_a_target_seen_from_three_sides_leaves_the_turns_about_it() -> None:
     """At the first angle; at the second a station is missing, at the third two of three runs have a single reading."""
     arm = np.tile([0.3, -0.1, 0.2], (8, 1))
     sides = np.eye(3)[[0, 1, 2, 0, 1, 0, 1, 2]]
-    loose = loose_motions(table("C", [0, 0, 0, 1, 1, 2, 2, 2], [0, 1, 2, 0, 1, 2, 3, 4]), sides, arm, SIZE)
+    unsensed = unsensed_motions(table("C", [0, 0, 0, 1, 1, 2, 2, 2], [0, 1, 2, 0, 1, 2, 3, 4]), sides, arm, SIZE)
     about = [np.r_[np.cross(arm[0], turn), SIZE * turn] for turn in np.eye(3)]  # t + turn x arm = 0
     for motion in about:
-        np.testing.assert_allclose(loose[0] @ motion, motion, atol=1e-12)
-    assert np.trace(loose[0]) == pytest.approx(3.0)
-    assert np.trace(loose[1]) == pytest.approx(4.0)
+        np.testing.assert_allclose(unsensed[0] @ motion, motion, atol=1e-12)
+    assert np.trace(unsensed[0]) == pytest.approx(3.0)
+    assert np.trace(unsensed[1]) == pytest.approx(4.0)
     # Z is not looked along at the second angle: to rise does not show there.
-    np.testing.assert_allclose(loose[1] @ np.eye(6)[2], np.eye(6)[2], atol=1e-12)
+    np.testing.assert_allclose(unsensed[1] @ np.eye(6)[2], np.eye(6)[2], atol=1e-12)
     # At the third angle the run that has read elsewhere, too, looks along X.
-    assert np.trace(loose[2]) == pytest.approx(5.0)
+    assert np.trace(unsensed[2]) == pytest.approx(5.0)
     along = np.r_[sides[5], np.cross(arm[5], sides[5]) / SIZE]
-    np.testing.assert_allclose(loose[2] @ along, 0.0, atol=1e-12)
+    np.testing.assert_allclose(unsensed[2] @ along, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("axis", "sign", "across"), [("A", 1, (1, 2)), ("B", -1, (2, 0)), ("C", 1, (0, 1))])
@@ -89,8 +89,8 @@ def test_where_a_motion_is_seen_in_part_the_condition_is_on_that_part(
     scaled = parts / np.linalg.norm(parts)
     line = np.zeros(6)
     line[[one, other]] = scaled
-    loose = np.tile(np.outer(line, line), (3, 1, 1))
-    conditions = motion_constraints(table("C", [0, 1, 2], [0, 0, 0]), LABELS, loose, SIZE)
+    unsensed = np.tile(np.outer(line, line), (3, 1, 1))
+    conditions = motion_constraints(table("C", [0, 1, 2], [0, 0, 0]), LABELS, unsensed, SIZE)
     names = [label for row in LABELS for label in row]
     rows = np.array([[condition.weights.get(name, 0.0) for name in names] for condition in conditions])
     # What is not seen is not touched by any of them, and what is has no constant.
@@ -120,17 +120,17 @@ def test_targets_have_their_nominal_height_and_angle_on_the_average() -> None:
 def test_what_is_unseen_is_held_at_zero_and_named_where_it_counts() -> None:
     """To rise at the second angle, and there almost all of a turn about X."""
     rise, turn = np.eye(6)[2], np.r_[np.zeros(3), np.sqrt(1.0 - 4e-6), 0.0, 2e-3]
-    loose = np.zeros((3, 6, 6))
-    loose[1] = np.outer(rise, rise) + np.outer(turn, turn)
-    held = {frozenset(prior.weights): prior for prior in unseen_motions(loose, LABELS, SIZE)}
+    unsensed = np.zeros((3, 6, 6))
+    unsensed[1] = np.outer(rise, rise) + np.outer(turn, turn)
+    held = {frozenset(prior.weights): prior for prior in unseen_motions(unsensed, LABELS, SIZE)}
     assert set(held) == {frozenset(["EZ(1)"]), frozenset(["EA(1)", "EC(1)"])}
     assert all(prior.value == 0.0 and prior.sigma == 1e-4 for prior in held.values())
     weights = held[frozenset(["EA(1)", "EC(1)"])].weights
     assert abs(weights["EA(1)"]) == pytest.approx(SIZE, rel=1e-5)
     assert weights["EC(1)"] / weights["EA(1)"] == pytest.approx(2e-3, rel=1e-5)
     # 0.1 mm times two thousandths is 0.2 um of EC: a third of 1 um is more, of 0.5 um less.
-    assert unseen_names(loose, LABELS, 1e-6) == {"EZ(1)", "EA(1)"}
-    assert unseen_names(loose, LABELS, 5e-7) == {"EZ(1)", "EA(1)", "EC(1)"}
+    assert unseen_names(unsensed, LABELS, 1e-6) == {"EZ(1)", "EA(1)"}
+    assert unseen_names(unsensed, LABELS, 5e-7) == {"EZ(1)", "EA(1)", "EC(1)"}
 
 
 def test_the_turn_that_is_covered_is_the_whole_less_the_largest_gap() -> None:

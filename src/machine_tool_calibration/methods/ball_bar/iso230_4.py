@@ -149,10 +149,7 @@ def _hysteresis(forth: _Path, back: _Path) -> tuple[float, float] | None:
 def contributions(fit: Fit, terms: Sequence[Term], first: int) -> list[dict[str, Any]]:
     """Of every cause in the model what it adds to the radius, as G(b) it would have alone, the largest first.
 
-    Args:
-        fit: the model's.
-        terms: the causes.
-        first: place of the first of their unknowns.
+    The causes are terms, the first of whose unknowns has that place in the fit.
     """
     seen, out = fit.model.observations, []
     arm, plane = arms(seen.session.description.as_a(BallBar), seen.readings)

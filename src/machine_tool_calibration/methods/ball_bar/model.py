@@ -118,10 +118,10 @@ def build(session: Session, model: str = "circle") -> CircleModel:
 
 def _with_feed(description: BallBar, readings: Readings) -> Readings:
     """The readings with the path speed that the setups state, where no column says it."""
-    stated = np.array([setup.feed or np.nan for setup in description.setups])[readings.setup]
-    if "feed" in readings.columns or not np.isfinite(stated).all():
+    feed = np.array([setup.feed or np.nan for setup in description.setups])[readings.setup]
+    if "feed" in readings.columns or not np.isfinite(feed).all():
         return readings
-    return replace(readings, columns={**readings.columns, "feed": stated})
+    return replace(readings, columns={**readings.columns, "feed": feed})
 
 
 def _mismatches(scales: str) -> tuple[Parameter, ...]:
@@ -168,10 +168,10 @@ def error_map(model: CircleModel, fit: Fit) -> ErrorMap:
     field = np.concatenate([map_field(model.tables, points), _mismatch_field(model.scales, points)])
     mine = slice(own, own + len(field))
     error, covariance = position_errors(field, fit.theta[mine], fit.covariance[mine, mine])
-    open_ones = fit.solution.loose_directions()[fit.places][mine]
-    loose = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > OPEN_CHANGE
-    loose |= ~np.isin(np.arange(3), ["XYZ".index(axis) for axis in model.scales])
-    error, uncertainty, covariance = determined_part(error, covariance, loose)
+    open_ones = fit.solution.undetermined_directions()[fit.places][mine]
+    undetermined = np.linalg.norm(np.einsum("kq,knd->qnd", open_ones, field), axis=0) > OPEN_CHANGE
+    undetermined |= ~np.isin(np.arange(3), ["XYZ".index(axis) for axis in model.scales])
+    error, uncertainty, covariance = determined_part(error, covariance, undetermined)
     theta, sigma = determined_values(fit)
     content: dict[str, Any] = {
         "points": points,

@@ -337,10 +337,10 @@ def error_map(model: DirectModel, fit: Fit) -> ErrorMap:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)
     error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
-    open_ones = fit.solution.loose_directions()[fit.places][mine]
-    loose = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
+    open_ones = fit.solution.undetermined_directions()[fit.places][mine]
+    undetermined = np.linalg.norm(flat.T @ open_ones, axis=1).reshape(-1, 3) > OPEN_CHANGE
     # Where no term and no effect moves any place, nothing was asked of its error.
-    error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed | (not field.any()))
+    error, uncertainty, covariance = determined_part(error, covariance, undetermined | ~sensed | (not field.any()))
     content: dict[str, Any] = {
         "points": points,
         "position_error": error,

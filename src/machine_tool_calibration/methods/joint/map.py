@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.methods.direct.model import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
-from machine_tool_calibration.methods.joint.small_angles import StatedAngles
+from machine_tool_calibration.methods.joint.small_angles import PublishedAngles
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
@@ -84,7 +84,7 @@ _BEYOND_TABLE = 1e-3
 _MOVES = 1e-9
 
 
-def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None = None) -> ErrorMap:
+def joint_map(joint: JointFit, common: CommonModels, angles: PublishedAngles | None = None) -> ErrorMap:
     """Tables with their uncertainties, and position errors at the points of all sessions.
 
     What all readings together leave open is taken out of the position errors by least squares over the points.
@@ -117,8 +117,10 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
         covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])
-    loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > OPEN_CHANGE
-    error, uncertainty, covariance = determined_part(error, covariance, loose | beyond)
+    undetermined = (
+        np.linalg.norm(flat.T @ solution.undetermined_directions()[index], axis=1).reshape(n, 3) > OPEN_CHANGE
+    )
+    error, uncertainty, covariance = determined_part(error, covariance, undetermined | beyond)
     content |= {"points": points, "position_error": error, "position_error_u": uncertainty, "datum": common.datum}
     return ErrorMap(content, points, error, uncertainty, covariance, lost)
 

@@ -36,12 +36,12 @@ _LIKELY = 0.5
 
 
 @dataclass(frozen=True)
-class StatedAngles:
+class PublishedAngles:
     """Angular errors of all sessions as they are published: the mean over all their sizes and shapes."""
 
     size: float  # root mean square of the angular errors over all that is possible, rad
     probability: float  # that they are not zero
-    untold: tuple[NotDetermined, ...]  # those of which the readings say little more than the size
+    not_determined: tuple[NotDetermined, ...]  # those of which the readings say little more than the size
 
     def hiding(self, statement: str) -> str:
         """An agreement of sessions, with what it does not mean where angular errors explain as much.
@@ -78,14 +78,14 @@ def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> t
     return _with_priors(models, angles, {t.name: LARGEST**2 * mean_shape(t.nodes, _zero(t)) for t in angles})
 
 
-def settled(
+def with_estimated_angles(
     models: Sequence[MethodModel], labels: Sequence[str], angles: Sequence[MachineTable]
 ) -> tuple[MethodModel, ...]:
     """The models with the size and shape of the angular errors that all readings together determine."""
     if not angles:
         return tuple(models)
-    told = _posterior(fit_models(models, labels, random_of(angles)))
-    return _with_priors(models, angles, {t.name: c for t, c in zip(angles, told.priors, strict=True)})
+    found = _posterior(fit_models(models, labels, random_of(angles)))
+    return _with_priors(models, angles, {t.name: c for t, c in zip(angles, found.priors, strict=True)})
 
 
 def random_of(angles: Sequence[MachineTable]) -> SmallAngles | None:
@@ -98,24 +98,24 @@ def random_of(angles: Sequence[MachineTable]) -> SmallAngles | None:
     )
 
 
-def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None:
+def published_angles(fit: JointFit, angles: Sequence[MachineTable]) -> PublishedAngles | None:
     """What is published of the angular errors: the mean over all that is possible; None without any, or restated."""
     if not angles or fit.given is not None:
         return None
-    told = _posterior(fit)
+    found = _posterior(fit)
     place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
     variance = np.diag(fit.published.covariance)
-    untold = []
-    for table, prior in zip(angles, told.priors, strict=True):
+    not_determined = []
+    for table, prior in zip(angles, found.priors, strict=True):
         if variance[[place[label] for label in table.labels]].sum() > _VARIANCE_REMOVED * np.trace(prior):
-            untold.append(NotDetermined(table.name, say("undetermined.hardly_more")))
-    return StatedAngles(told.size, told.probability, tuple(untold))
+            not_determined.append(NotDetermined(table.name, say("undetermined.hardly_more")))
+    return PublishedAngles(found.size, found.probability, tuple(not_determined))
 
 
 def _posterior(fit: JointFit) -> AngularPosterior:
-    told = fit.marginal.random
-    assert isinstance(told, AngularPosterior)
-    return told
+    found = fit.marginal.random
+    assert isinstance(found, AngularPosterior)
+    return found
 
 
 def _zero(table: MachineTable) -> int:
@@ -134,6 +134,6 @@ def _with_priors(
         mine = [table for table in pending if set(table.labels) <= own]
         pending = [table for table in pending if table not in mine]
         kept = tuple(prior for prior in model.priors if not labels & set(prior.weights))
-        told = angular_priors([table.labels for table in mine], [covariances[table.name] for table in mine])
-        out.append(replace(model, priors=kept + told))
+        found = angular_priors([table.labels for table in mine], [covariances[table.name] for table in mine])
+        out.append(replace(model, priors=kept + found))
     return tuple(out)

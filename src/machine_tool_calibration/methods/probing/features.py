@@ -281,11 +281,11 @@ def _gains(fit: Fit, rows: Array) -> tuple[Array, Array]:
     assert isinstance(model, ProbingModel)
     if len(fit.joint.assembly.models) > 1:
         raise ModelError("draws are for one session; this fit is of several")
-    stated, problem = fit.joint.marginal, fit.joint.assembly.problem
+    marginal, problem = fit.joint.marginal, fit.joint.assembly.problem
     point, n_points = model.touches.point, len(model.description.workpiece)
     columns = fit.marginal_columns
     m = len(fit.theta)
-    kept = np.r_[np.ones(m, dtype=bool), stated.ratios > 0]
+    kept = np.r_[np.ones(m, dtype=bool), marginal.ratios > 0]
     columns = columns[kept]
     sigma = model.sigma
     weight = sigma**-2
@@ -295,7 +295,7 @@ def _gains(fit: Fit, rows: Array) -> tuple[Array, Array]:
     lengths = np.zeros((0, m)) if problem.priors is None else problem.priors.columns[:, fit.places]
     known = np.zeros(0) if problem.priors is None else problem.priors.sigma
     lengths = np.pad(lengths, wide) / known[:, None]
-    ratio = stated.ratios[stated.ratios > 0]
+    ratio = marginal.ratios[marginal.ratios > 0]
     matrix = centred @ centred.T + lengths.T @ lengths
     matrix[m:, m:] += np.diag(ratio**-2.0)
     datum = np.pad(problem.constraints[:, fit.places], wide)
@@ -307,5 +307,5 @@ def _gains(fit: Fit, rows: Array) -> tuple[Array, Array]:
     own = rows[:, point] * weight / total[point]
     touch = own - (shared @ centred) / sigma
     drift = (touch @ columns[m:].T) * ratio
-    scatter = stated.scatter
+    scatter = marginal.scatter
     return scatter * touch * sigma, np.concatenate([-shared @ lengths.T, scatter * drift], axis=1)

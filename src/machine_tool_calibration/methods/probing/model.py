@@ -224,44 +224,44 @@ class Responses:
     value: Array  # (N,) error of each point, m
     own: Array  # (N,) variance from the noise of its own touches, m^2
     half: Array  # (N, K) half @ half.T is the covariance from the shared unknowns, m^2
-    loose: Array  # (N, k) change of the points with what is not determined
+    undetermined: Array  # (N, k) change of the points with what is not determined
     scale: Array  # (N,) size of that change if nothing of it cancelled
     touched: BoolArray  # (N,) whether the point was touched
 
     @property
     def steady(self) -> BoolArray:
         """(N,) whether the touches determine the point's error."""
-        return np.asarray(self.touched & ~_moves(self.loose, self.scale))
+        return np.asarray(self.touched & ~_moves(self.undetermined, self.scale))
 
     def combine(self, rows: Array) -> Combined:
         """Sums of the points' errors with weights (q, N), zero of points not touched, from their joint covariance."""
         half = rows @ self.half
         covariance = (rows * self.own) @ rows.T + half @ half.T
         value = rows @ self.value
-        open_ = _moves(rows @ self.loose, np.abs(rows) @ self.scale)
+        open_ = _moves(rows @ self.undetermined, np.abs(rows) @ self.scale)
         value[open_], covariance[open_], covariance[:, open_] = np.nan, np.nan, np.nan
         return Combined(value, covariance)
 
 
-def _moves(loose: Array, scale: Array) -> BoolArray:
+def _moves(undetermined: Array, scale: Array) -> BoolArray:
     """Whether each row takes part in what is not determined."""
-    return np.asarray(np.linalg.norm(loose, axis=1) >= _OPEN_SHARE * np.where(scale > 0, scale, 1.0))
+    return np.asarray(np.linalg.norm(undetermined, axis=1) >= _OPEN_SHARE * np.where(scale > 0, scale, 1.0))
 
 
 def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     """Carry the fit over to the N points; (n,) which one each reading touched."""
-    stated = fit.joint.marginal
+    marginal = fit.joint.marginal
     columns = fit.marginal_columns
     mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
     touched = total > 0
-    values, vectors = np.linalg.eigh(stated.scatter**2 * fit.marginal_covariance)
+    values, vectors = np.linalg.eigh(marginal.scatter**2 * fit.marginal_covariance)
     half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     free = np.zeros((len(columns), fit.undetermined.shape[1]))
     free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
     # What a point would do if the unknowns on which it depends changed one by one.
     scale = np.abs(mean) @ np.abs(free).max(axis=1, initial=0.0)
-    own = stated.scatter**2 / np.where(touched, total, np.inf)
-    return Responses(stated.solution.local[fit.index][0], own, half, mean @ free, scale, touched)
+    own = marginal.scatter**2 / np.where(touched, total, np.inf)
+    return Responses(marginal.solution.local[fit.index][0], own, half, mean @ free, scale, touched)
 
 
 def workpiece_form(found: Responses, motion: Array) -> tuple[Array, Array]:
@@ -286,7 +286,7 @@ def points_of_form(found: Responses, motion: Array) -> BoolArray:
     """(N,) over which the motion (N, t) of the whole is taken out: all touched if it alone is open, else steady."""
     used = found.touched
     basis = _orthonormal(motion[used])
-    left = found.loose[used] - basis @ (basis.T @ found.loose[used])
+    left = found.undetermined[used] - basis @ (basis.T @ found.undetermined[used])
     return found.steady if np.any(_moves(left, found.scale[used])) else used
 
 
@@ -365,10 +365,10 @@ def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[A
     field = map_field(tables, places)[:, :, :2]
     k, n, _ = field.shape
     error, covariance = position_errors(field, fit.theta[:k], fit.covariance[:k, :k])
-    loose = np.linalg.norm(field.reshape(k, -1).T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _OPEN_CHANGE
-    error[loose] = np.nan
-    covariance[loose] = np.nan
-    covariance.transpose(0, 2, 1)[loose] = np.nan
+    undetermined = np.linalg.norm(field.reshape(k, -1).T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _OPEN_CHANGE
+    error[undetermined] = np.nan
+    covariance[undetermined] = np.nan
+    covariance.transpose(0, 2, 1)[undetermined] = np.nan
     return error, covariance
 
 

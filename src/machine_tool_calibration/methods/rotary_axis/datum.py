@@ -23,7 +23,7 @@ _LEAST_SINGULAR_VALUE = 1e-5
 _FIXED = 1e-6
 
 
-def loose_motions(table: TableReadings, direction: Array, arm: Array, size: float) -> Array:
+def unsensed_motions(table: TableReadings, direction: Array, arm: Array, size: float) -> Array:
     """(K, 6, 6) projectors onto the motions (translation, size times rotation) that no reading of an angle senses.
 
     From directions station to target and arms relative to the axis, each (n, 3); the zero matrix where all are
@@ -54,15 +54,15 @@ def open_directions(table: TableReadings) -> Array:
     return out
 
 
-def motion_constraints(table: TableReadings, labels: list[list[str]], loose: Array, size: float) -> list[Constraint]:
+def motion_constraints(table: TableReadings, labels: list[list[str]], unsensed: Array, size: float) -> list[Constraint]:
     """No constants and nothing that turns with the axis, over the values (6, K labels) that the readings determine.
 
     Where no value of a motion is determined by itself (two targets: a turn about the line through them moves
-    neither), the condition is put on what the readings do sense of the motion (`loose` and `size` as in
-    `loose_motions`).
+    neither), the condition is put on what the readings do sense of the motion (`unsensed` and `size` as in
+    `unsensed_motions`).
     """
     n = len(table.nodes)
-    fixed: BoolArray = np.sqrt(np.einsum("kii->ik", loose).clip(0.0)) < _FIXED
+    fixed: BoolArray = np.sqrt(np.einsum("kii->ik", unsensed).clip(0.0)) < _FIXED
     gauge = open_directions(table)
     rows = [(gauge * fixed[:, :, None]).reshape(6 * n, 10).T]
     _, s, vt = np.linalg.svd(rows[0].T, full_matrices=True)
@@ -70,7 +70,7 @@ def motion_constraints(table: TableReadings, labels: list[list[str]], loose: Arr
     rest = gauge @ vt[rank:].T
     if rest.shape[2]:
         scale = np.repeat([1.0, size], 3)[:, None, None]
-        rows.append((np.einsum("kij,jkg->ikg", np.eye(6) - loose, rest * scale) * scale).reshape(6 * n, -1).T)
+        rows.append((np.einsum("kij,jkg->ikg", np.eye(6) - unsensed, rest * scale) * scale).reshape(6 * n, -1).T)
     names = [label for row in labels for label in row]
     return [
         Constraint({name: float(w) for name, w in zip(names, row, strict=True) if w})
@@ -98,11 +98,11 @@ _HELD = 1e-4
 _ADDED = 0.3
 
 
-def unseen_motions(loose: Array, labels: Sequence[Sequence[str]], size: float) -> tuple[Prior, ...]:
-    """Hold what is unseen at each angle (as in `loose_motions`) near zero, by the (6, K) names of the values."""
+def unseen_motions(unsensed: Array, labels: Sequence[Sequence[str]], size: float) -> tuple[Prior, ...]:
+    """Hold what is unseen at each angle (as in `unsensed_motions`) near zero, by the (6, K) names of the values."""
     scale = np.repeat([1.0, size], 3)
     out = []
-    for k, projector in enumerate(loose):
+    for k, projector in enumerate(unsensed):
         values, vectors = np.linalg.eigh(projector)
         for vector in vectors[:, values > 0.5].T:
             weights = {labels[j][k]: float(w) for j, w in enumerate(vector * scale) if w}
@@ -110,14 +110,14 @@ def unseen_motions(loose: Array, labels: Sequence[Sequence[str]], size: float) -
     return tuple(out)
 
 
-def unseen_names(loose: Array, labels: Sequence[Sequence[str]], sigma: float) -> frozenset[str]:
+def unseen_names(unsensed: Array, labels: Sequence[Sequence[str]], sigma: float) -> frozenset[str]:
     """Names of the values that what is unseen could change by more than the readings' uncertainty sigma, m.
 
     Two targets at the same height leave open how the table tilts about the line through them, and hardly, because
     they are not quite at the same height, how it turns. An error motion counts as seen only if it is so wherever
     something is unseen: single values of one that comes and goes with the angle would mean nothing.
     """
-    share = np.sqrt(np.einsum("kii->ik", loose).clip(0.0))
+    share = np.sqrt(np.einsum("kii->ik", unsensed).clip(0.0))
     open_ = share.max(axis=0, initial=0.0) > 0
     hidden = share.max(axis=1, initial=0.0) > _ADDED * sigma / _HELD
     return frozenset(labels[j][k] for j in np.flatnonzero(hidden).tolist() for k in np.flatnonzero(open_).tolist())

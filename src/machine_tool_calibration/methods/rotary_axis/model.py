@@ -28,11 +28,11 @@ from machine_tool_calibration.methods.rotary_axis.datum import (
     HELD_WITHIN,
     ROTARY_DATUM,
     covered_angle,
-    loose_motions,
     motion_constraints,
     target_constraints,
     unseen_motions,
     unseen_names,
+    unsensed_motions,
     weak_places,
 )
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
@@ -56,7 +56,7 @@ from machine_tool_calibration.model.model import (
 )
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, determined_values
-from machine_tool_calibration.session.checks.places import off_stated, refuse_misplaced
+from machine_tool_calibration.session.checks.places import off_declared, refuse_misplaced
 from machine_tool_calibration.session.description import RotaryAxis, StationSetup, Target
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures, say, together
@@ -79,7 +79,7 @@ class RotaryAxisModel(MethodModel):
     table: TableReadings  # the readings sorted by angle, target and run
     stations: Array  # (S, 3) first estimates, in the frame of the axis, m
     targets: Array  # (T, 3) first estimates, table frame at zero, m
-    loose: Array  # (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`
+    unsensed: Array  # (K, 6, 6) what the readings at each angle do not sense, see `datum.unsensed_motions`
     size: float  # length by which rotations were compared with translations there, m
 
     @property
@@ -151,7 +151,7 @@ class RotaryAxisModel(MethodModel):
     @property
     def declared(self) -> frozenset[str]:
         """Error motions at angles whose readings do not sense them."""
-        return unseen_names(self.loose, self._labels(), self.observations.session.sigma)
+        return unseen_names(self.unsensed, self._labels(), self.observations.session.sigma)
 
     def _labels(self) -> list[list[str]]:
         return [[parameter.name for parameter in term.parameters] for term in self.terms[:6]]
@@ -165,10 +165,10 @@ class RotaryAxisModel(MethodModel):
         here = table.node == k
         seen = [self.description.targets[t].id for t in np.unique(table.target[here])]
         stations = [self.description.setups[s].id for s in np.unique(table.readings.setup[here])]
-        return _why_loose(seen, stations)
+        return _why_unsensed(seen, stations)
 
 
-def _why_loose(seen: list[str], stations: list[str]) -> str:
+def _why_unsensed(seen: list[str], stations: list[str]) -> str:
     if not seen:
         return say("undetermined.no_target")
     if len(seen) == 1:
@@ -201,8 +201,8 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     """
     table = table_readings(session)
     description = session.description.as_a(RotaryAxis)
-    stated = (description.setups, description.targets)
-    stations, targets = (np.array([entry.position for entry in entries]) for entries in stated)
+    declared = (description.setups, description.targets)
+    stations, targets = (np.array([entry.position for entry in entries]) for entries in declared)
     start = find_start(table, stations, targets, tilted=True)
     if not session.description.trust_units:
         refuse_mistakes(session, start)
@@ -229,9 +229,9 @@ def _check_places(model: RotaryAxisModel) -> None:
     residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * session.sigma
     if not missed <= _LOST * session.sigma:
-        stated = model.description.setups, model.description.targets
+        declared = model.description.setups, model.description.targets
         if not session.description.trust_units:
-            stations, targets = (np.array([entry.position for entry in entries]) for entries in stated)
+            stations, targets = (np.array([entry.position for entry in entries]) for entries in declared)
             refuse_wrong_rows(session, Start(stations, targets, missed), found=False)
         by = f" by {figures(1e3 * missed)} mm in the middle" if np.isfinite(missed) else ""
         raise ModelError(
@@ -244,9 +244,9 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
     """The model with the stated places of stations and targets, as far as the readings leave them open."""
     entries: list[StationSetup | Target] = [*model.description.setups, *model.description.targets]
     nominal = np.ravel([entry.position for entry in entries])
-    stated = max(entry.position_uncertainty or 0.0 for entry in entries)
+    declared = max(entry.position_uncertainty or 0.0 for entry in entries)
     names = [p.name for p in model.own[: model.stations.size]] + [p.name for p in model.terms[6].parameters]
-    priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * stated))
+    priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * declared))
     if not priors:
         return model
     datum = together((model.datum, say("datum.held", n=len(priors))), "; ")
@@ -285,21 +285,21 @@ def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisMo
     labels = [[parameter.name for parameter in term.parameters] for term in terms]
     terms.append(Term("targets", tuple(places), columns[6 * k :]))
     size = float(np.sqrt(np.mean(np.sum(nominal**2, axis=1)))) or 1.0
-    loose = loose_motions(table, g, arm, size)
+    unsensed = unsensed_motions(table, g, arm, size)
     seen = np.isin(np.arange(len(nominal)), table.target)
-    constraints = motion_constraints(table, labels, loose, size)
+    constraints = motion_constraints(table, labels, unsensed, size)
     constraints += target_constraints(table.direction, [p.name for p in places], nominal, start.targets, seen)
     return RotaryAxisModel(
         observations=observations,
         terms=tuple(terms),
         constraints=tuple(constraints),
-        priors=unseen_motions(loose, labels, size),
+        priors=unseen_motions(unsensed, labels, size),
         left_out=(),
         datum=ROTARY_DATUM,
         table=table,
         stations=start.stations,
         targets=start.targets,
-        loose=loose,
+        unsensed=unsensed,
         size=size,
     )
 
@@ -374,8 +374,8 @@ def error_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
         "datum": ROTARY_DATUM,
         "iso230_7": _error_motion_values(model, fit),
     }
-    untold = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()
-    return ErrorMap(content, points, error, uncertainty, cov, untold)
+    lost = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()
+    return ErrorMap(content, points, error, uncertainty, cov, lost)
 
 
 def _error_motion_values(model: RotaryAxisModel, fit: Fit) -> list[dict[str, Any]]:
@@ -410,7 +410,7 @@ def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Ar
     inner = fit.covariance[index[:, :, None], index[:, None, :]]
     covariance = np.einsum("nij,njk,nlk->nil", field, inner, field)
     # What is unseen at an angle does not move the targets on which it turns; others it does.
-    unseen = np.repeat(model.loose, t, axis=0) / np.repeat([1.0, model.size], 3)[:, None]
+    unseen = np.repeat(model.unsensed, t, axis=0) / np.repeat([1.0, model.size], 3)[:, None]
     open_ = np.linalg.norm(np.einsum("nij,njk->nik", field, unseen), axis=(1, 2)) > _MOVED
     if fit.undetermined.size:
         open_ |= np.linalg.norm(np.einsum("nij,njk->nik", field, fit.undetermined[index]), axis=(1, 2)) > 1e-6
@@ -428,16 +428,16 @@ def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
         index = np.concatenate([3 * s + np.arange(3) for s in known])
         found = model.stations[known] + fit.theta[index].reshape(-1, 3)
         covariance = fit.covariance[np.ix_(index, index)]
-        stated = np.array([setups[s].position for s in known])
+        declared = np.array([setups[s].position for s in known])
         uncertainty = np.array([setups[s].position_uncertainty for s in known])
-        off = np.linalg.norm(off_stated(found, stated), axis=1)
+        off = np.linalg.norm(off_declared(found, declared), axis=1)
         u = np.sqrt(uncertainty**2 + np.diag(covariance).reshape(-1, 3).sum(axis=1))
         worst = int(np.argmax(off / u))
         if off[worst] > _MISPLACED * u[worst]:
             name = setups[known[worst]].id
             why = say("undetermined.station_elsewhere", name=repr(name), off=f"{1e3 * off[worst]:.3g}")
         else:
-            result = average_line(found, covariance, stated, uncertainty)
+            result = average_line(found, covariance, declared, uncertainty)
     out: dict[str, Any] = {}
     for name, j in line_names(model.table.axis):
         told = (None, None) if result is None else (float(result[0][j]), float(np.sqrt(result[1][j, j])))

@@ -215,8 +215,8 @@ def refuse_mistakes(session: Session, start: Start) -> None:
     at each other's place.
     """
     description = session.description.as_a(RotaryAxis)
-    stations, stations_u = _stated(description.setups)
-    targets, targets_u = _stated(description.targets)
+    stations, stations_u = _declared(description.setups)
+    targets, targets_u = _declared(description.targets)
 
     def misfit(other: Session) -> float:
         table = table_readings(other)
@@ -268,13 +268,13 @@ def refuse_wrong_rows(session: Session, start: Start, *, found: bool = True) -> 
         raise ModelError(str(error)) from None
 
 
-def _stated(entries: Sequence[StationSetup | Target]) -> tuple[Array, Array]:
+def _declared(entries: Sequence[StationSetup | Target]) -> tuple[Array, Array]:
     """(k, 3) stated places, m, and (k,) their uncertainties; 0 where none is stated."""
     places = np.array([entry.position for entry in entries])
     return places, np.array([entry.position_uncertainty or 0.0 for entry in entries])
 
 
-def _too_far(moved: Array, stated: Array) -> float:
+def _too_far(moved: Array, declared: Array) -> float:
     """How much further the worst place is off than a survey can be, m."""
-    allowed = np.maximum(_MISPLACED, _SURVEY_UNCERTAINTIES * stated)
+    allowed = np.maximum(_MISPLACED, _SURVEY_UNCERTAINTIES * declared)
     return float(np.max(np.clip(np.linalg.norm(moved, axis=1) - allowed, 0.0, None)))

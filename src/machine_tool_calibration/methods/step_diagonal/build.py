@@ -231,23 +231,25 @@ def _complete(model: StepDiagonalModel, blocks: int) -> bool:
 def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
     """The tables' datum of the values that are determined: a lost last reading of a diagonal leaves some open."""
     assembly = assemble([model])
-    loose = solve(assembly.problem).undetermined[assembly.places[0]]
-    if not loose.size:
+    undetermined = solve(assembly.problem).undetermined[assembly.places[0]]
+    if not undetermined.size:
         return model.constraints
     place, placed = {parameter.name: k for k, parameter in enumerate(model.parameters)}, []
     for table in model.tables:
-        own = loose[[place[label] for label in table.labels]]
+        own = undetermined[[place[label] for label in table.labels]]
         placed.append(_placed(table.nodes, own) if table.is_straightness else np.ones(len(own), dtype=bool))
     return table_datum(model.tables, placed)
 
 
-def _placed(nodes: Array, loose: Array) -> BoolArray:
+def _placed(nodes: Array, undetermined: Array) -> BoolArray:
     """(k,) values of a table at nodes (k,) whose loose moves (k, r) lie on one line; all where no three do."""
     design = np.column_stack([np.ones(len(nodes)), nodes])
-    most = float(np.abs(loose).max())
+    most = float(np.abs(undetermined).max())
 
     def off_line(there: IntArray) -> float:
-        return float(np.abs(loose[there] - design[there] @ np.linalg.pinv(design[there]) @ loose[there]).max())
+        return float(
+            np.abs(undetermined[there] - design[there] @ np.linalg.pinv(design[there]) @ undetermined[there]).max()
+        )
 
     there = np.arange(len(nodes))
     while off_line(there) > _SAME_LINE * most:
@@ -304,7 +306,7 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
         left_out=left_out,
         datum=together((base.datum, _RANDOM), "; "),
     )
-    return whole.settled()
+    return whole.reestimated()
 
 
 # Share of a column's norm beside such functions below which it says nothing of its own.
@@ -373,14 +375,14 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
         constraints=model.constraints + table_datum(angles),
         left_out=left_out,
     )
-    return _without_loose_slopes(full, model)
+    return _without_undetermined_slopes(full, model)
 
 
-def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> StepDiagonalModel:
+def _without_undetermined_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> StepDiagonalModel:
     """Take to be zero, and say so, the slopes that with tilts of mirrors set anew change no reading."""
     assembly = assemble([full])
-    loose = solve(assembly.problem).undetermined[assembly.places[0]]
-    angular = loose[len(base.parameters) :]
+    undetermined = solve(assembly.problem).undetermined[assembly.places[0]]
+    angular = undetermined[len(base.parameters) :]
     _, s, vt = np.linalg.svd(angular.T, full_matrices=False)
     open_ones = vt[s > _ANGULAR_SHARE]
     if not len(open_ones):

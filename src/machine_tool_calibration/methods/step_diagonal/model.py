@@ -86,7 +86,7 @@ class StepDiagonalModel(MethodModel):
             dense_index,
         )
 
-    def settled(self) -> Self:
+    def reestimated(self) -> Self:
         """The size of the angular errors estimated again, with the terms that were added."""
         if self.spread is None:
             return self
@@ -157,12 +157,12 @@ class StepDiagonalModel(MethodModel):
         `undetermined` (K, k), those before them with which the least is.
         """
         last = (-1, -1, -1)
-        loose, every = undetermined.T @ rows, np.eye(rows.shape[1])
+        moved, every = undetermined.T @ rows, np.eye(rows.shape[1])
 
         def lost(last: tuple[int, int, int]) -> int:
-            return int(is_open(every, eq17(self.blocks, loose, last).T).sum())
+            return int(is_open(every, eq17(self.blocks, moved, last).T).sum())
 
-        least = lost(last) if loose.size else 0
+        least = lost(last) if moved.size else 0
         axes = (0, 0, 2 if len(self.blocks[2]) > 1 else 1)
         for number, axis in enumerate(axes if least else ()):
             for at in range(len(self.blocks[axis]) - 2, 0, -1):
@@ -195,10 +195,10 @@ class StepDiagonalModel(MethodModel):
         error, mine = self._map_rows()
         rows, oriented = self._oriented(error, fit.undetermined[mine])
         # A direction's entries are of mixed units: what matters is what it does to the map.
-        loose = rows @ fit.undetermined[mine]
+        moved = rows @ fit.undetermined[mine]
         value = rows @ fit.theta[mine] * self._there()
         covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
-        return Profiles(self.blocks, value, covariance, loose, oriented)
+        return Profiles(self.blocks, value, covariance, moved, oriented)
 
 
 def error_map(model: StepDiagonalModel, fit: Fit) -> ErrorMap:

@@ -40,12 +40,12 @@ class Profiles:
     # measured
     value: Array
     covariance: Array  # (M, M) of these, m^2
-    loose: Array  # (M, k) directions in which the errors may change without any reading changing
+    undetermined: Array  # (M, k) directions in which the errors may change without any reading changing
     oriented: str = ""  # in words, where the errors are zero instead of at the last block positions; usually empty
 
     @cached_property
     def _known(self) -> Array:
-        return np.where(is_open(np.eye(len(self.value)), self.loose), np.nan, self.value)
+        return np.where(is_open(np.eye(len(self.value)), self.undetermined), np.nan, self.value)
 
     @cached_property
     def error(self) -> tuple[Array, Array, Array]:
@@ -129,18 +129,22 @@ class Profiles:
 
     def _figure(self, name: str, kind: str, row: Array) -> Figure:
         used = row != 0
-        if not np.isfinite(row).all() or not np.isfinite(self.value[used]).all() or is_open(row[None], self.loose)[0]:
+        if (
+            not np.isfinite(row).all()
+            or not np.isfinite(self.value[used]).all()
+            or is_open(row[None], self.undetermined)[0]
+        ):
             return Figure(name, kind, np.nan, np.nan)
         variance = row[used] @ self.covariance[np.ix_(used, used)] @ row[used]
         return Figure(name, kind, float(row[used] @ self.value[used]), float(np.sqrt(max(variance, 0.0))))
 
 
-def is_open(rows: Array, loose: Array) -> BoolArray:
+def is_open(rows: Array, undetermined: Array) -> BoolArray:
     """(r,) whether combinations (r, M) of the errors may change in some of the (M, k) loose directions."""
-    if not loose.size:
+    if not undetermined.size:
         return np.zeros(len(rows), dtype=bool)
-    scale = max(float(np.abs(loose).max()), 1e-3)
-    return np.asarray(np.abs(rows @ loose).max(axis=1) > _OPEN_SHARE * scale)
+    scale = max(float(np.abs(undetermined).max()), 1e-3)
+    return np.asarray(np.abs(rows @ undetermined).max(axis=1) > _OPEN_SHARE * scale)
 
 
 def eq17(blocks: Sequence[Array], error: Array, last: tuple[int, int, int] = (-1, -1, -1)) -> Array:

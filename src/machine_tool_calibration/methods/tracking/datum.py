@@ -95,7 +95,7 @@ class OwnSight:
         kept = self._vectors * self._placed(sigma, limit)[:, None]
         return np.asarray(kept @ kept.transpose(0, 2, 1))
 
-    def loose(self, sigma: float, limit: Array) -> list[tuple[int, Array]]:
+    def unsensed(self, sigma: float, limit: Array) -> list[tuple[int, Array]]:
         """The other motions of stations that were read: station and unit vector of rotation centre and dead path."""
         placed, read = self._placed(sigma, limit), np.asarray(self._values.any(axis=1))
         return [(int(k), self._vectors[k, :, j]) for k, j in np.argwhere(~placed & read[:, None])]

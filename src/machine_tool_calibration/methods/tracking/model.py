@@ -105,16 +105,16 @@ class TrackingModel(MethodModel):
         return np.array([parameter.name for parameter in self.own]).reshape(len(self.stations), -1)
 
     @cached_property
-    def loose_stations(self) -> list[tuple[int, Array]]:
+    def unsensed_stations(self) -> list[tuple[int, Array]]:
         """Motions that the own readings of a station hardly sense; stations that nothing holds are left out."""
-        loose = self.sight.loose(self.observations.session.sigma, self.known)
-        return [(k, vector) for k, vector in loose if self.carried[k]]
+        unsensed = self.sight.unsensed(self.observations.session.sigma, self.known)
+        return [(k, vector) for k, vector in unsensed if self.carried[k]]
 
     @cached_property
     def declared(self) -> frozenset[str]:
         """Coordinates of stations for which the declared position stands."""
         names = self.own_names
-        return frozenset(str(n) for k, v in self.loose_stations for n in names[k][np.abs(v) > _INVOLVED])
+        return frozenset(str(n) for k, v in self.unsensed_stations for n in names[k][np.abs(v) > _INVOLVED])
 
     def why_not_determined(self, name: str) -> str | None:
         """A station's coordinate that hardly changes its readings."""
@@ -234,7 +234,7 @@ def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
 def _known_places(model: TrackingModel) -> Iterator[Prior]:
     """What is declared of stations, for those motions of theirs that their own readings hardly sense."""
     names = model.own_names
-    for k, vector in model.loose_stations:
+    for k, vector in model.unsensed_stations:
         weights = {str(n): float(v) for n, v in zip(names[k], vector, strict=True) if v}
         yield Prior(weights, 0.0, float(model.known[k]))
 
@@ -264,8 +264,8 @@ def error_map(model: TrackingModel, fit: Fit) -> ErrorMap:
 
 def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     d, own = model.dimension, fit.places[: len(model.own)]
-    stated = fit.joint.marginal
-    local, theta = stated.solution.local[fit.index], stated.solution.theta
+    marginal = fit.joint.marginal
+    local, theta = marginal.solution.local[fit.index], marginal.solution.theta
     nominal, stations = model.targets[:, :d].T, model.stations[:, :d]
     where, at = nominal, stations
     if model.follows:
@@ -274,7 +274,7 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     theta_motion = np.zeros((len(theta), model.motion.count))
     theta_motion[own] = model.motion.of_stations(at)
     result = points_in_inner_datum(
-        stated.parts[fit.index], stated.solution, fit.index, model.motion.of_targets(where), theta_motion
+        marginal.parts[fit.index], marginal.solution, fit.index, model.motion.of_targets(where), theta_motion
     )
     good, error, unknown = result.determined, result.value.T, result.theta[own]
     if model.follows and good.any():
@@ -285,8 +285,8 @@ def _free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
         unknown = theta[own].reshape(-1, d + 1).copy()
         unknown[:, :d] = others[-len(at) :] - stations
     why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
-    own_u = stated.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
-    covariance = stated.scatter**2 * result.covariance.transpose(2, 0, 1)
+    own_u = marginal.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
+    covariance = marginal.scatter**2 * result.covariance.transpose(2, 0, 1)
     return _published(model, fit, _Network(error, covariance, good, unknown.reshape(-1), own_u, why))
 
 
@@ -312,11 +312,11 @@ def _table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...])
     place = slice(first, first + len(field))
     raw = field.reshape(len(field), -1)
     common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1)
-    loose = fit.solution.loose_directions()[fit.places][place]
+    unsensed = fit.solution.undetermined_directions()[fit.places][place]
 
     def told(field: Array) -> BoolArray:
         """(n,) the targets of which every coordinate is determined."""
-        return np.asarray((np.linalg.norm(field.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1))
+        return np.asarray((np.linalg.norm(field.T @ unsensed, axis=1).reshape(n, d) < 1e-9).all(axis=1))
 
     def without_common(targets: BoolArray) -> tuple[Array, Array]:
         """The common motion of some targets, and the field of all without it."""

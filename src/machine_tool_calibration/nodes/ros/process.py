@@ -57,13 +57,8 @@ def default_environment() -> None:
 def run(create: Callable[[], Node], args: list[str], *, grace: float = STOP_GRACE) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown, or until it has nothing more to do.
 
-    Args:
-        create: makes the node; called after rclpy is up.
-        args: its command line, the program's name first.
-        grace: a node that has not ended so long after the signal is ended by force, s.
-
-    Returns:
-        Exit status: 0 stopped as asked, 1 the node could not start (one line on standard error).
+    It is created after rclpy is up, by `args`, the program's name first. One that has not ended `grace` s after the
+    signal is ended by force. Exit status: 0 stopped as asked, 1 it could not start (one line on standard error).
     """
     try:
         _run(create, args, grace)
