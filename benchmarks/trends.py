@@ -28,10 +28,9 @@ from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.check import check
-from machine_tool_calibration.trends.explain import ALARM, FEWEST, explain
 from machine_tool_calibration.trends.logbook import Entry, Logbook, entry_of
 from machine_tool_calibration.trends.statement import Size, Statement, of_fit, sizes_of
-from machine_tool_calibration.trends.trend import Course, trend
+from machine_tool_calibration.trends.trend import ALARM, FEWEST, Course, explain, trend
 
 MONTHS, CHANGED = 30, 15
 _DAYS = 30.4 * np.arange(MONTHS, dtype=np.float64)

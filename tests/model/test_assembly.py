@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, Parameter, Prior, Term, assemble, motion_value
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap, Estimate, Result, correlated_with, plain
+from machine_tool_calibration.model.result import ErrorMap, Estimate, Result, correlated_with
 from machine_tool_calibration.session.parse import describe
 
 from .. import plates

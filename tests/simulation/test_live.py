@@ -16,9 +16,9 @@ from machine_tool_calibration.simulation import (
     simulate,
 )
 from machine_tool_calibration.simulation.flaw import Sight
-from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.scene import COLUMNS, Environment, random_environment
 from machine_tool_calibration.simulation.sensors import sensed_path
+from machine_tool_calibration.simulation.site import LiveMachine
 
 
 def test_live_readings_are_those_of_the_session():

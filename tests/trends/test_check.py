@@ -20,8 +20,8 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.trends.check import LEVEL, SESSIONS, between_sessions, check
-from machine_tool_calibration.trends.explain import ALARM, CHANGED, SHIFTED, Explanation, _cases, explain
 from machine_tool_calibration.trends.statement import Part, Statement, of_fit, of_result
+from machine_tool_calibration.trends.trend import ALARM, CHANGED, SHIFTED, Explanation, _cases, explain
 
 AT = np.linspace(0.0, 0.4, 6)
 
@@ -272,7 +272,7 @@ def test_units_and_level_make_no_difference() -> None:
 
 def test_the_odds_are_those_of_the_integral(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of three values without spread and one size: the density of the data, averaged over the level, in closed form."""
-    from machine_tool_calibration.trends import explain as room
+    from machine_tool_calibration.trends import trend as room
 
     monkeypatch.setattr(room, "_SPREADS", np.array([0.0, 1e-9]))
     monkeypatch.setattr(room, "_SIZES", np.array([2.0]))

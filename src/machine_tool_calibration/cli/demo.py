@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, rigid_motions, rms
+from machine_tool_calibration.arrays import Array, plain, rigid_motions, rms
 from machine_tool_calibration.cli.measuring import files_table, graph_options, readings_bar, result_table
 from machine_tool_calibration.cli.output import json_option, progress_bar, tell_either
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
@@ -18,7 +18,6 @@ from machine_tool_calibration.nodes.measurement import Measured, Setting, free_f
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.plots.pictures import figures
 from machine_tool_calibration.plots.style import save
-from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.session.catalogue import spec_of

@@ -108,9 +108,7 @@ class Improvement:
 
 
 def improve(
-    subject: Session | FitRequest,
-    *,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    subject: Session | FitRequest, *, progress: Callable[[str, float], None] = lambda what, share: None
 ) -> Improvement:
     """Find the missing effects, add them one after the other, and identify with each.
 

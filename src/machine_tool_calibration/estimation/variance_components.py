@@ -14,13 +14,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.marginal import (
-    Gram,
-    left_at,
-    log_noise,
-    noise_variance,
-    size_grid,
-)
+from machine_tool_calibration.estimation.marginal import Gram, left_at, log_noise, noise_variance, size_grid
 from machine_tool_calibration.estimation.problem import Part, PartAround
 
 # Steps of what is published for one that a search needs; logarithm of the widest.

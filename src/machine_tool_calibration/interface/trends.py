@@ -15,8 +15,7 @@ from machine_tool_calibration.reports.tables import Part
 from machine_tool_calibration.reports.trends import check_remarks, check_table, check_verdict, trend_table, trend_words
 from machine_tool_calibration.trends.check import LEVEL
 from machine_tool_calibration.trends.check import Check as Checked
-from machine_tool_calibration.trends.explain import ALARM
-from machine_tool_calibration.trends.trend import Course
+from machine_tool_calibration.trends.trend import ALARM, Course
 from machine_tool_calibration.trends.trend import Trend as Followed
 
 if TYPE_CHECKING:

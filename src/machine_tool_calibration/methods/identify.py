@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.arrays import plain, rms
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
@@ -26,7 +26,7 @@ from machine_tool_calibration.methods.joint.model import CommonModels, common_mo
 from machine_tool_calibration.methods.joint.small_angles import PublishedAngles, published_angles
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
-from machine_tool_calibration.model.result import Estimate, Identified, Rejected, Result, correlated_with, plain
+from machine_tool_calibration.model.result import Estimate, Identified, Rejected, Result, correlated_with
 from machine_tool_calibration.session.session import Session
 
 

@@ -25,12 +25,7 @@ from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.robust import scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, covariance_root, local_steps
-from machine_tool_calibration.estimation.variance_components import (
-    Components,
-    WidenedPart,
-    components,
-    with_unrepeated,
-)
+from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components, with_unrepeated
 from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.imperfection import IMPERFECT, imperfection
 from machine_tool_calibration.model.model import Assembly, RandomPosterior, RandomUnknowns, assemble
@@ -329,13 +324,7 @@ def _marginal(
 
 
 def _at(
-    solved: Solved,
-    random: RandomUnknowns,
-    problem: Problem,
-    total: Array,
-    squares: Array,
-    tau: Array,
-    scatter: float,
+    solved: Solved, random: RandomUnknowns, problem: Problem, total: Array, squares: Array, tau: Array, scatter: float
 ) -> tuple[Array, Array, RandomPosterior]:
     """Mean, covariance (over the square of `scatter`) and posterior if what does not reproduce has a given size."""
     m, u = problem.size, len(tau)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups, rms
+from machine_tool_calibration.arrays import Array, groups, plain, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.session.catalogue import spec_of
@@ -322,23 +322,6 @@ def _whole_terms(fit: Fit) -> dict[str, str]:
         if len(term.parameters) > 1 and not any(determined[p.name] for p in term.parameters)
         for parameter in term.parameters
     }
-
-
-def plain(value: Any) -> Any:
-    """Arrays as lists, NaN and infinities as None, for JSON."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        # A map may have a hundred thousand points: element by element only where something is not determined.
-        whole = value.dtype.kind == "f" and bool(np.isfinite(value).all())
-        return value.tolist() if whole else plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value
 
 
 Fits = Literal["bad", "nearly", "well", "too well"]

@@ -78,11 +78,7 @@ class Instrument(ManagedNode):
         self.source: DriverSource | SimulatedSource
         if self._is_simulated:
             self._simulated = self.source = SimulatedSource(
-                self._site,
-                self._origin,
-                self._rate,
-                self._sample_noise,
-                keep=2 if self._simulated_time else 4000,
+                self._site, self._origin, self._rate, self._sample_noise, keep=2 if self._simulated_time else 4000
             )
             self._simulated.blocked = self._blocked
             for body in ("functional_point", "table"):

@@ -19,13 +19,13 @@ from machine_tool_calibration.maps import FIELDS
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.ros.messages import Level, cloud, dated, point, status
+from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.reports.quantities import sizes_in_words
 
 MOST_ARROWS = 2000
 _COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 AXIS_FIELDS = ("axis", "position", *_COMPONENTS, *(f"u{name[1]}" for name in _COMPONENTS))
 _ARROW_SHARE = 0.1  # length of the largest arrow, of the map's extent
-_STEPS = (1.0, 2.0, 5.0)
 _SURE, _UNSURE = (0.85, 0.15, 0.1), (0.55, 0.55, 0.55)
 
 
@@ -81,7 +81,7 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
     length = np.linalg.norm(error, axis=1)
     size = float(np.ptp(error_map.points, axis=0).max()) if len(error_map.points) else 0.0
     size = size or 0.1
-    scale = magnification or _round(_ARROW_SHARE * size / max(float(length.max(initial=0.0)), 1e-9))
+    scale = magnification or round_down(_ARROW_SHARE * size / max(float(length.max(initial=0.0)), 1e-9))
     array = MarkerArray(markers=[_marker(stamp, 0, Marker.ARROW, action=Marker.DELETEALL)])
     for k, (start, vector, sure) in enumerate(
         zip(points, scale * error, length > 2 * np.linalg.norm(spread, axis=1), strict=True)
@@ -98,12 +98,6 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
     words.scale.z = 0.04 * size
     array.markers.append(words)
     return array
-
-
-def _round(value: float) -> float:
-    """The largest of … 1, 2, 5, 10 … that is no larger."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(step for step in _STEPS if step * power <= value * (1 + 1e-9)) * power)
 
 
 def _marker(

@@ -162,11 +162,6 @@ class Recorder(ManagedNode):
         }
         topics = []
         for name, tap in sorted(taps.items()):
-            values = {
-                "type": tap.type,
-                "publishers": tap.publishers,
-                "messages": tap.messages,
-                "lost": tap.lost,
-            }
+            values = {"type": tap.type, "publishers": tap.publishers, "messages": tap.messages, "lost": tap.lost}
             topics.append(status(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
         self._status.say(level, text, overall, topics)

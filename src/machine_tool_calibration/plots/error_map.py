@@ -260,13 +260,7 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
         panel.plot(found[good, 0], found[good, 1], "o", color=FOUND, ms=4, label=say("picture.measured"), zorder=3)
     if not good.all():
         panel.plot(
-            nominal[~good, 0],
-            nominal[~good, 1],
-            "x",
-            color="black",
-            ms=6,
-            label=say("text.not_determined"),
-            zorder=3,
+            nominal[~good, 0], nominal[~good, 1], "x", color="black", ms=6, label=say("text.not_determined"), zorder=3
         )
     panel.set_aspect("equal")
     panel.margins(0.08)

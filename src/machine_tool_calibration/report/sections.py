@@ -36,12 +36,7 @@ from machine_tool_calibration.reports.identification import (
 )
 from machine_tool_calibration.reports.improvement import steps_table, tried_models
 from machine_tool_calibration.reports.information import session_tables
-from machine_tool_calibration.reports.quantities import (
-    micrometres,
-    plus_minus,
-    quantity,
-    sizes_in_words,
-)
+from machine_tool_calibration.reports.quantities import micrometres, plus_minus, quantity, sizes_in_words
 from machine_tool_calibration.reports.result_tables import error_motions
 from machine_tool_calibration.reports.tables import TextTable, heads
 from machine_tool_calibration.reports.values import STANDARDS, standard_rows, standard_tables, value_tables

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.arrays import plain, rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation, Visibility, alias_groups_of
-from machine_tool_calibration.reports.documents import picked, plain
+from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.residuals.pool import Pool
 
 # Probability from which a set of effects is told.

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
-from collections.abc import Mapping, Set
-from datetime import date, datetime
-from enum import Enum
-from pathlib import Path, PurePath
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from machine_tool_calibration.arrays import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,34 +19,6 @@ if TYPE_CHECKING:
 def picked(record: Any, *names: str) -> dict[str, Any]:
     """Attributes of a record by their names."""
     return {name: getattr(record, name) for name in names}
-
-
-def plain(value: Any) -> Any:
-    """The value in the types of JSON: records as objects, arrays as lists, NaN and infinities as None."""
-    if value is None or isinstance(value, bool | str):
-        return value
-    if isinstance(value, Enum):
-        return plain(value.value)
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    if isinstance(value, Set):
-        return [plain(entry) for entry in sorted(value)]
-    if isinstance(value, PurePath):
-        return str(value)
-    if isinstance(value, datetime | date):
-        return value.isoformat()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    for method in ("model_dump", "tolist"):  # a pydantic record; an array or a scalar of NumPy
-        if hasattr(value, method):
-            return plain(getattr(value, method)())
-    raise TypeError(f"a {type(value).__name__} cannot be written as JSON")
 
 
 def to_json(document: Any) -> str:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.budget.enough import Reached
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.planning.best_plan import BestPlan
 from machine_tool_calibration.planning.dominant import Dominant
 from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.planning.outlook import Outlook
-from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import group_by_reason
 from machine_tool_calibration.reports.quantities import duration, expanded_text, micrometres, probability, quantity
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table

@@ -121,6 +121,6 @@ class CirclePlan(Plan):
                 {"id": plane if feed == self.feeds[0] else f"{plane}_{6e4 * feed:.0f}mm_per_min", "plane": plane}
                 | {"centre": list(self.centre), "radius": self.radius, "feed": feed}
                 for plane, feed in setups
-            ],
+            ]
         }
         return Measurement(description, scene, read, None, axis_columns(position, direction), truth=judged)

@@ -112,11 +112,7 @@ class DiagonalPlan(Plan):
             errors = {letter: self._axis_error(machine, axis).tolist() for axis, letter in enumerate("xyz")}
             return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
 
-        description = {
-            "step": list(self.step),
-            "blocks": self.blocks,
-            "setups": [run.model_dump() for run in runs],
-        }
+        description = {"step": list(self.step), "blocks": self.blocks, "setups": [run.model_dump() for run in runs]}
         columns = axis_columns(position, direction)
         return Measurement(description, scene, read, block, columns, truth=judged)
 

@@ -6,7 +6,7 @@ that restarts sees it again. What is random (the machine's errors, the environme
 from the seed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,14 +22,91 @@ from machine_tool_calibration.instruments.touch import NominalTouch, Part
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.record import NotNegative, Record
-from machine_tool_calibration.simulation.flaw import Chosen
+from machine_tool_calibration.simulation.flaw import Chosen, Disturbance, Sight, combine
 from machine_tool_calibration.simulation.flaws import choose_flaw
-from machine_tool_calibration.simulation.live import LiveMachine
+from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_record
 from machine_tool_calibration.simulation.probing_run import touched
-from machine_tool_calibration.simulation.scene import Scene, random_environment
+from machine_tool_calibration.simulation.scene import Environment, Scene, random_environment
 from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
+
+
+class LiveMachine:
+    """A machine, given without its flaws, whose errors depend on time, temperature and direction."""
+
+    def __init__(
+        self, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
+    ) -> None:
+        self.machine, self.flaws, self.environment = machine, tuple(flaws), environment or Environment()
+        fixed = self.disturbance(self.scene(0.0, np.zeros(3)))
+        # with the flaws' extra error motions and squareness
+        self.machine = machine.with_tables(fixed.tables).with_squareness(fixed.squareness)
+
+    def scene(
+        self,
+        time: Array | float,
+        position: Array | Iterable[float],
+        direction: Mapping[str, Array | float] | None = None,
+        *,
+        angle: Array | float = 0.0,
+        axis: str = "C",
+        setup: int = 0,
+        start: float = 0.0,
+    ) -> Scene:
+        """The conditions of one or more moments: s since the start of the session, a number or (n,).
+
+        Positions are commanded x, y, z, (3,) or (n, 3), m; directions signs of the last move by axis letter, +1 where
+        absent; `angle` is that of the rotary axis, rad, `setup` the instrument's, and `start` the time of its first
+        reading, s.
+        """
+        at = np.atleast_2d(np.asarray(position, float))
+        n = max(len(at), np.size(time))
+
+        def each(value: Array | float) -> Array:
+            return np.broadcast_to(np.asarray(value, float), n)
+
+        return Scene(
+            time=each(time),
+            setup=np.full(n, setup),
+            repeat=np.zeros(n, np.int64),
+            position=np.broadcast_to(at, (n, 3)),
+            angle=each(angle),
+            direction={name: each(value) for name, value in (direction or {}).items()},
+            environment=self.environment,
+            axis=axis,
+            ends=self.machine.travel,
+            start=each(start),
+        )
+
+    def disturbance(self, scene: Scene) -> Disturbance:
+        """What the flaws do at these moments."""
+        return combine(tuple(flaw.disturb(scene) for flaw in self.flaws))
+
+    def functional_point(self, scene: Scene) -> Array:
+        """(n, 3) where the functional point really is in the workpiece frame, m."""
+        return self.disturbance(scene).functional_point(self.machine, scene.position)
+
+    def tool_rotation(self, scene: Scene) -> Array:
+        """(n, 3, 3) rotation of the tool with respect to the workpiece."""
+        return self.machine.tool_rotation(scene.position, self.disturbance(scene).errors)
+
+    def on_table(self, scene: Scene, point: Array) -> Array:
+        """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""
+        return self.disturbance(scene).on_table(self.machine, point, scene.angle, scene.axis)
+
+    def beam(
+        self, scene: Scene, pointer: Pointer, azimuth: Array | float, elevation: Array | float, station: Array
+    ) -> tuple[Array, Array]:
+        """(n, 3) origin, m, and (n, 3) direction of the beam that is commanded to an azimuth and elevation, rad."""
+        n, disturbance = len(scene), self.disturbance(scene)
+        flat, up = np.broadcast_to(azimuth, n), np.broadcast_to(elevation, n)
+        return pointer.beam(flat, up, station + disturbance.station, disturbance.turn)
+
+    def added(self, scene: Scene, sight: Sight) -> Array:
+        """(n,) what the flaws of air and instrument add to the path, m."""
+        return self.disturbance(scene).added(sight)
+
 
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"

@@ -3,16 +3,190 @@
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.budget.conformity import unit_of_figure
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.estimation.priors import ACCEPTED
-from machine_tool_calibration.trends.explain import FEWEST, Explanation, explain
+from machine_tool_calibration.estimation.priors import ACCEPTED, ALL_REPRODUCES, SCALE_STEP, SMALLEST_SIGNAL, SURE
 from machine_tool_calibration.trends.logbook import Entry
+
+ALARM = SURE
+"""Probability of a change from which it is one."""
+FEWEST = 4
+"""Fewest sessions of which a change is told: three values have always a line or a step close to them."""
+CHANGED = 0.5
+"""Probability that any of a machine's numbers changes while it is followed: as likely as not."""
+SPREAD = 1.0
+"""Scale of the half-Cauchy prior of the spread between sessions, in uncertainties of one: clamping, warming up and
+mounting anew come to about as much as one session tells."""
+SHIFTED = 0.5
+"""Probability that two ways of measuring differ: as likely as not, so that at the session in which the sensor was
+changed, a jump of the machine needs far more to be believed."""
+# The spreads tried, in uncertainties of one session, and the sizes of changes and shifts, in uncertainty and spread.
+_SPREADS = np.concatenate([[0.0], np.geomspace(0.2, 50.0, 12)])
+_SIZES: Array = np.array([SMALLEST_SIGNAL * SCALE_STEP**k for k in range(3)])
+_SHIFTS = _SIZES[:-1]
+_CREDIBLE, _ROUNDING = 0.95, 1e-12
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """How probable each explanation is, and what it says."""
+
+    jump: float  # jump, drift: probabilities
+    drift: float
+    shift: float  # probability that the ways of measuring differ; 0 where there is only one
+    change: float  # size of the more probable one of jump and drift, of a drift until the last session
+    u: float  # its standard uncertainty, that of its date contained
+    # first, last: number of the sessions between which it began, with a probability of 95 % if something changed
+    first: int
+    last: int
+    spread: float  # between sessions, standard deviation
+    # by how much the last way of measuring reads more than the one in use before it; 0 where there is only one
+    step: float = 0.0
+    u_step: float = 0.0  # its standard uncertainty
+
+    @property
+    def probability(self) -> float:
+        """That something changed."""
+        return self.jump + self.drift
+
+    @property
+    def changed(self) -> bool:
+        """Whether there is an alarm."""
+        return self.probability >= ALARM
+
+    @property
+    def shifted(self) -> bool:
+        """Whether ways of measuring differ."""
+        return self.shift >= ALARM
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What the explanations leave open besides dates: in standard uncertainties of a session."""
+
+    spread: float  # between sessions
+    shift: float  # standard deviation of what a way of measuring adds; 0 where they do not differ
+    prior: float  # logarithm of its probability
+    sizes: Array  # (s,) standard deviations of a change, all equally probable
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A case after the values are known."""
+
+    steady: float  # logarithm of evidence times prior of the case without a change
+    changing: Array  # (c, s) of each change by a unit of its column times a coefficient, without the change's own prior
+    mean: Array  # mean, variance: (c, s) of that coefficient
+    variance: Array
+
+
+def explain(days: Array, value: Array, u: Array, way: IntArray, among: int = 1) -> Explanation:
+    """Weigh the explanations of one number in n sessions: values, uncertainties, and by which way it was read.
+
+    The more numbers are followed (`among`), the more each needs to raise an alarm.
+    """
+    unit = float(np.median(u))
+    y, sigma, place = (value - np.median(value)) / unit, u / unit, np.eye(int(way.max()) + 1)[way]
+    begins, columns = _columns(days)
+    jumps = len(value) - 1
+    chance = 1.0 - (1.0 - CHANGED) ** (1.0 / among)
+    # Jumps and drifts are equally probable, and so are their dates.
+    share = np.repeat([chance / 2.0 / jumps, chance / 2.0 / (len(columns) - jumps)], [jumps, len(columns) - jumps])
+    cases = _cases(place.shape[1])
+    weighed = [_weigh(case, y, sigma, place, columns) for case in cases]
+    steady = np.array([one.steady for one in weighed]) + np.log1p(-chance)
+    changing = np.array([one.changing for one in weighed]) + np.log(share / len(_SIZES))[:, None]
+    total = logsumexp([logsumexp(steady), logsumexp(changing)])
+    p_steady, p = np.exp(steady - total), np.exp(changing - total)
+    each = p.sum(axis=(0, 2))
+    jump, drift = float(each[:jumps].sum()), float(each[jumps:].sum())
+
+    kind = slice(0, jumps) if jump >= drift else slice(jumps, None)
+    weight = p[:, kind] / p[:, kind].sum()
+    mean, variance = (np.array([getattr(one, name)[kind] for one in weighed]) for name in ("mean", "variance"))
+    change = float((weight * mean).sum())
+    first, last = _interval(begins[kind], weight.sum(axis=(0, 2)))
+    of_case = p_steady + p.sum(axis=(1, 2))
+    shift = float(of_case[[case.shift > 0 for case in cases]].sum())
+    u_change = unit * float(np.sqrt((weight * (variance + (mean - change) ** 2)).sum()))
+    spread = unit * float(np.sqrt(of_case @ np.array([case.spread**2 for case in cases])))
+    found = Explanation(jump, drift, shift, unit * change, u_change, first, last, spread)
+    used = list(dict.fromkeys(way[::-1].tolist()))
+    if len(used) == 1:
+        return found
+    best = max((k for k, case in enumerate(cases) if case.shift > 0), key=lambda k: of_case[k])
+    part = p[best][kind] / p[best][kind].sum()
+    left = y - np.einsum("cs,cs,cn->n", part, mean[best], columns[kind]) if found.changed else y
+    step, u_step = _step(cases[best], left, sigma, place, used[0], used[1])
+    return replace(found, step=unit * step, u_step=unit * u_step)
+
+
+def _cases(ways: int) -> list[_Case]:
+    """Every spread, each without and, of several ways of measuring, with shifts of every size."""
+    density = _SPREADS[1:] / (1.0 + (_SPREADS[1:] / SPREAD) ** 2)
+    weights = np.concatenate([[ALL_REPRODUCES], (1.0 - ALL_REPRODUCES) * density / density.sum()])
+    out = []
+    for spread, weight in zip(_SPREADS.tolist(), weights.tolist(), strict=True):
+        size = float(np.sqrt(1.0 + spread**2))
+        out.append(_Case(spread, 0.0, float(np.log(weight * (1.0 - SHIFTED if ways > 1 else 1.0))), size * _SIZES))
+        for shift in _SHIFTS if ways > 1 else ():
+            out.append(_Case(spread, size * shift, float(np.log(weight * SHIFTED / len(_SHIFTS))), size * _SIZES))
+    return out
+
+
+def _weigh(case: _Case, y: Array, sigma: Array, place: Array, columns: Array) -> _Weighed:
+    """The evidence of a case: the values made independent, and their level, which has a flat prior, taken out."""
+    covariance = np.diag(sigma**2 + case.spread**2) + case.shift**2 * place @ place.T
+    root = cholesky(covariance, lower=True)
+    white = solve_triangular(root, np.column_stack([np.ones(len(y)), y, columns.T]), lower=True)
+    length = np.linalg.norm(white[:, 0])
+    level = white[:, 0] / length
+    rest = white[:, 1:] - np.outer(level, level @ white[:, 1:])
+    steady = case.prior - np.log(np.diag(root)).sum() - np.log(length) - rest[:, 0] @ rest[:, 0] / 2.0
+    information, score = np.sum(rest[:, 1:] ** 2, axis=0)[:, None], (rest[:, 1:].T @ rest[:, 0])[:, None]
+    gain = 1.0 + information * case.sizes**2
+    variance = case.sizes**2 / gain
+    changing = steady + (score**2 * variance - np.log(gain)) / 2.0
+    return _Weighed(float(steady), changing, score * variance, variance)
+
+
+def _columns(days: Array) -> tuple[IntArray, Array]:
+    """(c,) the session before each jump, then that from which each drift begins; (c, n) what they change, 1 at last."""
+    n = len(days)
+    number = np.arange(n)
+    # A drift that only the last session shows is a jump.
+    onsets = np.array([k for k in range(max(n - 2, 1)) if days[-1] > days[k]], dtype=np.int64)
+    jumps = (number > number[:-1, None]).astype(float)
+    drifts = np.maximum(days - days[onsets, None], 0.0) / (days[-1] - days[onsets, None])
+    return np.concatenate([number[:-1], onsets]), np.concatenate([jumps, drifts])
+
+
+def _interval(begins: IntArray, weight: Array) -> tuple[int, int]:
+    """The shortest stretch of sessions with 95 % of the probability: from the one to the one after the last."""
+    sums = np.concatenate([[0.0], np.cumsum(np.bincount(begins, weight))])
+    ends = [int(np.searchsorted(sums, low + _CREDIBLE * sums[-1] - _ROUNDING)) for low in sums[:-1]]
+    first = min((k for k, end in enumerate(ends) if end < len(sums)), key=lambda k: ends[k] - k)
+    return first, ends[first]
+
+
+def _step(case: _Case, left: Array, sigma: Array, place: Array, last: int, before: int) -> tuple[float, float]:
+    """By how much the last way of measuring reads more than the one before, and its standard uncertainty."""
+    inverse = 1.0 / (sigma**2 + case.spread**2)
+    # Level and shifts together, the shifts with their prior.
+    design = np.column_stack([np.ones(len(left)), place])
+    normal = design.T @ (inverse[:, None] * design) + np.diag([0.0, *[case.shift**-2] * place.shape[1]])
+    row = np.zeros(design.shape[1])
+    row[1 + last], row[1 + before] = 1.0, -1.0
+    solved = np.linalg.solve(normal, row)
+    return float(solved @ (design.T @ (inverse * left))), float(np.sqrt(solved @ row))
+
 
 _COVERAGE = 2.0
 _DAY = 86400.0
