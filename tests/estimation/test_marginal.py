@@ -38,6 +38,17 @@ def test_a_grid_of_sizes_ends_where_its_weight_ends() -> None:
         assert sizes[np.argmax(weight)] == pytest.approx(size, rel=0.8)
 
 
+def test_a_grid_of_sizes_passes_a_dip_to_a_peak_beyond_its_first_sizes() -> None:
+    gram = gram_of(columns(1, 1), columns(2, 1), columns(3, 1)[:, 0])
+
+    def two_peaks(ratio: tuple[float, ...], _: float) -> float:
+        return max(-(ratio[0] ** 2), 3.0 - ((ratio[0] - 200.0) / 66.0) ** 2, -6.0)
+
+    sizes = [ratio[0] for ratio, _, _ in size_grid(gram, two_peaks, share=0.1)]
+    assert min(sizes) > 90.0
+    assert max(sizes) > 200.0
+
+
 def test_folding_is_the_inverse_of_the_covariance() -> None:
     wide, spread, readings = columns(1, 3), columns(2, 5), columns(3, 1)[:, 0]
     ratio, place = (0.7, 2.5), np.array([0, 0, 0, 1, 1])

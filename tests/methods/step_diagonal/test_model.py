@@ -313,3 +313,10 @@ def test_least_squares_over_all_orders_is_better_but_the_conclusion_stands(exact
         assert standard.max() < paper_angular_uncertainty(0.01, 1e-7, 12).standard
         assert standard.max() > 5e-6
         assert np.sqrt(covariance[-1, -1]) > 1.5e-5
+
+
+def test_of_one_axis_alone_no_turn_about_it_is_known():
+    micrometres = [[0.0, 0.0, 0.0], [1.0, 2.0, -1.0], [5.0, 6.0, -3.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    of_x = eq17([np.array([0.0, 0.1, 0.3]), np.zeros(1), np.zeros(1)], np.ravel(micrometres))
+    assert of_x.reshape(-1, 3)[:3] == pytest.approx(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
+    assert not of_x[9:].any()
