@@ -41,7 +41,7 @@ from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.fleet.each import in_order
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.refits import declared
+from machine_tool_calibration.model.fit import declared
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.folder import read_session

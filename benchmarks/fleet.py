@@ -23,8 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from machine_tool_calibration.cli.diagnosing import Wanted
-from machine_tool_calibration.cli.many import fit_one
+from machine_tool_calibration.cli.diagnosing import Wanted, fit_one
 from machine_tool_calibration.fleet.each import _client, each
 from machine_tool_calibration.fleet.machines import Machines, judged
 from machine_tool_calibration.fleet.page import write_page

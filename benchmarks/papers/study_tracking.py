@@ -21,7 +21,7 @@ from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.methods.map_comparison import DRAWS, MapComparison, compare_fits
-from machine_tool_calibration.model.refits import changed
+from machine_tool_calibration.model.fit import changed
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan

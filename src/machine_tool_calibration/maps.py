@@ -10,8 +10,6 @@ Needs neither rclpy nor the rest of the graph; a message of rclpy, of `rosbags` 
     command = error_map.compensated([0.1, 0.2, 0.05])    # where to send the machine; refuses outside
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

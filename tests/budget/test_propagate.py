@@ -12,7 +12,7 @@ from machine_tool_calibration.budget.contributor import instruments, template_of
 from machine_tool_calibration.budget.propagate import KNOWN, REPEATABILITY, Budget, propagate
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions
-from machine_tool_calibration.model.refits import changed, declared
+from machine_tool_calibration.model.fit import changed, declared
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate

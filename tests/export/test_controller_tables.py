@@ -13,9 +13,8 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export import FORMATS, linuxcnc, read_tables, write_tables
-from machine_tool_calibration.export.compensation import Exported
+from machine_tool_calibration.export.compensation import Exported, ResidualErrors, residual_errors, summary
 from machine_tool_calibration.export.head import head
-from machine_tool_calibration.export.preview import ResidualErrors, residual_errors, summary
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables, axis_tables
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.model import NotDetermined

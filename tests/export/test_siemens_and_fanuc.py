@@ -18,10 +18,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.export import read_tables, write_tables
-from machine_tool_calibration.export.compensation import compensation
+from machine_tool_calibration.export.compensation import compensation, residual_errors, summary
 from machine_tool_calibration.export.error_states import displacement, error_states
 from machine_tool_calibration.export.fanuc import MOST_POINTS
-from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 from machine_tool_calibration.methods.identify import identify

@@ -17,8 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.cli.diagnosing import Wanted
-from machine_tool_calibration.cli.many import fit_one
+from machine_tool_calibration.cli.diagnosing import Wanted, fit_one
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.fleet.each import _LOCAL, _kept, each, in_order
 from machine_tool_calibration.fleet.parquet import identified_tables, write_tables

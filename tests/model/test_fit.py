@@ -14,9 +14,8 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.fit import absorbed_by, fit_models, screen
+from machine_tool_calibration.model.fit import absorbed_by, changed, declared, drawn, fit_models, screen
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.model.refits import changed, declared, drawn
 from machine_tool_calibration.model.result import ErrorMap, Estimate, effect_signal, map_change, map_rms
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 

@@ -13,11 +13,10 @@ from machine_tool_calibration.estimation import variance_components
 from machine_tool_calibration.estimation.marginal import Gram, LogEvidence, log_noise
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.model import marginal_fit
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.imperfection import imperfection
 from machine_tool_calibration.model.model import Kind, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate
 

@@ -15,8 +15,7 @@ from machine_tool_calibration.budget.propagate import propagate
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
-from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.refits import declared
+from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, best_plan, quickest_plan
 from machine_tool_calibration.planning.design import Candidates, map_errors

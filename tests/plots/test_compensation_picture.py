@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from machine_tool_calibration.export.preview import ResidualErrors
+from machine_tool_calibration.export.compensation import ResidualErrors
 from machine_tool_calibration.plots.compensation import draw_compensation
 
 

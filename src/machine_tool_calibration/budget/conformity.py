@@ -31,7 +31,7 @@ from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.refits import drawn
+from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import only_if_right
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say

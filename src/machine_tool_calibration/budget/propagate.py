@@ -25,7 +25,7 @@ from machine_tool_calibration.budget.published import Numbers, Quantity, everyth
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.refits import changed, covariance_of, declared
+from machine_tool_calibration.model.fit import changed, covariance_of, declared
 from machine_tool_calibration.session.contributor import Contributor
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.words import say

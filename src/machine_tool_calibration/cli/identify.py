@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options
-from machine_tool_calibration.cli.many import fit_one, followed, workers_options
+from machine_tool_calibration.cli.diagnosing import Wanted, fit_one, followed, model_options, workers_options
 from machine_tool_calibration.cli.output import (
     FILE,
     PATH,

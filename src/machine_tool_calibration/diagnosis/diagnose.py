@@ -27,9 +27,8 @@ from machine_tool_calibration.estimation import priors
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import suspicious_fits
 from machine_tool_calibration.methods.fitted import FitRequest, FittedSessions, fit_sessions, refuse_impossible
-from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.fit import JointFit, changed, declared
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.refits import changed, declared
 from machine_tool_calibration.model.result import map_change, map_rms
 from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.gross_errors import Outlier, find_outliers, suspected_rows, without

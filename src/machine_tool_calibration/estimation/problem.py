@@ -219,18 +219,12 @@ class LinearPart(Part):
         dense_index: IntArray,
         n_points: int = 0,
     ) -> None:
-        """Lay the columns out in slots.
+        """Lay the columns out in slots, for groups from `group_rows` or `group_points`.
 
-        Args:
-            groups: from `group_rows` or `group_points`.
-            reading: (n,) measured minus what is predicted with all unknowns zero, m.
-            sigma: (n,) standard uncertainty of each reading, m.
-            local: (d, n) derivatives by the own unknowns of the reading's point.
-            block: (p, n) derivatives by the unknowns of the reading's block.
-            dense: (K, n) derivatives by the dense unknowns.
-            block_index: (blocks, p) place in the shared vector.
-            dense_index: (K,) place in the shared vector.
-            n_points: number of points.
+        `reading` (n,) is what is measured minus what is predicted with all unknowns zero, `sigma` (n,) its standard
+        uncertainty, m. Derivatives: `local` (d, n) by the own unknowns of the reading's point, `block` (p, n) by those
+        of its block, `dense` (K, n) by the dense ones; `block_index` (blocks, p) and `dense_index` (K,) are their
+        places in the shared vector.
         """
         self.groups = groups
         self.block_index = block_index
@@ -277,16 +271,11 @@ class FunctionPart(Part):
         dense_index: IntArray,
         linear: bool,
     ) -> None:
-        """Keep the function.
+        """Keep the function, for groups from `group_rows`; with a `linear` one a single step reaches the minimum.
 
-        Args:
-            groups: from `group_rows`.
-            sigma: (n,) standard uncertainty of each reading, m.
-            linearise: from the blocks' unknowns (blocks, p) and the dense ones (K,) to the residual (n,) and the
-                derivatives of the prediction, (p, n) by the unknowns of the reading's block and (K, n).
-            block_index: (blocks, p) place in the shared vector.
-            dense_index: (K,) place in the shared vector.
-            linear: whether one step reaches the minimum.
+        `linearise` leads from the blocks' unknowns (blocks, p) and the dense ones (K,), whose places in the shared
+        vector are `block_index` and `dense_index`, to the residual (n,) and the derivatives of the prediction, (p, n)
+        by the unknowns of the reading's block and (K, n). `sigma` (n,) is the readings' standard uncertainty, m.
         """
         self.groups = groups
         self.block_index = block_index

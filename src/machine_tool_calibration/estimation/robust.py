@@ -48,12 +48,9 @@ class Reweighted(PartAround):
     """A part with a further weight for each reading; optionally with its columns as they are at one place."""
 
     def __init__(self, part: Part, weight: Array, at: tuple[Array, Array] | None = None) -> None:
-        """Keep the part.
+        """Keep the part, with factors (n,) on the inverse of each reading's variance.
 
-        Args:
-            part: the readings.
-            weight: (n,) factor on the inverse of each reading's variance.
-            at: shared unknowns and points at which the readings are linearised for good; if absent, wherever asked.
+        It is linearised for good at shared unknowns and points; if these are absent, wherever asked.
         """
         super().__init__(part)
         self.linear = part.linear or at is not None
@@ -113,10 +110,7 @@ class RobustStart(NamedTuple):
 def robust_start(problem: Problem, unknowns: int | None = None) -> RobustStart:
     """Shared unknowns, points, and residuals over the declared uncertainty, little moved by gross errors.
 
-    Args:
-        problem: readings, datum and priors.
-        unknowns: about how many unknowns the readings fix, points included; the shared ones that the datum leaves, if
-            absent.
+    The readings fix about so many unknowns, points included; the shared ones that the datum leaves, if absent.
     """
     if unknowns is None:
         unknowns = problem.size - len(problem.constraints)

@@ -4,8 +4,6 @@
 The sizes tau_f (`estimation.marginal`) are not chosen but averaged over: a grid carries their posterior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -79,12 +77,8 @@ def with_unrepeated(found: Components, gram: Gram, unrepeated: BoolArray) -> Com
     """Sizes of families of which readings of the same thing say nothing, by what the model leaves beside the others.
 
     A mounting's offset is the same in all repeats within it. Given the sizes of the other families their probability is
-    that by all readings, as if there were no repeats.
-
-    Args:
-        found: by readings of the same thing, in which these families have the weight of their prior.
-        gram: inner products of the spread's columns and the residual, the model's unknowns projected off.
-        unrepeated: (families,) which these are.
+    that by all readings, as if there were no repeats. In what was found by readings of the same thing they have the
+    weight of their prior; `gram` has the model's unknowns projected off.
     """
     beside = np.unique(np.array(found.ratios)[:, ~unrepeated], axis=0, return_inverse=True)[1].reshape(-1)
     left = [left_at(gram, ratio) for ratio in found.ratios]
@@ -109,10 +103,7 @@ class WidenedPart(PartAround):
     def __init__(self, inner: Part, families: Sequence[Functions], first: int) -> None:
         """Lay the functions out block by block.
 
-        Args:
-            inner: the part.
-            families: what does not reproduce.
-            first: place of the first coefficient in the shared vector; family after family, group after group.
+        The first coefficient has that place in the shared vector; then family after family, group after group.
         """
         super().__init__(inner)
         block = inner.block_of_reading()

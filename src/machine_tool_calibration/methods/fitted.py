@@ -121,7 +121,7 @@ class FittedSessions:
         return self.map_of(self.joint)
 
     def map_of(self, joint: JointFit) -> ErrorMap:
-        """The machine's errors by another fit of the same models, such as those of `model.refits`."""
+        """The machine's errors by another fit of the same models, such as those of `changed`."""
         if self.common is None:
             return error_map(joint.fits[0])
         return joint_map(joint, self.common, published_angles(joint, self.common.angles))

@@ -16,7 +16,7 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.refits import drawn
+from machine_tool_calibration.model.fit import drawn
 
 LEVEL = 0.01
 """p-value below which maps contradict each other."""

@@ -8,8 +8,6 @@ each is normal about zero, with half its limit as standard deviation or with les
 published is the mean over these (GUM, type B beside type A).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,9 +36,7 @@ class EffectSize:
 def effect_sizes(parameters: Sequence[Parameter], determined: BoolArray) -> list[EffectSize]:
     """Those of the effects in a model whose unknowns the readings determine.
 
-    Args:
-        parameters: (m,) the shared unknowns.
-        determined: (m,) whether the readings and the datum determine each.
+    Parameters (m,) are the shared unknowns, of which the readings and the datum determine these.
     """
     by: dict[tuple[str, str], list[int]] = {}
     for k, parameter in enumerate(parameters):
@@ -65,10 +61,7 @@ def _limit(parameter: Parameter) -> float:
 def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> tuple[Array, Array]:
     """Mean and covariance of all unknowns with what is known of the effects' sizes.
 
-    Args:
-        mean: (m,) of all unknowns without it.
-        covariance: (m, m) likewise.
-        sizes: of the effects.
+    `mean` (m,) and `covariance` (m, m) are without it.
     """
     for size in sizes:
         known = np.isfinite(size.unit)

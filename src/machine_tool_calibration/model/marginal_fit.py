@@ -8,8 +8,6 @@ angular errors) have the mean over the sizes that are possible. The values are t
 every model lacks a little (`model.imperfection`) moves none of them, and widens their uncertainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -155,12 +153,8 @@ def marginal_fit(solved: Solved) -> MarginalFit:
 def _with_its_own(covariance: Array, known: PriorRows, scatter: float) -> Array:
     """The covariance in which what is known besides the readings keeps its own uncertainty.
 
-    How the readings scatter says nothing of a length's certificate, or of the survey of a station.
-
-    Args:
-        covariance: of all unknowns over the square of `scatter`, as if what is known scattered like the readings.
-        known: what is known besides the readings.
-        scatter: standard uncertainties in units of those declared.
+    How the readings scatter says nothing of a length's certificate, or of the survey of a station. `covariance` is that
+    of all unknowns over the square of `scatter`, as if what is known scattered like the readings.
     """
     moved = covariance @ (known.columns / known.sigma[:, None]).T
     return np.asarray(covariance - (1.0 - scatter**-2) * moved @ moved.T)
@@ -280,11 +274,7 @@ def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[
 def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:
     """Mean and covariance (over the square of `scatter`) where one of several sizes is the true one.
 
-    Args:
-        means: (s, n) of each size.
-        covariances: (s, n, n) over the square of `scatter`.
-        weights: (s,) of the sizes; their sum is 1.
-        scatter: standard uncertainties in units of those declared.
+    From those of each size, (s, n) and (s, n, n), with weights (s,) whose sum is 1.
     """
     mean = weights @ means
     away = (means - mean) * np.sqrt(weights)[:, None] / scatter

@@ -5,8 +5,6 @@ Repeats within a run show the repeatability, not the reproducibility: on a real 
 by slopes and bows that are no physical effect of the machine. They are random, alike in size, and part of every fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -68,15 +66,9 @@ def offsets_apart(family: IntArray, offset: BoolArray, seen: BoolArray) -> tuple
     """Families in which offsets that show have a size of their own.
 
     An offset comes from mounting and probing, a slope and a bow from heat: the size of one says nothing of the other.
-    Offsets that the model absorbs, as where every run counts from its own zero, keep the size of the others.
-
-    Args:
-        family: (u,) of each function, from 0.
-        offset: (u,) whether it is an offset of its group.
-        seen: (u,) whether the model leaves something of it.
-
-    Returns:
-        (u,) family of each function; and for each family the one that it was, the new ones being last.
+    Offsets that the model absorbs, as where every run counts from its own zero, keep the size of the others: `seen`
+    (u,) is whether the model leaves something of a function. Returned are the family (u,) of each, and for each family
+    the one that it was, the new ones being last.
     """
     out, was = family.copy(), np.arange(int(family.max(initial=-1)) + 1)
     for k in was:
@@ -158,10 +150,7 @@ def with_drift(observations: Observations) -> tuple[Family, ...]:
 def of_repeats(observed: Sequence[Observations], residuals: Sequence[Array], names: Sequence[str]) -> PureError | None:
     """What readings of the same thing tell of these families; None where too little was read again.
 
-    Args:
-        observed: of each session.
-        residuals: (n,) of each, over the declared uncertainty.
-        names: of the families that count.
+    The residuals (n,) of each session are over the declared uncertainty.
     """
     columns, left, dof = [], [], 0
     for observations, residual in zip(observed, residuals, strict=True):

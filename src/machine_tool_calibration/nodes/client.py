@@ -62,20 +62,8 @@ class Client:
     """A node in this process, with a context and an executor of its own; a context of Python's, too.
 
     It hears while `wait`, `call` or `outcome` runs, or, once `listen` was called, in a thread of its own; then `ask`
-    is how a service is called.
-
-    Args:
-        domain: ROS domain id; None for that of the environment.
-        namespace: of the graph.
-        heard: is told everything.
-        watch: called between messages while something is waited for; raises to end the wait.
-
-    Attributes:
-        heard: what was heard so far.
-        node: the node.
-
-    Raises:
-        CalibrationError: the namespace is none.
+    is how a service is called. `heard` is told everything; `watch` is called between messages while something is waited
+    for, and raises to end the wait. A CalibrationError: the namespace is none.
     """
 
     def __init__(

@@ -38,12 +38,8 @@ _CLOSE = 40.0  # longer than the recorder gives itself to close its file
 class Graph:
     """The processes of one graph, as a context; leaving it ends them all.
 
-    Args:
-        nodes: what to start: parameters by the executable's name, which is also the node's.
-        folder: for logs and parameter files.
-        domain: ROS domain id.
-        namespace: of all nodes, such as `/cell_1`; empty for none.
-        parameters: a ROS parameter file of the user's own, which counts more than those.
+    `nodes` are started with these parameters, by the executable's name, which is also the node's; the ROS parameter
+    file of the user's own counts more. Logs and parameter files are in the folder.
     """
 
     def __init__(
@@ -182,13 +178,8 @@ def graph_parameters(
 ) -> dict[str, dict[str, Any]]:
     """Parameters of the nodes that a measurement needs, by their names.
 
-    Args:
-        method: of it. A probe is instrument and pointer in one, a fixed beam needs no pointer.
-        procedure: file.
-        site: file of what is true in the simulated workshop.
-        simulated_time: whether they live by `/clock`.
-        driver: of the instrument.
-        bag: folder of the recording; empty: one named by the date.
+    A probe is instrument and pointer in one, a fixed beam needs no pointer. `site` is the file of what is true in the
+    simulated workshop; with simulated time they live by `/clock`. An empty `bag` is one named by the date.
     """
     common = {"use_sim_time": simulated_time}
     # one origin for all simulating nodes, whole seconds so that it is exact
@@ -218,13 +209,10 @@ def managed_nodes(
 ) -> list[Any]:
     """The actions that start nodes of this package; one that only listens is started again where it fails.
 
-    Args:
-        parameters: of each node, by its name; they count more than those of the file.
-        namespace: of all; `/clock` is remapped into it, as it is absolute and two graphs would share it.
-        file: of ROS parameters; CalibrationError where it is not there.
-        on_exit: called when one ends that does not only listen.
-        autostart: whether they configure and activate themselves, which a parameter tells them: a transition that
-            `launch` asks for is lost, now and then, where the node has not discovered it yet.
+    Parameters by the node's name count more than those of the file (a CalibrationError where it is not there). `/clock`
+    is remapped into the namespace: it is absolute, and two graphs would share it. `on_exit` is called when one ends
+    that does not only listen. With `autostart` they configure and activate themselves, which a parameter tells them: a
+    transition that `launch` asks for is lost, now and then, where the node has not discovered it yet.
     """
     from launch.actions import LogInfo
     from launch_ros.actions import LifecycleNode

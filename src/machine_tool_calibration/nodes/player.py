@@ -26,13 +26,10 @@ from machine_tool_calibration.recording.reader import BagReader, Message
 
 
 class Pace:
-    """A clock that runs at any rate, stops, goes on and can be set.
+    """A clock that runs at any rate (s of the bag per s; 0 is as fast as possible), stops, goes on and can be set.
 
-    Args:
-        rate: seconds of the bag per second; 0 is as fast as possible.
-        start: time in the bag at which it begins, ns.
-        begin: when it begins to run, ns of a clock that never jumps; until then nothing is due.
-        paused: whether it stands at first.
+    It starts at that time in the bag, ns, and begins to run at that of a clock that never jumps, ns; until then nothing
+    is due.
     """
 
     def __init__(self, rate: float, start: int, begin: int, *, paused: bool = False) -> None:

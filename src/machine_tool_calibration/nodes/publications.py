@@ -65,12 +65,8 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
     """The position errors as arrows, magnified; grey where the error is within its U (95 %).
 
     At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
-    one says in words how much is magnified. A direction that is not determined counts as zero.
-
-    Args:
-        stamp: ROS time, ns.
-        error_map: the map.
-        magnification: of the errors; 0 chooses a round one.
+    one says in words how much is magnified (0 chooses a round number). A direction that is not determined counts as
+    zero. `stamp`: ROS time, ns.
     """
     known = np.isfinite(error_map.error)
     some = np.flatnonzero(known.any(axis=1))

@@ -17,9 +17,8 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.build import error_map
-from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.fit import JointFit, declared
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.refits import declared
 
 # Change of an unknown by which what is published is differentiated; it is linear in the unknowns but for rounding.
 _STEP = 1e-6

@@ -22,9 +22,8 @@ from machine_tool_calibration.effects.linear_drift import LinearDrift
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model, error_map
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
-from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
-from machine_tool_calibration.model.refits import declared
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.options import Proposal, further_options
 from machine_tool_calibration.session.session import Session

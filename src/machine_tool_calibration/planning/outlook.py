@@ -13,8 +13,7 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.fitted import FitRequest, fit_sessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
-from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.refits import declared
+from machine_tool_calibration.model.fit import JointFit, declared, fit_models
 from machine_tool_calibration.model.result import ErrorMap, Result, map_rms
 from machine_tool_calibration.planning.dominant import angular_size, expected_model
 from machine_tool_calibration.planning.forecast import Forecast

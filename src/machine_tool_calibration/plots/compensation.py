@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.export.preview import ResidualErrors
+from machine_tool_calibration.export.compensation import ResidualErrors
 from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, MARKERS, new_figure
 from machine_tool_calibration.words import say, together
 

@@ -23,7 +23,7 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARE
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.methods.map_comparison import DRAWS, states
-from machine_tool_calibration.model.refits import drawn
+from machine_tool_calibration.model.fit import drawn
 from machine_tool_calibration.model.result import Result, effect_estimates
 
 LOCATION = re.compile(r"[XYZABC]0[XYZABC]")

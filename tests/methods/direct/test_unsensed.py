@@ -15,7 +15,7 @@ from machine_tool_calibration.arrays import rigid_motions
 from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.errors import ModelError, SessionError
-from machine_tool_calibration.export.preview import residual_errors, summary
+from machine_tool_calibration.export.compensation import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct import model as direct_model

@@ -242,7 +242,7 @@ def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
 
 
 def _placed(nodes: Array, undetermined: Array) -> BoolArray:
-    """(k,) values of a table at nodes (k,) whose loose moves (k, r) lie on one line; all where no three do."""
+    """(k,) values of a table at nodes (k,) whose undetermined moves (k, r) lie on one line; all where no three do."""
     design = np.column_stack([np.ones(len(nodes)), nodes])
     most = float(np.abs(undetermined).max())
 

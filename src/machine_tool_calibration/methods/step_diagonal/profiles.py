@@ -140,7 +140,7 @@ class Profiles:
 
 
 def is_open(rows: Array, undetermined: Array) -> BoolArray:
-    """(r,) whether combinations (r, M) of the errors may change in some of the (M, k) loose directions."""
+    """(r,) whether combinations (r, M) of the errors may change in some of the (M, k) undetermined directions."""
     if not undetermined.size:
         return np.zeros(len(rows), dtype=bool)
     scale = max(float(np.abs(undetermined).max()), 1e-3)

@@ -43,10 +43,6 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy comes without types
     All that calls the node passes here: its subscriptions, that of its clock included, its timers, and its services. A
     message that means nothing, or that its callback cannot use, is ignored; the log says so once for each topic.
 
-    Args:
-        name: of the node.
-        more: as of any node.
-
     Attributes:
         ignored: messages that were ignored, by topic.
         choices: values of a parameter that are allowed, by its name.

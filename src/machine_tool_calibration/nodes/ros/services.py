@@ -164,9 +164,7 @@ class _Goal:
 class Goals:
     """The goals of a node, one at a time; each runs in a thread beside the node's own.
 
-    Args:
-        node: whose goals they are.
-        changed: called when a goal begins or ends.
+    `changed` is called when a goal begins or ends.
 
     Attributes:
         step: the part of the present one that is under way.
@@ -205,13 +203,11 @@ class Goals:
         begin: Callable[[], tuple[str, Callable[[Progress], Outcome]]],
         done: Callable[[Outcome], tuple[str, Mapping[str, object]]],
     ) -> None:
-        """Offer a calculation.
+        """Offer a calculation as the service `verb`, below the node's name.
 
-        Args:
-            verb: name of the service, below the node's.
-            begin: gives what is going to be done, for people, and the calculation, which is called in a thread of its
-                own and tells its progress now and then; raises CalibrationError where nothing can be calculated.
-            done: called in the node's own thread; publishes the outcome, gives a sentence and values about it.
+        `begin` gives what is going to be done, for people, and the calculation, which is called in a thread of its own
+        and tells its progress now and then; a CalibrationError where nothing can be calculated. `done`, called in the
+        node's own thread, publishes the outcome and gives a sentence and values about it.
         """
 
         def called() -> str:

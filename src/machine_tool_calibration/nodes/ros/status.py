@@ -18,14 +18,9 @@ _PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent afte
 
 
 class StatusTopic:
-    """Says how a node is.
+    """Says how a node is, and the device behind it, on a topic of its own: `~/status`, latched, by default.
 
-    Args:
-        node: the node.
-        name: what the status is about.
-        publisher: of the topic of its own; by default that of `~/status`, latched.
-        hardware_id: of the device behind the node.
-        clock: gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
+    The clock gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
     """
 
     def __init__(
