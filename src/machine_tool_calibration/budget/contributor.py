@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Budgets: YAML files with contributors to the measurement uncertainty, and those of instruments to begin with."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -15,10 +13,8 @@ from machine_tool_calibration.session.contributor import Contributor, Contributo
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.record import Record
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import read_text
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.session.session import Session
 
 FORMAT = "mtcal-budget/1"
 

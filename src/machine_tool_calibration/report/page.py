@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report as one HTML page that holds all it needs, and as a PDF of the same."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError, writing
+from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.figures import Picture, library
 from machine_tool_calibration.report.sections import Section, Turnable, sections
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.session.provenance import name_of_machine
 from machine_tool_calibration.words import Words
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.report.evaluation import Evaluation
 
 # Control characters, which no text needs and a terminal obeys, and what XML cannot hold become the sign for a
 # character that cannot be shown.
