@@ -13,6 +13,7 @@ from std_msgs.msg import String
 
 from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.budget import complete
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import FitRequest
@@ -20,6 +21,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.publications import map_messages, verdict_message
 from machine_tool_calibration.nodes.ros.services import Progress
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions
+from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.reports.quantities import micrometres
@@ -79,10 +81,6 @@ def compared(request: Request, progress: Progress) -> Outcome:
 
     A CalibrationError: the readings do not allow it.
     """
-    # Here, as they bring pandas.
-    from machine_tool_calibration.diagnosis.compare import compare
-    from machine_tool_calibration.reports.comparison import comparison_document
-
     progress("comparing", 0.0)
     content = comparison_document(compare(request.chosen()))
     values = {name: content[name] for name in ("readings", "rms_residual", "reduced_chi_square", "p_value")}

@@ -17,7 +17,7 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_mot
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.reports.quantities import decimals, fixed
+from machine_tool_calibration.reports.quantities import decimals, fixed, named_in_words
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
 
@@ -144,8 +144,6 @@ def _unknowns(result: Result) -> Iterator[_Value]:
 
 def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.DataFrame:
     """Every unknown of the model, by name."""
-    from machine_tool_calibration.reports.quantities import named_in_words
-
     unknowns = result.joint.assembly.unknowns
     words = named_in_words(result.joint, document["effects"])
     rows: list[tuple[Any, ...]] = [

@@ -146,8 +146,6 @@ class MethodSpec:
         Some setup must have readings enough of those that are `measured` (n,); what was lost in others is named
         by the estimator.
         """
-        import numpy as np  # a history is listed without it
-
         good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
         if good.sum() < 2:
             raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
