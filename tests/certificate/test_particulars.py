@@ -211,6 +211,25 @@ def test_who_what_where_and_the_verdict_stand_in_it() -> None:
     assert root.findtext(".//dcc:beginPerformanceDate", None, SPACES) == "2026-03-01"
 
 
+@pytest.mark.parametrize(
+    ("tolerance", "decision", "probability", "status"),
+    [
+        (25e-6, "fail", 0.0, ["fail"]),
+        (25e-6, "undecided", 0.7, ["conditionalPass"]),
+        (1e-6, "undecided", 0.2, ["conditionalFail"]),
+        (25e-6, "undecided", np.nan, []),
+    ],
+)
+def test_an_open_verdict_has_the_status_of_its_side_of_the_tolerance(
+    tolerance: float, decision: str, probability: float, status: list[str]
+) -> None:
+    found = complete()
+    assert found.conformity is not None
+    one = replace(found.conformity.each[0], tolerance=tolerance, decision=decision, probability=probability)
+    root = document(replace(found, conformity=replace(found.conformity, each=(one,))))
+    assert [one.text for one in root.iter(f"{{{SPACES['dcc']}}}conformity")] == status
+
+
 @pytest.mark.parametrize("key", ["number", "location", "measured", "signatures", "laboratory", "customer", "machine"])
 def test_what_the_schema_needs_is_never_invented(key: str) -> None:
     own = stated().model_copy(update={key: getattr(Certificate(), key)})

@@ -98,6 +98,16 @@ def test_of_a_document_a_change_is_found_without_correlations() -> None:
         check(replace(document, model="free"), measured(12)[1])
 
 
+@pytest.mark.parametrize("u", [-1e-6, np.inf, np.nan])
+def test_an_uncertainty_that_is_none_is_refused_by_file_and_key(u: float) -> None:
+    content = measured(11)[0].document()
+    (chosen,) = (one for one in content["parameters"] if one["name"] == "C0Y")
+    damaged = content | {"parameters": [{**one, "standard_uncertainty": u} if one is chosen else one
+                                        for one in content["parameters"]]}  # fmt: skip
+    with pytest.raises(CalibrationError, match=rf"^result\.json: C0Y, value 1: {u:g} is no standard uncertainty$"):
+        of_result(damaged, "result.json")
+
+
 def test_a_document_says_the_same_numbers_as_the_fit() -> None:
     result, stated = measured(11)
     document = of_result(result.document(), "result.json")

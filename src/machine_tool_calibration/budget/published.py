@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.iso230_2 import positioning_runs
@@ -106,7 +106,10 @@ def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array]) -> Numbers:
 
 
 def of_document(document: Mapping[str, Any]) -> Numbers:
-    """What a result document (`mtcal-result/1`) says of its map, error motions and unknowns."""
+    """What a result document (`mtcal-result/1`) says of its map, error motions and unknowns.
+
+    A CalibrationError: something is stated with an uncertainty that is none.
+    """
     content, entries = document.get("error_map") or {}, list[_Entry]()
     if POSITION_ERROR in content:
         value, u = (np.asarray(content[key], dtype=np.float64) for key in (POSITION_ERROR, f"{POSITION_ERROR}_u"))
@@ -121,6 +124,12 @@ def of_document(document: Mapping[str, Any]) -> Numbers:
         at = [one["position"] for one in table] if "error_motion" in table[0] else None
         where = partial(_at, name, at, 1) if at is not None and len(at) > 1 else _nowhere
         entries.append(_Entry(name, table[0]["unit"], value, u, where, _positions(at, len(table))))
+    for entry in entries:
+        u = np.asarray(entry.u, dtype=np.float64)
+        wrong = np.isfinite(np.asarray(entry.value, dtype=np.float64)) & ~(np.isfinite(u) & (u >= 0.0))
+        if wrong.any():
+            k = int(wrong.argmax())
+            raise CalibrationError(f"{entry.name}, value {k + 1}: {u[k]:g} is no standard uncertainty")
     return _listed(entries)
 
 

@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree
 
+import numpy as np
 import pandas as pd
 
+from machine_tool_calibration.budget.conformity import Verdict
 from machine_tool_calibration.certificate.particulars import Certificate, Item, Party
 from machine_tool_calibration.certificate.texts import declared_conditions, recorded_conditions, statements, unstated
 from machine_tool_calibration.errors import CalibrationError
@@ -152,7 +154,7 @@ class _Writer:
             yield _node("statement", self.text("declaration", text))
         for one in self.found.conformity.each if self.found.conformity else ():
             told = self.text("declaration", named("decision", one.decision))
-            decided = _node("conformity", one.decision if one.decision in ("pass", "fail") else "")
+            decided = _node("conformity", _status(one))
             yield _node("statement", self.text("name", one.name), told, decided)
 
     def result(self) -> Element:
@@ -202,6 +204,17 @@ class _Writer:
             for name, unit in zip(where, units, strict=True)
         ]
         return _node("list", *places, _node("quantity", values, refType="basic_measurementError"))
+
+
+def _status(one: Verdict) -> str:
+    """What the schema has for a decision: between pass and fail, on which side of the tolerance the value lies.
+
+    Empty where no probability could be told, or nothing be determined: a condition would claim one.
+    """
+    if one.decision != "undecided":
+        return one.decision if one.decision in ("pass", "fail") else ""
+    within = abs(one.value) <= one.tolerance
+    return "" if np.isnan(one.probability) else "conditionalPass" if within else "conditionalFail"
 
 
 def _real(

@@ -12,7 +12,15 @@ from machine_tool_calibration.session.record import Positive
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
-from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, since_first
+from machine_tool_calibration.simulation.plan import (
+    Interval,
+    Measurement,
+    Pause,
+    Plan,
+    Vector3,
+    axis_columns,
+    since_first,
+)
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
@@ -49,8 +57,8 @@ class DiagonalPlan(Plan):
     beam_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
     distance: Positive = 0.3  # from the laser to the mirror at the start of a run, m
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
-    interval: Positive = 12.0
-    pause: Annotated[float, Field(ge=0)] = 108.0
+    interval: Interval = 12.0
+    pause: Pause = 108.0
     noise: Positive = 1e-7
     chain: str = "w-Y-X-b-Z-t"
 

@@ -12,7 +12,7 @@ from machine_tool_calibration.session.values import Instrument
 from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import rotate
-from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
+from machine_tool_calibration.simulation.plan import Interval, Measurement, Pause, Plan, Vector3, axis_columns, spanned
 from machine_tool_calibration.simulation.scene import Environment, Scene, blocks, last_direction, ordered_times
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
@@ -52,8 +52,8 @@ class DirectPlan(Plan):
     # how often part or instrument is set up; each is a setup with its own misplacement
     mountings: Annotated[int, Field(ge=1, le=1000)] = 1
     repeats: Annotated[int, Field(ge=1, le=10000)] = 1
-    interval: Positive = 5.0
-    pause: Annotated[float, Field(ge=0)] = 0.0
+    interval: Interval = 5.0
+    pause: Pause = 0.0
     noise: Positive = 2e-7
 
     def travel(self) -> dict[str, tuple[float, float]]:

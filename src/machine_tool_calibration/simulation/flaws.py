@@ -84,6 +84,17 @@ def find_flaw(name: str) -> Flaw:
     raise CalibrationError(f"no effect {name!r} can be simulated{hint}")
 
 
+def _is_like(value: Any, usual: Any) -> bool:
+    """Whether a value is finite, and one number or several as the usual one is; any word in place of a word."""
+    if isinstance(usual, str):
+        return True
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return False
+    return numbers.ndim == np.ndim(usual) and bool(np.isfinite(numbers).all())
+
+
 def choose_flaw(
     name: str,
     size: float | None = None,
@@ -94,7 +105,7 @@ def choose_flaw(
     """A flaw with its size and parameters; what is not given is typical, or drawn from the seed.
 
     The `scene` is the readings it is meant for, where that matters (`unlisted_step` happens among them). A
-    CalibrationError if the effect or a parameter is unknown.
+    CalibrationError if the effect or a parameter is unknown, or its value no number.
     """
     flaw = find_flaw(name)
     drawn = dict(flaw.draw(np.random.default_rng(seed), scene)) if flaw.draw else {}
@@ -103,6 +114,9 @@ def choose_flaw(
         if key not in values:
             known = ", ".join(values) or "none"
             raise CalibrationError(f"effect {name} has no parameter {key!r}; its parameters are: {known}")
+        if not _is_like(value, values[key]):
+            kind = "finite numbers" if np.ndim(values[key]) else "a finite number"
+            raise CalibrationError(f"effect {name}: {key} must be {kind}, not {value}")
         values[key] = value
     chosen = flaw.typical if size is None else float(size)
     if not np.isfinite(chosen):

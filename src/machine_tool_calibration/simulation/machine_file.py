@@ -4,10 +4,10 @@
 from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
@@ -99,6 +99,15 @@ class TableSpec(Record):
     values: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=100_000)]
     interpolation: Literal["cubic", "linear", "periodic"] = "cubic"
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        self.table()
+        return self
+
+    def table(self) -> Table:
+        """The motion; a ModelError where its nodes and values are unfit."""
+        return Table(self.nodes, self.values, self.interpolation)
+
 
 class MachineSpec(Record):
     """A machine's true errors."""
@@ -156,10 +165,7 @@ def build_machine(
     for name, table in spec.motions.items():
         if len(name) != 3 or name[-1] not in parsed.axes:
             raise ModelError(f"error motion {name!r}: the chain {text} has no such axis")
-        try:
-            tables.append((name, Table(table.nodes, table.values, table.interpolation)))
-        except ModelError as error:
-            raise ModelError(f"error motion {name}: {error}") from None
+        tables.append((name, table.table()))
     machine = machine.with_tables(tables).with_squareness(spec.squareness)
     line = dict(machine.average_line)
     for name, value in spec.average_line.items():

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from machine_tool_calibration.arrays import Array, IntArray, first_of_group
-from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
+from machine_tool_calibration.session.record import Finite, Positive, Record
 from machine_tool_calibration.simulation.flaw import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
@@ -42,14 +42,16 @@ def since_first(values: Array, group: IntArray | None) -> Array:
 
 
 Vector3 = tuple[Finite, Finite, Finite]
+Interval = Annotated[float, Field(gt=0, le=1e5, allow_inf_nan=False)]
+Pause = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
 class Plan(Record):
     """Where and when readings are taken."""
 
     repeats: Annotated[int, Field(ge=1, le=10000)] = 1  # how often each setup is run
-    interval: Positive = 4.0  # time between readings, s
-    pause: NotNegative = 600.0  # time to set up the instrument anew, s
+    interval: Interval = 4.0  # time between readings, s
+    pause: Pause = 600.0  # time to set up the instrument anew, s
     noise: Positive = 3e-7  # usual standard uncertainty of a reading, m
     # sense in which a rotary axis commanded positive turns the workpiece (+1: counter-clockwise)
     sign: Literal[-1, 1] = 1

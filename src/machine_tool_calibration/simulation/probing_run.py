@@ -17,7 +17,7 @@ from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import Amplitudes
 from machine_tool_calibration.simulation.motions import turn
-from machine_tool_calibration.simulation.plan import Measurement, Plan
+from machine_tool_calibration.simulation.plan import Interval, Measurement, Pause, Plan
 from machine_tool_calibration.simulation.scene import Environment, Scene, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
@@ -172,8 +172,8 @@ class ProbingPlan(Plan):
     # x and y of the session are where the sphere's `centre` is commanded to (where the axes stand), or the nominal
     # `contact`; the machine's errors act at the same place
     columns: Literal["centre", "contact"] = "contact"
-    interval: Positive = 10.0
-    pause: Annotated[float, Field(ge=0)] = 0.0
+    interval: Interval = 10.0
+    pause: Pause = 0.0
     noise: Positive = 1e-6
     sign: Literal[-1, 1] = -1
 

@@ -16,7 +16,9 @@ from machine_tool_calibration.simulation.flaw import Disturbance, Sight
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
 from machine_tool_calibration.simulation.plan import (
+    Interval,
     Measurement,
+    Pause,
     Plan,
     Vector3,
     declared_places,
@@ -69,8 +71,8 @@ class RotaryPlan(Plan):
     target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5  # likewise of the stated targets
     # target id -> (from, to): angles at which it cannot be seen, rad
     hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
-    interval: Positive = 3.0
-    pause: Annotated[float, Field(ge=0)] = 900.0
+    interval: Interval = 3.0
+    pause: Pause = 900.0
     noise: Positive = 2.7e-7
     chain: str = ""
 

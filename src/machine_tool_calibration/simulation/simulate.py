@@ -50,6 +50,7 @@ class Truth:
 
 
 _STREAMS = ("machine", "setup", "environment", "effects", "noise", "spread", "chips", "missing", "repeatability")
+_LARGEST = 1.0  # beyond this no effects change a reading, m
 _UNSEEN = 1e-10  # an effect of typical size that changes no reading by more than this does not show, m
 
 
@@ -94,6 +95,8 @@ def simulate(spec: SimulationSpec, *, machine: VirtualMachine | None = None, ext
     flawed, disturbance = _apply(machine, measurement, chosen, shaken)
     raw = measurement.read(flawed, disturbance)
     clean = since_first(raw, measurement.datum)
+    if not np.max(np.abs(clean - before), initial=0.0) <= _LARGEST:
+        raise CalibrationError("the readings come out as no numbers: a value of the plan, machine or effects is absurd")
 
     noise = plan.noise if spec.noise is None else spec.noise
     displacement, hit = _read(spec, measurement, raw, noise, rng)

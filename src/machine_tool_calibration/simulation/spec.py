@@ -76,7 +76,7 @@ PRESETS: Mapping[str, AnyPlan] = {
 
 # Largest noise, spread and gross error of a reading that a measurement of machine tools can have, m.
 _LARGEST_ERROR = 1e-3
-# How many times its typical size an effect may have.
+# How many times its typical size an effect may have, and noise its declared one.
 _TIMES = 1e4
 
 
@@ -187,7 +187,7 @@ class FlawSpec(Record):
     id: str  # the catalogue's id (RESULT.md), or an `unlisted_…` one
     size: Finite | None = None  # coefficient of the effect's formula, in its unit; typical if neither is given
     # instead of the size: the largest change of any reading that the effect shall make, m
-    amplitude: Positive | None = None
+    amplitude: Annotated[float, Field(ge=1e-12, allow_inf_nan=False)] | None = None
     # the effect's further coefficients (`tau`, `lead`, `phase`, …)
     parameters: dict[str, Any] = Field(default_factory=dict)
 
@@ -238,12 +238,14 @@ class SimulationSpec(Record):
     machine: MachineSpec = MachineSpec()  # true errors; random ones of a good machining centre if absent
     effects: tuple[FlawSpec, ...] = ()  # what is put in
     noise: Positive | None = None  # standard uncertainty of a reading, m, as declared; the method's usual one if absent
-    noise_factor: NotNegative = 1.0  # the actual noise over the declared one (0: no noise)
+    # the actual noise over the declared one (0: no noise)
+    noise_factor: Annotated[float, Field(ge=0, le=_TIMES, allow_inf_nan=False)] = 1.0
     repeatability: NotNegative = 0.0  # standard deviation of the machine's position at each visit, per coordinate, m
     spread: Spread = Spread()  # irreproducibility between setups
     chips: Chips | None = None  # gross errors
     missing: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0  # fraction of readings that are lost
-    environment_swing: NotNegative = 1.0  # factor on all changes of temperature, pressure and humidity
+    # factor on all changes of temperature, pressure and humidity
+    environment_swing: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 1.0
 
     @property
     def method(self) -> str:

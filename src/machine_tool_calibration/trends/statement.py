@@ -149,7 +149,7 @@ def of_fit(
 def of_result(document: Mapping[str, Any], label: str) -> Statement:
     """What a result document states: values and uncertainties, without correlations.
 
-    A CalibrationError if it is no result of one session.
+    A CalibrationError if it is no result of one session, or states an uncertainty that is none.
     """
     if document.get("format") != "mtcal-result/1" or document.get("method") == "joint":
         raise CalibrationError(f"{label}: is no result document (mtcal-result/1) of one session")
@@ -157,6 +157,8 @@ def of_result(document: Mapping[str, Any], label: str) -> Statement:
         raise CalibrationError(f"{label}: says neither its model nor what it was made from: of a formulation, or old")
     try:
         return _read(document, label)
+    except CalibrationError as error:
+        raise CalibrationError(f"{label}: {error}") from None
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         why = f"{type(error).__name__}: {error}"
         raise CalibrationError(f"{label}: is damaged, or no result document of mtcal ({why})") from None
