@@ -199,6 +199,7 @@ def test_a_wrong_command_line_is_status_2(verb: Write, capsys: pytest.CaptureFix
         ("raise click.ClickException('not so')", 1, "not so"),
         ("raise MemoryError", 1, "not enough memory"),
         ("raise KeyError('x')", 1, "unexpected KeyError"),
+        ("raise ModuleNotFoundError(name='rclpy')", 1, "this needs ROS 2 (rclpy is missing): source your ROS 2"),
         ("raise KeyboardInterrupt", 130, "interrupted"),
     ],
 )

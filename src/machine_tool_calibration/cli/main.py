@@ -155,16 +155,23 @@ def _first_sentence(text: str) -> str:
     return re.split(r"(?<!\bal)\. ", text)[0].rstrip(".")
 
 
+def _needs_ros(error: ModuleNotFoundError) -> str:
+    """What to do about a module of ROS that is missing; empty if it is another one."""
+    if (error.name or "").split(".")[0] not in ROS_MODULES:
+        return ""
+    return (
+        f"needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "
+        "pip install 'machine_tool_calibration[ros]'"
+    )
+
+
 def _load(name: str) -> click.Command:
     module = f"{cli.__name__}.{name.replace('-', '_')}"
     try:
         command = importlib.import_module(module).command
     except ModuleNotFoundError as error:
-        if error.name and error.name.split(".")[0] in ROS_MODULES:
-            raise CalibrationError(
-                f"`mtcal {name}` needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "
-                "pip install 'machine_tool_calibration[ros]'"
-            ) from error
+        if needs := _needs_ros(error):
+            raise CalibrationError(f"`mtcal {name}` {needs}") from error
         raise CalibrationError(f"`mtcal {name}` cannot be loaded: {error}") from error
     except Exception as error:
         raise CalibrationError(f"`mtcal {name}` cannot be loaded: {type(error).__name__}: {error}") from error
@@ -249,6 +256,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except RecursionError:
         return _fail("the input is nested too deeply")
     except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and (needs := _needs_ros(error)):
+            return _fail(f"this {needs}")
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
         return _fail(
