@@ -81,6 +81,9 @@ def test_wrong_requests(verb: Verb, session_bag: Path, tmp_path: Path) -> None:
     assert verb.refused("info", tmp_path / "x") == f"mtcal: {tmp_path}/x: no such file or folder\n"
     (tmp_path / "empty").mkdir()
     assert "neither a session" in verb.refused("info", tmp_path / "empty")
+    (tmp_path / "run" / "session").mkdir(parents=True)
+    (tmp_path / "run" / "session" / "session.yaml").touch()
+    assert verb.refused("info", tmp_path / "run").endswith(f"but a session in {tmp_path}/run/session\n")
     verb("info", session_bag, "--topic", "reading", status=2)
     assert "unknown role" in verb.refused("info", session_bag, "--topic", "what=/reading")
     assert "is not empty" in verb.refused("convert", DATA / "rotary_axis", session_bag)

@@ -41,9 +41,10 @@ def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, che
     if is_bag(path):
         return session_from_bag(path, topics, check=check)
     if path.is_dir():
+        within = next((one for one in sorted(path.iterdir()) if is_session_folder(one)), None)
         raise SessionError(
             f"{path}: neither a session ({DESCRIPTION_FILE}, {OBSERVATIONS_FILE}) nor a recording "
-            "(metadata.yaml, .mcap) is in this folder"
+            f"(metadata.yaml, .mcap) is in this folder{f', but a session in {within}' if within else ''}"
         )
     raise SessionError(f"{path}: is neither a session folder nor a recording (.mcap)")
 
