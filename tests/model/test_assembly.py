@@ -85,7 +85,7 @@ def test_too_few_readings():
         ),
         terms=(Term("scale", model.terms[0].parameters, X[None, :2]),),
     )
-    with pytest.raises(ModelError, match="too few readings: 2 for 2 unknowns"):
+    with pytest.raises(ModelError, match=rf"^{model.observations.session.source}: too few readings: 2 for 2 unknowns"):
         fit_models([model])
 
 

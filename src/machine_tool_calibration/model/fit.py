@@ -187,7 +187,10 @@ def fit_models(
     if solution.degrees_of_freedom <= 0:
         n = assembly.problem.n_readings
         unknowns = n - solution.degrees_of_freedom
-        raise ModelError(f"too few readings: {n} for {unknowns} unknowns; more targets, stations or repeats are needed")
+        sources = " + ".join(model.observations.session.source for model in models)
+        raise ModelError(
+            f"{sources}: too few readings: {n} for {unknowns} unknowns; more targets, stations or repeats are needed"
+        )
     if random is None and len(models) == 1:
         random = models[0].random
     return JointFit(assembly, solution, random)
