@@ -8,7 +8,7 @@ import numpy as np
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import spec_of
-from machine_tool_calibration.session.description import Place, StationSetup
+from machine_tool_calibration.session.description import Place, StandardUncertainty, StationSetup
 from machine_tool_calibration.session.session import ENOUGH_TO_DIFFER, Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 from machine_tool_calibration.session.values import LARGEST, SMALLEST
@@ -17,6 +17,7 @@ LARGEST_MACHINE = 50.0  # m
 LARGEST_TRAVEL = 100.0  # m
 _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
+_FINEST, _COARSEST = 1e-11, 1e-2  # standard uncertainties of a reading, m
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 MILLIMETRES = "these look like millimetres; lengths are in metres"
 _LEAST_VALUE = {"air_pressure": 0.0, "relative_humidity": -0.05}  # Pa, 1
@@ -83,10 +84,17 @@ def _instrument(session: Session, place: Place) -> None:
             reach = max(map(abs, entry.position))
             if reach > LARGEST_MACHINE:
                 raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {MILLIMETRES}")
-    sigma = description.standard_uncertainty.displacement
-    if sigma > 1e-2:
-        where = f"{place.description}: standard_uncertainty.displacement"
-        raise SessionError(f"{where} is {sigma:g} m; this looks like another unit than metres")
+    _declared(description.standard_uncertainty, place)
+
+
+def _declared(stated: StandardUncertainty, place: Place) -> None:
+    for name, one in {"": stated, **stated.setups}.items():
+        key, sigma = f"setups.{name}.displacement" if name else "displacement", one.displacement
+        where = f"{place.description}: standard_uncertainty.{key} is {sigma:g} m"
+        if sigma > _COARSEST:
+            raise SessionError(f"{where}; this looks like another unit than metres")
+        if sigma < _FINEST and not one.per_length:
+            raise SessionError(f"{where}, less than any instrument has")
 
 
 def _angles(session: Session, place: Place) -> None:
