@@ -232,6 +232,13 @@ def test_a_description_that_nothing_fits(session: str, path: tuple[str | int, ..
         parse_description(yaml.safe_dump(content), "s.yaml")
 
 
+def test_no_measurement_has_thousands_of_setups() -> None:
+    content = yaml.safe_load((DATA / "probing_cross" / "session.yaml").read_text())
+    content["setups"] = [{"id": f"S{k}", "c": 0.0} for k in range(1001)]
+    with pytest.raises(SessionError, match=r"^s.yaml line \d+: setups has 1001 entries, more than 1000$"):
+        parse_description(yaml.safe_dump(content), "s.yaml")
+
+
 def test_a_direction_of_approach_that_is_unknown_for_a_reading(sound: Session) -> None:
     columns = dict(sound.readings.columns)
     columns["dir_x"] = np.where(np.arange(len(sound.readings)) == 5, np.nan, columns["dir_x"])

@@ -21,6 +21,9 @@ from machine_tool_calibration.session.contributor import Contributors
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.values import Finite, Identifier, Instrument, Positive, Sign, Vector2, Vector3
 
+# Each has unknowns of its own, whether it was read or not: with some thousands a fit takes many minutes.
+_SETUPS = Field(min_length=1, max_length=1000)
+
 
 @dataclass(frozen=True)
 class Place:
@@ -257,7 +260,7 @@ class StepDiagonal(Description):
     method: Literal["step_diagonal"]
     step: tuple[Positive, Positive, Positive]
     blocks: Annotated[int, Field(ge=1)]
-    setups: Annotated[tuple[DiagonalSetup, ...], Field(min_length=1)]
+    setups: Annotated[tuple[DiagonalSetup, ...], _SETUPS]
 
     def positions(self, index: int) -> list[dict[str, float]]:
         """Commanded positions of a setup's run, m: to the picometre, so that none is beyond the travel."""
@@ -273,7 +276,7 @@ class TrackingInterferometer(Description):
     method: Literal["tracking_interferometer"]
     dimension: Literal[2, 3]
     pointing: Literal["open_loop", "tracking"]
-    setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
+    setups: Annotated[tuple[StationSetup, ...], _SETUPS]
 
 
 class RotaryAxis(Description):
@@ -283,7 +286,7 @@ class RotaryAxis(Description):
 
     method: Literal["rotary_axis"]
     targets: Annotated[tuple[Target, ...], Field(min_length=1)]
-    setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
+    setups: Annotated[tuple[StationSetup, ...], _SETUPS]
     rotation_sign: Literal[-1, 1] | None = None
 
 
@@ -296,7 +299,7 @@ class Probing(Description):
     method: Literal["probing"]
     workpiece: Annotated[tuple[WorkpiecePoint, ...], Field(min_length=1)]
     probe: Probe | None = None
-    setups: Annotated[tuple[IndexSetup, ...], Field(min_length=1)]
+    setups: Annotated[tuple[IndexSetup, ...], _SETUPS]
     known: dict[str, KnownLength] = Field(default_factory=dict)
 
 
@@ -308,7 +311,7 @@ class Direct(Description):
     instrument: Instrument | None = None
     datum: Literal["none", "offset", "rigid"] = "none"  # what the instrument leaves open in every setup
     terms: tuple[str, ...] = ()  # the machine errors in the model
-    setups: Annotated[tuple[DirectSetup, ...], Field(min_length=1)]
+    setups: Annotated[tuple[DirectSetup, ...], _SETUPS]
 
     @property
     def sense(self) -> Vector3:
@@ -328,7 +331,7 @@ class BallBar(Description):
     reads: ClassVar[str | None] = "ball_bar"
 
     method: Literal["ball_bar"]
-    setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
+    setups: Annotated[tuple[CircleSetup, ...], _SETUPS]
     # standard uncertainty of the bar's length, m: of one that was calibrated, radial deviations are reported
     length_uncertainty: Positive | None = None
 
