@@ -42,6 +42,7 @@ def since_first(values: Array, group: IntArray | None) -> Array:
 
 
 Vector3 = tuple[Finite, Finite, Finite]
+# Times, s: a day between two readings, eleven days between two setups.
 Interval = Annotated[float, Field(gt=0, le=1e5, allow_inf_nan=False)]
 Pause = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
