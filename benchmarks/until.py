@@ -58,7 +58,8 @@ class Compared:
 def seconds(stages: list[Reached] | tuple[Reached, ...], mounting: float) -> tuple[float, bool]:
     """Time until it was enough, and whether it was."""
     last = next((k for k, one in enumerate(stages) if one.enough), len(stages) - 1)
-    return (stages[last].seconds or 0.0) + mounting * (last + 1), stages[last].enough
+    mounted = len({one.setup for one in stages[: last + 1]})
+    return (stages[last].seconds or 0.0) + mounting * mounted, stages[last].enough
 
 
 def compared(kind: str, seed: int, folder: Path) -> Compared:

@@ -52,7 +52,7 @@ class Until:
 
 @dataclass(frozen=True)
 class Reached:
-    """What the readings up to some setup tell."""
+    """What the readings up to some of a setup tell."""
 
     setup: str  # id of the last one
     readings: int  # so far

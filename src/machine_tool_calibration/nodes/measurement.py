@@ -16,7 +16,7 @@ from machine_tool_calibration.budget.enough import Reached, Until
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.client import Client
 from machine_tool_calibration.nodes.graph import LISTENER_STARTS, LISTENERS, Graph, claimed_domain, graph_parameters
-from machine_tool_calibration.nodes.stages import Stages
+from machine_tool_calibration.nodes.stages import Stages, stage_of
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.collect import live_session
 from machine_tool_calibration.session.folder import write_session
@@ -224,7 +224,8 @@ def _nodes(setting: Setting, file: Path, procedure: Procedure) -> dict[str, dict
         bag=(setting.output / "bag").resolve(),
     )
     parameters["estimator"] |= {"model": setting.model, "effects": list(setting.effects) or [""]}
-    parameters["procedure"] |= {"wait_between_setups": True} if setting.until is not None else {}
+    if setting.until is not None:
+        parameters["procedure"] |= {"wait_between_setups": True, "wait_every": stage_of(procedure)}
     nodes = tuple(name for name in NODES if name in parameters)
     for name in setting.external:
         if name not in nodes:

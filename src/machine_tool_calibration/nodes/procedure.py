@@ -200,6 +200,9 @@ class ProcedureNode(ManagedNode):
             wait_between_setups=self.declare(
                 "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
             ),
+            wait_every=self.declare(
+                "wait_every", 0, "pause in a setup after so many readings too; 0: never", within=(0, 1_000_000)
+            ),
         )
 
     # --- requests of people

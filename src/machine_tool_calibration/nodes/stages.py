@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A measurement that ends when it tells enough: after every setup what is known is held against what is wanted."""
+"""A measurement that ends when it tells enough: after every stage what is known is held against what is wanted.
+
+A stage is a repeat of a setup, or a part of one that is long.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +20,7 @@ from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.procedure import plan
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import live_session
 
@@ -24,21 +29,30 @@ if TYPE_CHECKING:
     from machine_tool_calibration.procedure import Procedure
 
 _ANSWER = 60.0  # s
+# Readings of a stage at most: a minute or two.
+_LONGEST = 40
+
+
+def stage_of(procedure: Procedure) -> int:
+    """How many readings a stage has."""
+    session = procedure.session
+    repeat = len(plan(procedure).steps) / (len(session.setups) * session.repeats)
+    return ceil(repeat / ceil(repeat / _LONGEST))
 
 
 class Stages:
-    """Decides between setups whether the measurement goes on, and says so on `until/status`.
+    """Decides between stages whether the measurement goes on, and says so on `until/status`.
 
     Args:
         client: beside the graph.
-        procedure: that it runs, paused before every new setup.
+        procedure: that it runs, paused before every stage.
         until: what is to be reached.
         model: variant of the model; the default if absent.
         effects: added to the model.
         by_hand: whether a person takes the instrument to its setups, if it has to be taken there.
 
     Attributes:
-        reached: after each setup so far.
+        reached: after each stage so far.
     """
 
     def __init__(
@@ -63,19 +77,23 @@ class Stages:
         self._status = StatusTopic(client.node, "until", publisher=publisher)
 
     def next(self, progress: Callable[[str, int, int], None]) -> None:
-        """Ask for the next setup, or for the end, of a procedure that waits for it.
+        """Ask for the next stage, or for the end, of a procedure that waits for it.
 
-        Where a person has to bring the instrument there, it is the person who resumes.
+        Where a person has to bring the instrument to another setup, it is the person who resumes.
         """
         found, client = self.last(progress), self._client
+        by_hand = self._by_hand and client.procedure.entries["setup"] != found.setup
         if found.enough:
             client.call("procedure/finish", _ANSWER)
-        elif not self._by_hand:
+        elif not by_hand:
             client.call("procedure/resume", _ANSWER)
         else:
             progress(client.procedure.message, found.readings, client.procedure.number("total"))
-        going = lambda: client.procedure.entries["state"] != "paused"  # noqa: E731
-        if not client.wait(going, float("inf") if self._by_hand else _ANSWER):
+
+        def goes_on() -> bool:  # it may have come to the next stage meanwhile
+            return client.procedure.entries["state"] != "paused" or client.procedure.number("captured") > found.readings
+
+        if not client.wait(goes_on, float("inf") if by_hand else _ANSWER):
             raise CalibrationError("the procedure does not go on")
 
     def last(self, progress: Callable[[str, int, int], None]) -> Reached:

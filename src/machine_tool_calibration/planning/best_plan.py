@@ -3,7 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -166,8 +166,12 @@ def quickest_plan(
     offered = offer(text, source, both_senses=bool(told))
     progress("what every candidate tells", 0.0)
     candidates, _, _ = _candidates(offered, assumed, told)
-    goal = _MARGIN * u if u is not None else _SIZE
-    return offered.text(quickest(offered, candidates, goal, progress))
+    if u is None:
+        found = quickest(offered, candidates, _SIZE, progress)
+        # how often each is repeated is decided while it is measured, unless time is short
+        repeats = (found.repeats,) if offered.choices.seconds else (found.repeats, *offered.choices.repeats)
+        return offered.text(replace(found, repeats=max(repeats)))
+    return offered.text(quickest(offered, candidates, _MARGIN * u, progress, kept_up_to=u / _MARGIN))
 
 
 def _candidates(offered: Offer, assumed: Assumed, told: Sequence[str]) -> tuple[Candidates, Array, bool]:

@@ -218,8 +218,8 @@ class Candidates:
         inner = np.zeros(len(functions))
         inverse, of_points = np.zeros_like(local), 0
         if d:
-            inverse, fixed = _inverses(local)
-            of_points = d * int(fixed.sum())
+            inverse, rank = _inverses(local)
+            of_points, fixed = int(rank.sum()), rank == d
             lost |= (np.abs(own_functions[:, ~fixed]) > 0).any(axis=(1, 2))
             folded = inverse @ mixed  # (P, d, k)
             shared -= np.einsum("pdk,pdl->kl", mixed, folded, optimize=True)
@@ -265,12 +265,12 @@ class Candidates:
         return shared, local, mixed
 
 
-def _inverses(local: Array) -> tuple[Array, BoolArray]:
-    """(P, d, d) inverses, zero where the readings do not fix a point; and (P,) whether they do."""
+def _inverses(local: Array) -> tuple[Array, IntArray]:
+    """(P, d, d) inverses in the directions in which the readings fix a point; and (P,) how many these are."""
     values, vectors = np.linalg.eigh(local)
-    fixed = values[:, 0] > _FIXED * np.maximum(values[:, -1], 1e-300)
-    inverse = np.einsum("pij,pj,pkj->pik", vectors, 1.0 / np.where(fixed[:, None], values, 1.0), vectors)
-    return np.where(fixed[:, None, None], inverse, 0.0), fixed
+    fixed = values > _FIXED * np.maximum(values[:, -1:], 1e-300)
+    inverse = np.einsum("pij,pj,pkj->pik", vectors, fixed / np.where(fixed, values, 1.0), vectors)
+    return inverse, fixed.sum(axis=1)
 
 
 def _rows(part: Part, theta: Array, local: Array, size: int) -> tuple[Array, Array, IntArray]:

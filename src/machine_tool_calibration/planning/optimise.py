@@ -44,6 +44,8 @@ _POWER = 8.0
 _LEAST_GAIN = 1e-6
 # The same of a time: moves between setups are known only once these are chosen.
 _ROUNDED = 0.01
+# Share of the time of the procedure as it stands that another plan takes at most: what it saves is to be worth it.
+_WORTH = 0.85
 _BOUND_ROUNDS = 60
 _NODES = 500
 # Share of the way to where the linear program's solution lies.
@@ -143,10 +145,14 @@ def search(
 
 
 @single_blas()
-def quickest(offered: Offer, candidates: Candidates, goal: float, progress: Progress) -> Choice:
+def quickest(
+    offered: Offer, candidates: Candidates, goal: float, progress: Progress, *, kept_up_to: float = 0.0
+) -> Choice:
     """The plan that comes to a largest standard uncertainty soonest, followed by what would help most after it.
 
-    Its setups are in an order in which each is the best after those before it; as many as are allowed.
+    Its setups are in an order in which each is the best after those before it; as many as are allowed. The procedure as
+    it stands comes first, in its own order, if its value is no larger than one up to which it is kept and no other
+    comes to the goal in much less time.
     """
     judge, rng = _Judge(offered, candidates), np.random.default_rng(0)
     exchange = _Exchange(offered, offered.choices.seconds or np.inf)
@@ -164,14 +170,20 @@ def quickest(offered: Offer, candidates: Candidates, goal: float, progress: Prog
         short = judge.largest(choice) / goal
         return offered.rough_duration(choice) * (1.0 + _TIE * short) if short <= 1.0 else _LONG * short
 
-    return _ordered(exchange, min(filter(exchange.allowed, plans), key=cost), judge.largest)
+    best, present = min(filter(exchange.allowed, plans), key=cost), offered.present
+    begun = [replace(present, setups=present.setups[: n + 1]) for n in range(len(present.setups))]
+    as_it_stands = next((choice for choice in begun if judge.largest(choice) <= goal), present)
+    is_worth_it = offered.rough_duration(best) <= _WORTH * offered.rough_duration(as_it_stands)
+    if judge.largest(as_it_stands) > kept_up_to or (judge.largest(best) <= goal and is_worth_it):
+        return _ordered(exchange, best, judge.largest)
+    kept = exchange.thinned(present)
+    return _ordered(exchange, kept, judge.largest, done=kept.setups)
 
 
-def _ordered(exchange: _Exchange, best: Choice, cost: Callable[[Choice], float]) -> Choice:
-    """The setups of a plan one after the other, each the best after those before it; then others in the same way."""
-    done: tuple[int, ...] = ()
+def _ordered(exchange: _Exchange, best: Choice, cost: Callable[[Choice], float], done: tuple[int, ...] = ()) -> Choice:
+    """The setups of a plan one after the other, each the best after those `done`; then others in the same way."""
     others = [s for s in range(len(exchange.offered.setups)) if s not in best.setups]
-    for group in (list(best.setups), others):
+    for group in ([s for s in best.setups if s not in done], others):
         while group and exchange.allowed(replace(best, setups=(*done, group[0]))):
             following = min(group, key=lambda s: cost(replace(best, setups=tuple(sorted((*done, s))))))
             done = (*done, following)

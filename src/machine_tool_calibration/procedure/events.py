@@ -47,6 +47,7 @@ class Timing:
     pointing_tolerance: float = 1e-4  # greatest deviation of the beam's angles from the commanded ones, rad
     revisits: int = 4  # after a lost beam, so many targets are measured again to find the new datum
     wait_between_setups: bool = False  # pause before each new setup, so that the instrument can be moved
+    wait_every: int = 0  # pause in a setup after so many readings too, to decide whether they are enough; 0: never
 
 
 @dataclass

@@ -38,6 +38,7 @@ class Sequencer:
         self.waiting_for = ""
         self.counters = Counters()
         self.done = 0
+        self._first = 0  # of the present setup's steps
         self.origin = 0
         self._visits: deque[Visit] = deque()
         self._pending = Pending()
@@ -171,12 +172,22 @@ class Sequencer:
             return self._forget()
         if step.datum:
             self._group = DatumGroup()
-            new_setup = self.done > 0 and self.plan.steps[self.done - 1].setup != step.setup
-            if new_setup and self.timing.wait_between_setups and not resumed:
-                self.state, self.message = State.PAUSED, f"bring the instrument to setup {step.setup}, then resume"
-                return self._forget()
+        message = self._waits(step)
+        if message and not resumed:
+            self.state, self.message = State.PAUSED, message
+            return self._forget()
         self._visits = deque([Visit(step, step.datum)])
         return self._begin(now, wall, again=resumed)
+
+    def _waits(self, step: Step) -> str:
+        """What a person is told who is waited for before a step; nothing where nobody is."""
+        is_new = self.done == 0 or self.plan.steps[self.done - 1].setup != step.setup
+        if is_new:
+            self._first = self.done
+            waits = self.done > 0 and self.timing.wait_between_setups
+            return f"bring the instrument to setup {step.setup}, then resume" if waits else ""
+        readings, every = self.done - self._first, self.timing.wait_every
+        return f"{readings} readings of setup {step.setup}: resume or finish" if every and not readings % every else ""
 
     def _begin(self, now: int, wall: float, *, again: bool) -> list[events.Action]:
         """Command the axes and the pointer to the first visit's target."""

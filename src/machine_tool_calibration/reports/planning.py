@@ -2,6 +2,7 @@
 """What is told before and while something is measured: forecasts, the best plan, what is enough, what comes next."""
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,7 @@ def _plan_u(found: BestPlan, u: float) -> str:
 
 
 def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
-    """A row for each setup, and after which of them it was enough."""
+    """A row for each setup, as it was left, and after which of them it was enough."""
     effects = list(dict.fromkeys(name for one in stages for name in one.probabilities))
     rows = tuple(
         (
@@ -137,7 +138,7 @@ def reached_parts(stages: Sequence[Reached]) -> Iterator[Part]:
             *([] if effects else [expanded_text(one.u)]),
             *(probability(one.probabilities.get(name)) for name in effects),
         )
-        for one in stages
+        for *_, one in (group for _, group in groupby(stages, key=lambda one: one.setup))
     )
     columns = (*heads("setup", "readings", "time"), *(effects or heads("U_largest")))
     yield TextTable(say("enough.title"), columns, rows, "" if effects else say("enough.coordinate"))
