@@ -4,9 +4,9 @@
     python benchmarks/until.py --machines 8 --first-seed 500
 
 Each simulated machine is measured through the graph: by the fixed plan to its end, and by `mtcal run --until` up to
-the same largest U that the fixed plan came to; or until it is told whether Y has a backlash, which half of the machines
-have. The fixed plan, too, ends as soon as it is enough, at the end of one of its setups. Times are those of motion and
-waiting with the time to put up each setup (`choices.mounting`).
+the same largest U that the fixed plan came to, rounded up to two digits; or until it is told whether Y has a backlash,
+which half of the machines have. The fixed plan, too, ends as soon as it is enough, at the end of one of its setups.
+Times are those of motion and waiting with the time to put up each setup (`choices.mounting`).
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ def compared(kind: str, seed: int, folder: Path) -> Compared:
     asked = FitRequest((whole,))
     if KINDS[kind] == "U":
         end = list(after_each_setup(asked, Until(u=1.0)))[-1]
-        goal = Until(u=end.u)
+        digit = 10.0 ** (np.floor(np.log10(end.u)) - 1.0)
+        goal = Until(u=float(np.ceil(end.u / digit) * digit))
     else:
         goal = Until.parse(KINDS[kind])
     fixed, _ = seconds(list(after_each_setup(asked, goal)), mounting)

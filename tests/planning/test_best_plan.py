@@ -194,6 +194,17 @@ def test_the_quickest_plan_comes_to_what_is_wanted_as_soon_as_any(seconds: float
     assert offered.rough_duration(enough) == pytest.approx(soonest, rel=0.01)  # it sets out from a few starts
 
 
+@pytest.mark.parametrize(("repeats", "kept"), [(1, True), (2, False)])
+def test_the_procedure_as_it_stands_is_kept_unless_another_is_much_quicker(repeats: int, kept: bool) -> None:
+    """Three stations are needed, so that nothing is saved but repeats, of which others need one where these need two."""
+    offered = offer(_changed(mounting=0.0, session={"repeats": repeats}), "plane")
+    candidates = _candidates(offered)
+    u = float(np.sqrt(candidates.variances(offered.weights(offered.present)).max()))
+    found = quickest(offered, candidates, 0.9 * u, lambda what, share: None, kept_up_to=1.1 * u)
+    assert (found.setups[:3] == (0, 1, 2)) == kept
+    assert quickest(offered, candidates, 0.9 * u, lambda what, share: None).setups[:3] != (0, 1, 2)
+
+
 def test_a_plan_has_readings_that_check_each_other() -> None:
     content = yaml.safe_load(procedure_file("tracking_3d").read_text())
     for axis in "xyz":

@@ -229,6 +229,23 @@ def test_waits_for_the_instrument_to_be_moved():
     world.check()
 
 
+def test_waits_in_a_setup_for_who_decides_whether_it_is_enough():
+    """After every fifth reading of a setup, counted anew in each; what is measured is the same."""
+    world = World(small(), timing=Timing(paced=False, wait_every=5))
+    world.run()
+    stops = []
+    while world.sequencer.state is State.PAUSED:
+        stops.append((len(world.emitted), world.sequencer.message))
+        world.do(world.sequencer.resume(world.clock, world.wall))
+        world.run()
+    assert stops == [
+        (first + readings, f"{readings} readings of setup {setup}: resume or finish")
+        for first, setup in ((0, "A"), (12, "B"))
+        for readings in (5, 10)
+    ]
+    world.check()
+
+
 def test_a_slow_pointer_makes_the_axes_wait():
     world = World(small())
     (motion, _aim) = world.sequencer.start(world.clock, world.wall)
