@@ -12,13 +12,14 @@ import yaml
 
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.build import error_map
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
 from machine_tool_calibration.model.fit import declared, fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, best_plan, quickest_plan
-from machine_tool_calibration.planning.design import Candidates, map_errors
+from machine_tool_calibration.planning.best_plan import Assumed, BestPlan, _with_effects, best_plan, quickest_plan
+from machine_tool_calibration.planning.design import Candidates, effect_sizes, map_errors
 from machine_tool_calibration.planning.dominant import expected_model
 from machine_tool_calibration.planning.forecast import planned_session
 from machine_tool_calibration.planning.offer import Choice, Offer, offer
@@ -196,7 +197,7 @@ def test_the_quickest_plan_comes_to_what_is_wanted_as_soon_as_any(seconds: float
 
 @pytest.mark.parametrize(("repeats", "kept"), [(1, True), (2, False)])
 def test_the_procedure_as_it_stands_is_kept_unless_another_is_much_quicker(repeats: int, kept: bool) -> None:
-    """Three stations are needed, so that nothing is saved but repeats, of which others need one where these need two."""
+    """Three stations are needed, so that only repeats are saved, of which others need one where these need two."""
     offered = offer(_changed(mounting=0.0, session={"repeats": repeats}), "plane")
     candidates = _candidates(offered)
     u = float(np.sqrt(candidates.variances(offered.weights(offered.present)).max()))
@@ -299,6 +300,20 @@ def test_the_bound_of_an_effect_is_that_of_plans_that_tell_it() -> None:
     found = best_plan(PLANE, "plane.yaml", Assumed(), told=["backlash_x"])
     assert found.best.repeats == 2
     assert 0.9 * found.best.largest < found.bound <= found.best.largest * (1.0 + 1e-9)
+
+
+def test_places_seen_along_one_line_take_up_what_their_readings_could_tell() -> None:
+    """One station going one way has a reading for each place, which is an unknown: it tells nothing of a backlash."""
+    chosen = yaml.safe_load(quickest_plan(PLANE, "plane.yaml", Assumed(), told=["backlash_x"]))["session"]
+    assert chosen["repeats"] == 2
+    offered = offer(PLANE, "plane", both_senses=True)
+    model = _with_effects(
+        expected_model(planned_session(offered.procedure).session, None), find_effects(["backlash_x"])
+    )
+    joint = fit_models([model])
+    told = Candidates(joint, offered.unit_of(model.observations), effect_sizes(joint, ["backlash_x"]))
+    once, twice = (told.variances(offered.weights(Choice((0,), (0,), repeats))) for repeats in (1, 2))
+    assert np.isinf(once).all() and np.isfinite(twice).all()
 
 
 def test_an_effect_that_no_plan_tells_is_said() -> None:
