@@ -3,30 +3,39 @@
 
     python benchmarks/until.py --machines 8 --first-seed 500
 
-Each simulated machine is measured through the graph: by the fixed plan to its end, and by `mtcal run --until` up to
-the same largest U that the fixed plan came to, rounded up to two digits; or until it is told whether Y has a backlash,
-which half of the machines have. The fixed plan, too, ends as soon as it is enough, at the end of one of its setups.
-Times are those of motion and waiting with the time to put up each setup (`choices.mounting`).
+Each simulated machine is measured by the fixed plan to its end, and as `mtcal run --until` does it up to the same
+largest U that the fixed plan came to, rounded up to two digits; or until it is told whether Y has a backlash, which
+half of the machines have. The fixed plan, too, ends as soon as it is enough, at the end of one of its setups. Times are
+those of motion and waiting with the time to put up each setup (`choices.mounting`). What both measure of a setup has
+the same noise, so that luck does not decide. Beside them stands the forecast: the time of the quickest plan that
+exchange finds to the U that is foretold of the fixed one, which nothing but luck or more stops falls below.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from machine_tool_calibration.budget.enough import Reached, Until, after_each_setup
+from machine_tool_calibration.arrays import first_of_group
+from machine_tool_calibration.budget.enough import Reached, Until, after_each_setup, determined, reached
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.methods.fitted import FitRequest
-from machine_tool_calibration.nodes.measurement import Setting, measure
+from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.planning.best_plan import Assumed, quickest_plan
-from machine_tool_calibration.procedure import parse_procedure, read_procedure
-from machine_tool_calibration.simulation.site import SiteSpec
+from machine_tool_calibration.nodes.stages import stage_of
+from machine_tool_calibration.planning.best_plan import Assumed, _candidates, quickest_plan
+from machine_tool_calibration.planning.forecast import planned_session
+from machine_tool_calibration.planning.offer import Choice, offer
+from machine_tool_calibration.planning.optimise import quickest
+from machine_tool_calibration.procedure import Procedure, parse_procedure, plan, read_procedure
+from machine_tool_calibration.session.catalogue import method_spec
+from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation.site import Site, SiteSpec
 from machine_tool_calibration.simulation.spec import FlawSpec
 
 KINDS = {
@@ -62,15 +71,76 @@ def seconds(stages: list[Reached] | tuple[Reached, ...], mounting: float) -> tup
     return (stages[last].seconds or 0.0) + mounting * mounted, stages[last].enough
 
 
-def compared(kind: str, seed: int, folder: Path) -> Compared:
+def measured(procedure: Procedure, site: Site) -> Session:
+    """A session of the procedure with noise that depends on site, setup and repeat; in the plane with its machine."""
+    session, steps = planned_session(procedure).session, plan(procedure).steps
+    readings, description, spec = session.readings, session.description, method_spec(procedure.session.method)
+    sigma = description.standard_uncertainty.displacement
+    change = -sigma * np.random.default_rng(0).normal(size=len(steps))  # its own noise is taken away
+    if isinstance(description, TrackingInterferometer):
+        stations = {setup.id: site.station(description, k) for k, setup in enumerate(description.setups)}
+        for k, step in enumerate(steps):
+            now = site.moment(float(readings.columns["time"][k]), step.position, step.direction)
+            aim, station = np.array(step.aim), np.array(description.setups[readings.setup[k]].position)
+            true = np.linalg.norm(site.functional_point(now)[0] - stations[step.setup])
+            change[k] += true - np.linalg.norm(aim - station)
+    for which in sorted({(step.setup, step.repeat) for step in steps}):
+        mine = np.array([(step.setup, step.repeat) == which for step in steps])
+        stream = np.random.default_rng([site.spec.seed, *which[0].encode(), which[1]])
+        change[mine] += sigma * stream.normal(size=mine.sum())
+    if not spec.reads_deviations:
+        runs = (readings.repeat,) if spec.counts_from_run else ()
+        targets = (readings.labels["target"].astype(str),) if "target" in readings.labels else ()
+        change -= change[first_of_group(readings.setup, *runs, *targets)]
+    return session.with_readings(replace(readings, displacement=readings.displacement + change))
+
+
+def after_each_stage(procedure: Procedure, session: Session, goal: Until) -> list[Reached]:
+    """What is known after each stage, up to the one that is enough."""
+    wanted, every, found = determined(FitRequest((session,))) if goal.u is not None else 1, stage_of(procedure), []
+    setup = session.readings.setup
+    begin = np.flatnonzero(np.diff(setup, prepend=-1))
+    for first, end in zip(begin, [*begin[1:], len(setup)], strict=True):
+        for stop in [*range(first + every, end, every), end]:
+            part = session.with_readings(session.readings.select(np.arange(stop)))
+            found.append(reached(FitRequest((part,)), goal, wanted))
+            if found[-1].enough:
+                return found
+    return found
+
+
+@cache
+def first(kind: str, goal: Until) -> Procedure:
+    """The plan with which `--until` sets out."""
+    file, u = procedure_file(kind.partition(",")[0]), None if goal.u is None else goal.u / 2
+    text = quickest_plan(file.read_text(), file.name, Assumed(errors=shared_errors), u=u, told=goal.told)
+    return parse_procedure(text, file.name)
+
+
+def foretold(kind: str) -> float:
+    """Time of the quickest plan that is found to the U that is foretold of the fixed plan, over that plan's."""
+    file = procedure_file(kind)
+    offered = offer(file.read_text(), file.name)
+    candidates, _, _ = _candidates(offered, Assumed(errors=shared_errors), ())
+
+    def largest(choice: Choice) -> float:
+        return float(np.sqrt(candidates.variances(offered.weights(choice))[candidates.told].max()))
+
+    goal = largest(offered.present) * (1.0 + 1e-9)
+    found = quickest(offered, candidates, goal, lambda what, share: None)
+    begun = (replace(found, setups=found.setups[:n]) for n in range(1, len(found.setups) + 1))
+    soonest = next(choice for choice in begun if largest(choice) <= goal)
+    return offered.duration(soonest) / offered.duration(offered.present)
+
+
+def compared(kind: str, seed: int) -> Compared:
     """One machine."""
     file = procedure_file(kind.partition(",")[0])
     procedure = read_procedure(file)
     mounting = procedure.choices.mounting
     hidden = (FlawSpec(id="backlash_y"),) if KINDS[kind] != "U" and seed % 2 else ()
-    site = SiteSpec(seed=seed, effects=hidden)
-    whole = measure(file, Setting(folder / "fixed", site, record=False, identify=False)).session
-    asked = FitRequest((whole,))
+    site = Site(SiteSpec.model_validate(site_document(procedure, SiteSpec(seed=seed, effects=hidden))))
+    asked = FitRequest((measured(procedure, site),))
     if KINDS[kind] == "U":
         end = list(after_each_setup(asked, Until(u=1.0)))[-1]
         digit = 10.0 ** (np.floor(np.log10(end.u)) - 1.0)
@@ -78,13 +148,9 @@ def compared(kind: str, seed: int, folder: Path) -> Compared:
     else:
         goal = Until.parse(KINDS[kind])
     fixed, _ = seconds(list(after_each_setup(asked, goal)), mounting)
-    assumed = Assumed(errors=shared_errors)
-    text = quickest_plan(file.read_text(), file.name, assumed, u=None if goal.u is None else goal.u / 2, told=goal.told)
-    chosen = folder / f"{parse_procedure(text, file.name).name}.yaml"
-    chosen.write_text(text)
-    run = measure(chosen, Setting(folder / "until", site, record=False, identify=False, until=goal))
-    until, enough = seconds(run.reached, mounting)
-    return Compared(kind, seed, fixed, until, enough, KINDS[kind] if goal.u is None else f"U = {1e6 * goal.u:.3f} um")
+    chosen = first(kind, goal)
+    until, enough = seconds(after_each_stage(chosen, measured(chosen, site), goal), mounting)
+    return Compared(kind, seed, fixed, until, enough, KINDS[kind] if goal.u is None else f"U = {1e6 * goal.u:.3g} um")
 
 
 def main() -> None:
@@ -97,8 +163,7 @@ def main() -> None:
     def every() -> Iterator[Compared]:
         for kind in chosen.kinds:
             for seed in range(chosen.first_seed, chosen.first_seed + chosen.machines):
-                with TemporaryDirectory() as folder:
-                    found = compared(kind, seed, Path(folder))
+                found = compared(kind, seed)
                 lost = "" if found.enough else ", not enough"
                 print(
                     f"{kind} {seed}: {found.goal}, fixed {found.fixed / 60:.0f} min, until {found.until / 60:.0f} min "
@@ -108,15 +173,15 @@ def main() -> None:
                 yield found
 
     done = list(every())
-    print("\n| procedure | machines | ratio of times: median | least | largest | not enough |")
-    print("|---|---:|---:|---:|---:|---:|")
+    print("\n| procedure | machines | ratio of times: median | least | largest | not enough | foretold |")
+    print("|---|---:|---:|---:|---:|---:|---:|")
     for kind in [*chosen.kinds, ""]:
         some = [one for one in done if kind in ("", one.kind)]
         ratios = np.array([one.ratio for one in some])
         lost = sum(not one.enough for one in some)
         print(
             f"| {kind or 'all'} | {len(some)} | {np.median(ratios):.2f} | {ratios.min():.2f} | {ratios.max():.2f} "
-            f"| {lost} |"
+            f"| {lost} | {f'{foretold(kind):.2f}' if KINDS.get(kind) == 'U' else ''} |"
         )
 
 
