@@ -20,10 +20,11 @@ from functools import cache
 
 import numpy as np
 
-from machine_tool_calibration.arrays import first_of_group
+from machine_tool_calibration.arrays import Array, first_of_group
 from machine_tool_calibration.budget.enough import Reached, Until, after_each_setup, determined, reached
 from machine_tool_calibration.budget.patterns import shared_errors
 from machine_tool_calibration.methods.fitted import FitRequest
+from machine_tool_calibration.methods.step_diagonal.geometry import runs_of
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.stages import stage_of
@@ -33,7 +34,7 @@ from machine_tool_calibration.planning.offer import Choice, offer
 from machine_tool_calibration.planning.optimise import quickest
 from machine_tool_calibration.procedure import Procedure, parse_procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.site import Site, SiteSpec
 from machine_tool_calibration.simulation.spec import FlawSpec
@@ -71,19 +72,37 @@ def seconds(stages: list[Reached] | tuple[Reached, ...], mounting: float) -> tup
     return (stages[last].seconds or 0.0) + mounting * mounted, stages[last].enough
 
 
+def added(procedure: Procedure, site: Site, session: Session) -> Array:
+    """(n,) what the machine's errors and where things stand add to the readings, m; nothing to touches of a part."""
+    description, steps = session.description, plan(procedure).steps
+    out = np.zeros(len(steps))
+    if isinstance(description, Probing):
+        return out
+    beams = [run.beam for run in runs_of(description)] if isinstance(description, StepDiagonal) else []
+    for k, step in enumerate(steps):
+        index = int(session.readings.setup[k])
+        now = site.moment(float(session.readings.columns["time"][k]), step.position, step.direction)
+        aim = np.array(step.aim)
+        if isinstance(description, StepDiagonal):
+            out[k] = (site.functional_point(now)[0] - aim) @ beams[index]
+            continue
+        place, station = np.array(description.setups[index].position), site.station(description, index)
+        if isinstance(description, RotaryAxis):
+            target = step.target or 0
+            there = site.on_table(now, site.target(description.targets[target], target))[0]
+        else:
+            there = site.functional_point(now)[0]
+        out[k] = np.linalg.norm(there - station) - np.linalg.norm(aim - place)
+    return out
+
+
 def measured(procedure: Procedure, site: Site) -> Session:
-    """A session of the procedure with noise that depends on site, setup and repeat; in the plane with its machine."""
+    """A session of the procedure with noise that depends on site, setup and repeat alone."""
     session, steps = planned_session(procedure).session, plan(procedure).steps
     readings, description, spec = session.readings, session.description, method_spec(procedure.session.method)
     sigma = description.standard_uncertainty.displacement
-    change = -sigma * np.random.default_rng(0).normal(size=len(steps))  # its own noise is taken away
-    if isinstance(description, TrackingInterferometer):
-        stations = {setup.id: site.station(description, k) for k, setup in enumerate(description.setups)}
-        for k, step in enumerate(steps):
-            now = site.moment(float(readings.columns["time"][k]), step.position, step.direction)
-            aim, station = np.array(step.aim), np.array(description.setups[readings.setup[k]].position)
-            true = np.linalg.norm(site.functional_point(now)[0] - stations[step.setup])
-            change[k] += true - np.linalg.norm(aim - station)
+    change = added(procedure, site, session)
+    change -= sigma * np.random.default_rng(0).normal(size=len(steps))  # its own noise is taken away
     for which in sorted({(step.setup, step.repeat) for step in steps}):
         mine = np.array([(step.setup, step.repeat) == which for step in steps])
         stream = np.random.default_rng([site.spec.seed, *which[0].encode(), which[1]])
