@@ -34,7 +34,7 @@ from machine_tool_calibration.planning.offer import Choice, offer
 from machine_tool_calibration.planning.optimise import quickest
 from machine_tool_calibration.procedure import Procedure, parse_procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal
+from machine_tool_calibration.session.description import Probing, RotaryAxis, StationSetup, StepDiagonal
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.site import Site, SiteSpec
 from machine_tool_calibration.simulation.spec import FlawSpec
@@ -86,13 +86,14 @@ def added(procedure: Procedure, site: Site, session: Session) -> Array:
         if isinstance(description, StepDiagonal):
             out[k] = (site.functional_point(now)[0] - aim) @ beams[index]
             continue
-        place, station = np.array(description.setups[index].position), site.station(description, index)
+        setup, station = description.setups[index], site.station(description, index)
+        assert isinstance(setup, StationSetup)
         if isinstance(description, RotaryAxis):
             target = step.target or 0
             there = site.on_table(now, site.target(description.targets[target], target))[0]
         else:
             there = site.functional_point(now)[0]
-        out[k] = np.linalg.norm(there - station) - np.linalg.norm(aim - place)
+        out[k] = np.linalg.norm(there - station) - np.linalg.norm(aim - np.array(setup.position))
     return out
 
 

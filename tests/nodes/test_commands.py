@@ -80,7 +80,7 @@ def test_a_run_ends_as_soon_as_it_is_enough(tmp_path, bench, mtcal):
     stages = document["reached"]
     assert [one["enough"] for one in stages] == [False] * (len(stages) - 1) + [True]
     as_left = list({one["setup"]: one for one in stages}.values())
-    assert 2 <= len(as_left) < 4 and len(as_left) < len(stages) and stages[-1]["U"] <= 1.5e-6
+    assert 2 <= len(as_left) < 4 and len(as_left) < len(stages) and stages[-1]["U"] < 1.55e-6  # of two digits
     assert stages[0]["U"] is None  # one station alone determines no map
     session = read_session(tmp_path / "mtcal_output" / "small" / "session")
     assert len(session.readings) == document["readings"] == stages[-1]["readings"] < 128

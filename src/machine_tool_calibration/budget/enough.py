@@ -86,7 +86,7 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
         if until.u is not None:
             found_map = complete.identify(chosen).error_map
             u = found_map.largest_expanded if found_map.determined >= wanted else float("inf")
-            return replace(found, u=u, enough=u <= until.u)
+            return replace(found, u=u, enough=float(f"{u:.1e}") <= until.u)  # U is told with two digits (GUM 7.2.6)
         probabilities, enough = _told(chosen, until.told)
         return replace(found, probabilities=probabilities, enough=enough)
     except (CalibrationError, np.linalg.LinAlgError):  # not yet enough for the model
