@@ -44,7 +44,8 @@ _POWER = 8.0
 _LEAST_GAIN = 1e-6
 # The same of a time: moves between setups are known only once these are chosen.
 _ROUNDED = 0.01
-# Share of the time of the procedure as it stands that another plan takes at most: what it saves is to be worth it.
+# Share of the time of the procedure as it stands that another plan takes at most, or of its uncertainty where neither
+# comes to what is wanted: the change is to be worth it.
 _WORTH = 0.85
 _BOUND_ROUNDS = 60
 _NODES = 500
@@ -152,7 +153,7 @@ def quickest(
 
     Its setups are in an order in which each is the best after those before it; as many as are allowed. The procedure as
     it stands comes first, in its own order, if its value is no larger than one up to which it is kept and no other
-    comes to the goal in much less time.
+    comes to the goal in much less time; or if none comes to it or much nearer.
     """
     judge, rng = _Judge(offered, candidates), np.random.default_rng(0)
     exchange = _Exchange(offered, offered.choices.seconds or np.inf)
@@ -173,8 +174,12 @@ def quickest(
     best, present = min(filter(exchange.allowed, plans), key=cost), offered.present
     begun = [replace(present, setups=present.setups[: n + 1]) for n in range(len(present.setups))]
     as_it_stands = next((choice for choice in begun if judge.largest(choice) <= goal), present)
-    is_worth_it = offered.rough_duration(best) <= _WORTH * offered.rough_duration(as_it_stands)
-    if judge.largest(as_it_stands) > kept_up_to or (judge.largest(best) <= goal and is_worth_it):
+    its_own, other = judge.largest(as_it_stands), judge.largest(best)
+    if its_own > kept_up_to:
+        is_worth_it = other <= max(goal, _WORTH * its_own)
+    else:
+        is_worth_it = other <= goal and offered.rough_duration(best) <= _WORTH * offered.rough_duration(as_it_stands)
+    if is_worth_it:
         return _ordered(exchange, best, judge.largest)
     kept = exchange.thinned(present)
     return _ordered(exchange, kept, judge.largest, done=kept.setups)
