@@ -117,7 +117,8 @@ def measured(procedure: Procedure, site: Site) -> Session:
 
 def after_each_stage(procedure: Procedure, session: Session, goal: Until) -> list[Reached]:
     """What is known after each stage, up to the one that is enough."""
-    wanted, every, found = determined(FitRequest((session,))) if goal.u is not None else 1, stage_of(procedure), []
+    every, found = stage_of(procedure), []
+    wanted = 1 if goal.u is None else determined(FitRequest((planned_session(procedure).session,)))
     setup = session.readings.setup
     begin = np.flatnonzero(np.diff(setup, prepend=-1))
     for first, end in zip(begin, [*begin[1:], len(setup)], strict=True):
