@@ -21,6 +21,7 @@ from machine_tool_calibration.session.session import Session
 _THERE, _ABSENT = 0.95, 0.05
 # Share of the largest plausible size that must have been detectable for an effect that is not there.
 _DETECTABLE_SHARE = 0.1
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ def reached(chosen: FitRequest, until: Until, wanted: int = 1) -> Reached:
         if until.u is not None:
             found_map = complete.identify(chosen).error_map
             u = found_map.largest_expanded if found_map.determined >= wanted else float("inf")
-            return replace(found, u=u, enough=float(f"{u:.1e}") <= until.u)  # U is told with two digits (GUM 7.2.6)
+            told = float(f"{u:.1e}")  # two digits (GUM 7.2.6)
+            return replace(found, u=u, enough=told <= until.u * (1.0 + _ROUNDING))
         probabilities, enough = _told(chosen, until.told)
         return replace(found, probabilities=probabilities, enough=enough)
     except (CalibrationError, np.linalg.LinAlgError):  # not yet enough for the model
