@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, Parameter, Prior, Term, assemble, motion_value
 from machine_tool_calibration.model.observations import Observations

@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.documents import to_json

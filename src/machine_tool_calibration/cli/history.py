@@ -32,7 +32,7 @@ def command(
     mtcal history measurements/cube --undo
     """
     from machine_tool_calibration.reports.history_file import history_path, read_history, update_history
-    from machine_tool_calibration.reports.improvement import compared_models, tried_models
+    from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 
     if undo and use is not None:
         raise click.UsageError("Give either --undo or --use.")

@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
@@ -94,6 +93,8 @@ class Entry(Record):
             ModelError: a definition of an effect cannot be.
         """
         # here and below, because the file is read without the calculation that the results need
+        import numpy as np
+
         from machine_tool_calibration.methods.fitted import FitRequest
 
         said = self._of_sessions(prints, labels)

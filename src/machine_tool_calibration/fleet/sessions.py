@@ -12,10 +12,10 @@ from typing import Any
 
 import pandas as pd
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.result import effect_estimates
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.result_tables import tidy

@@ -12,8 +12,8 @@ from functools import cached_property, partial
 from html import escape
 from typing import TYPE_CHECKING, Any, Self
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.reports.tables import Part, show
 
 if TYPE_CHECKING:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import plain, rms
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.build import rejected_readings, suspicious_fits
 from machine_tool_calibration.methods.fitted import (
     FitRequest,

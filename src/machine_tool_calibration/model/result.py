@@ -10,7 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, groups, plain, rms
+from machine_tool_calibration.arrays import Array, groups, rms
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.session.catalogue import spec_of

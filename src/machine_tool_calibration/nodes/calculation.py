@@ -11,11 +11,11 @@ from typing import Any
 
 from std_msgs.msg import String
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.budget import complete
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.effects.catalogue import own_effects
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.fitted import FitRequest
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.publications import map_messages, verdict_message

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, Overall
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.methods.build import error_map, suspicious_fits
 from machine_tool_calibration.model.result import only_if_right
 from machine_tool_calibration.reports.goodness import fit_words, scatter_words

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import plain, rms
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.what_to_measure import Advice, Separation, Visibility, alias_groups_of

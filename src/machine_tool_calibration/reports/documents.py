@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.arrays import plain
+from machine_tool_calibration.json_types import plain
 
 if TYPE_CHECKING:
     import pandas as pd

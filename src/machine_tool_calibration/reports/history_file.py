@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file that keeps the models of a measurement: `history.yaml` in a session folder, or beside a recording."""
 
+from __future__ import annotations
+
 import hashlib
 import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 import yaml
 from pydantic import ValidationError
 
@@ -16,9 +18,13 @@ from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import is_session_folder
 from machine_tool_calibration.session.defects import first_defect
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import LARGEST_TABLE, read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from machine_tool_calibration.session.session import Session
 
 HISTORY_FILE = "history.yaml"
 # Of a file's name that names several sessions, bytes: file systems allow 255.

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.arrays import plain
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.reports.documents import picked
 from machine_tool_calibration.reports.quantities import declared_words, duration, fixed
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words, table

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import plain
 from machine_tool_calibration.budget.enough import Reached
+from machine_tool_calibration.json_types import plain
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.planning.best_plan import BestPlan
 from machine_tool_calibration.planning.dominant import Dominant

@@ -8,7 +8,7 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.improvement import compared_models, tried_models
+from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import of_map, quantity
 from machine_tool_calibration.workbench.look import (
     MapPlot,

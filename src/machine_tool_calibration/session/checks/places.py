@@ -67,10 +67,10 @@ def misplaced(session: Session, found: Mapping[str, Any]) -> Iterator[Misplaced]
         if key not in found or not hasattr(session.description, name):
             continue
         entries = getattr(session.description, name)
-        declared = np.array([entry.position for entry in entries])
+        nominal = np.array([entry.position for entry in entries])
         own = spec_of(session).turns_one_axis and key == "stations"
-        places, u = np.asarray(found[key]), np.asarray(found.get(f"{key}_u", np.zeros(declared.shape)))
-        away = off_declared(places, declared) if own else places - declared
+        places, u = np.asarray(found[key]), np.asarray(found.get(f"{key}_u", np.zeros(nominal.shape)))
+        away = off_declared(places, nominal) if own else places - nominal
         away = np.where(np.isfinite(away), away, 0.0)[:, : getattr(session.description, "dimension", 3)]
         for entry, one, own_u in zip(entries, away, u, strict=True):
             j = int(np.argmax(np.abs(one)))
