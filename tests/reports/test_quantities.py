@@ -21,10 +21,9 @@ from machine_tool_calibration.reports.quantities import (
     quantity,
     range_of,
     sizes_in_words,
-    unknown_in_words,
-    unknowns_in_words,
     value_and_uncertainties,
 )
+from machine_tool_calibration.reports.unknowns import unknown_in_words, unknowns_in_words
 from machine_tool_calibration.session.description import StandardUncertainty
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 

@@ -22,9 +22,9 @@ from machine_tool_calibration.reports.quantities import (
     quantity,
     range_of,
     sizes_in_words,
-    unknowns_in_words,
 )
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, table
+from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import AS_GOOD, next_step, verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import spec_of

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.reports.documents import picked
-from machine_tool_calibration.reports.quantities import range_of, unknowns_in_words
+from machine_tool_calibration.reports.quantities import range_of
 from machine_tool_calibration.reports.tables import TextTable, table
+from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.words import say, together
 
 if TYPE_CHECKING:

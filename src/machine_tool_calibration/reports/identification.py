@@ -25,10 +25,10 @@ from machine_tool_calibration.reports.quantities import (
     quantity,
     reproducibility_words,
     rounded,
-    unknown_in_words,
     value_and_uncertainties,
 )
 from machine_tool_calibration.reports.tables import Part, TextTable, heads, suspicion_words
+from machine_tool_calibration.reports.unknowns import unknown_in_words
 from machine_tool_calibration.reports.values import STANDARDS, standard_tables, value_tables
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.session import Session

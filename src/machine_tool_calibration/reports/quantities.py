@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values for people: a quantity with its expanded uncertainty, a probability, a duration, what an unknown is.
+"""Values for people: a quantity with its expanded uncertainty, a probability, a duration.
 
 Every command, table and picture forms its numbers here, so that one quantity looks the same wherever it stands: three
 figures where there is no uncertainty, else as many as leave the expanded uncertainty two.
@@ -8,15 +8,12 @@ figures where there is no uncertainty, else as many as leave the expanded uncert
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
-from machine_tool_calibration.model.model import Kind, Parameter
-from machine_tool_calibration.words import Said, enumeration, say, together
+from machine_tool_calibration.words import Said, say, together
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.model.result import Estimate
     from machine_tool_calibration.session.description import DeclaredUncertainty, StandardUncertainty
 
@@ -237,55 +234,3 @@ def decimals(uncertainty: float) -> int:
 def fixed(number: float, places: int) -> str:
     """So many decimals, and no minus sign before a zero."""
     return f"{round(number, places) + 0.0:.{max(places, 0)}f}"
-
-
-def unknown_in_words(unknown: Parameter) -> str:
-    """What one unknown is; its name where nothing is known of it."""
-    if unknown.kind is Kind.RUN_OFFSET:
-        return say("unknown.one_run", owner=_owner(unknown), repeat=unknown.at)
-    return _of(unknown.kind, _owner(unknown))
-
-
-def _of(kind: Kind, owner: str) -> Said:
-    return say(f"unknown.{kind.name.lower()}", owner=owner)
-
-
-def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
-    """What several unknowns are; those of the same kind are named together."""
-    kinds: dict[Kind, list[str]] = {}
-    for unknown in unknowns:
-        owners = kinds.setdefault(unknown.kind, [])
-        if (owner := _owner(unknown)) not in owners:
-            owners.append(owner)
-    return enumeration([_of(kind, enumeration(sorted(owners))) for kind, owners in kinds.items()])
-
-
-def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
-    """What stands behind each name in a result: an unknown, a whole table or effect, or what was left out.
-
-    Nothing for names that say all that is known.
-    """
-    whole = [Parameter(name, "m", kind=Kind.MOTION, owner=name) for name in ERROR_MOTIONS]
-    whole += [Parameter(name, "rad", kind=Kind.SQUARENESS, owner=name) for name in SQUARENESS]
-    whole += [Parameter(name, "1", kind=Kind.EFFECT, owner=name) for name in effects]
-    out = {unknown.name: unknown_in_words(unknown) for unknown in whole}
-    for model in fit.assembly.models:
-        out |= {entry.name: _of(Kind.EFFECT, entry.effect) for entry in model.left_out if entry.effect}
-    for unknown in fit.assembly.parameters:
-        what = unknown.meaning or unknown_in_words(unknown)
-        if what != unknown.name:
-            out[unknown.name] = what
-            if unknown.kind is Kind.MOTION:
-                out[unknown.family] = what
-    return out
-
-
-def _owner(unknown: Parameter) -> str:
-    """Of what it is, and of which session."""
-    if unknown.kind is Kind.OTHER:
-        return unknown.name
-    if not unknown.session:
-        return unknown.owner
-    if unknown.kind is Kind.EFFECT:
-        return say("unknown.in_session", owner=unknown.owner, session=unknown.session)
-    return f"{unknown.session}/{unknown.owner}"

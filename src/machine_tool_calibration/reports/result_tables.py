@@ -17,7 +17,8 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_mot
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.reports.quantities import decimals, fixed, named_in_words
+from machine_tool_calibration.reports.quantities import decimals, fixed
+from machine_tool_calibration.reports.unknowns import named_in_words
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Probing
 

@@ -10,7 +10,8 @@ from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.ball_bar.circle import arms, in_plane, travel_sense
 from machine_tool_calibration.session.description import BallBar, Place
-from machine_tool_calibration.session.method import Held, MethodSpec
+from machine_tool_calibration.session.judgements import Held
+from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session
 
 # Share of the radius by which a commanded place may be off its circle, and largest deviation that a bar reads, m.

@@ -12,7 +12,7 @@ from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.checks.mistakes import LENGTHS, UNITS, explanation, scaled, with_columns
-from machine_tool_calibration.session.method import Judgement, Supposition
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
 # Deviations of a machine tool, share of the travel: a tenth of a per cent would be a wreck.

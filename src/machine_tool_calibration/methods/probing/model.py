@@ -48,7 +48,7 @@ from machine_tool_calibration.model.result import ErrorMap, determined_values
 from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.checks.mistakes import UNITS, explanation, scaled
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.session.method import Judgement
+from machine_tool_calibration.session.judgements import Judgement
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say, together
 

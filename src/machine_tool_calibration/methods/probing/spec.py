@@ -26,7 +26,8 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 )
 from machine_tool_calibration.session.checks.units import MILLIMETRES
 from machine_tool_calibration.session.description import Description, Place, Probing
-from machine_tool_calibration.session.method import Held, Judgement, MethodSpec
+from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session, places_among
 
 # Where a part may lie beside its nominal place, m and share of its radius; where most touches are at their points to

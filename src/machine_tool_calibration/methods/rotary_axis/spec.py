@@ -21,7 +21,8 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
     relative_misfit,
 )
 from machine_tool_calibration.session.description import Place, RotaryAxis, rotary_column
-from machine_tool_calibration.session.method import Judgement, MethodSpec, Supposition
+from machine_tool_calibration.session.judgements import Judgement, Supposition
+from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Readings, Session, distinct_places, places_among
 
 

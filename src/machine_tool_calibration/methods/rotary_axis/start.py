@@ -18,7 +18,7 @@ from machine_tool_calibration.methods.rotary_axis.spec import turning_mistakes
 from machine_tool_calibration.session.checks.mistakes import exchanged, explanation, refuse_contradictions, shifted
 from machine_tool_calibration.session.checks.nominal_geometry import off_prediction
 from machine_tool_calibration.session.description import Place, RotaryAxis, StationSetup, Target
-from machine_tool_calibration.session.method import Held, Judgement, Supposition
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 
 # Errors of a rotary axis are some micrometres; a nominal position may be wrong by centimetres. Both only shape the way

@@ -20,7 +20,8 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 )
 from machine_tool_calibration.session.checks.units import LARGEST_MACHINE, LARGEST_TRAVEL, MILLIMETRES
 from machine_tool_calibration.session.description import Place, StepDiagonal
-from machine_tool_calibration.session.method import Held, Judgement, MethodSpec
+from machine_tool_calibration.session.judgements import Held, Judgement
+from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import say
 

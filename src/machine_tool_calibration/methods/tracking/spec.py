@@ -31,7 +31,8 @@ from machine_tool_calibration.session.checks.nominal_geometry import (
 )
 from machine_tool_calibration.session.checks.places import allowed
 from machine_tool_calibration.session.description import Place, TrackingInterferometer
-from machine_tool_calibration.session.method import GROSS, Held, Judgement, MethodSpec, Supposition
+from machine_tool_calibration.session.judgements import GROSS, Held, Judgement, Supposition
+from machine_tool_calibration.session.method import MethodSpec
 from machine_tool_calibration.session.session import Session, distinct_places
 from machine_tool_calibration.words import say
 

@@ -22,7 +22,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.session.catalogue import spec_of
 from machine_tool_calibration.session.description import Place
-from machine_tool_calibration.session.method import Held, Judgement, Supposition
+from machine_tool_calibration.session.judgements import Held, Judgement, Supposition
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.words import figures
 

@@ -17,7 +17,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray, group_ra
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import exchanged
 from machine_tool_calibration.session.description import Place, StationSetup
-from machine_tool_calibration.session.method import Judgement, Supposition
+from machine_tool_calibration.session.judgements import Judgement, Supposition
 from machine_tool_calibration.session.session import Session, places_among
 
 
