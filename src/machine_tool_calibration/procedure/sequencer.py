@@ -50,11 +50,8 @@ class Sequencer:
         self._token = 0
         self._epoch = ""
         self._here: Mapping[str, float] | None = None
-        self._stations = {
-            setup.id: np.array(setup.position)
-            for setup in plan.procedure.session.setups
-            if isinstance(setup, StationSetup)
-        }
+        stations = (setup for setup in plan.procedure.session.setups if isinstance(setup, StationSetup))
+        self._stations = {station.id: np.array(station.position) for station in stations}
 
     @property
     def step(self) -> Step | None:
@@ -365,7 +362,8 @@ class Sequencer:
     # --- what goes wrong
 
     def _capture_failed(self, event: events.CaptureFailed, now: int, wall: float) -> list[events.Action]:
-        if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not self._pending.is_asked(event.token):
+        pending = self._pending
+        if pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not pending.is_asked(event.token):
             return []
         if event.kind == "unstable":
             if self._unstable_too_often():
@@ -374,8 +372,7 @@ class Sequencer:
         if event.kind in ("beam", "datum"):
             return self._recover(event.reason, now, wall)
         # asked again by `tick`, until patience ends
-        self._pending.token, self._pending.reason = -1, f"instrument: {event.reason}"
-        self._pending.sent = wall
+        pending.token, pending.reason, pending.sent = -1, f"instrument: {event.reason}", wall
         return []
 
     def _unstable_too_often(self) -> bool:
