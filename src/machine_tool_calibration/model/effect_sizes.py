@@ -69,10 +69,9 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
         inner = covariance[np.ix_(place, place)] / np.outer(unit, unit)
         value = mean[place] / unit
         signal = np.sqrt(1.0 / max(float(np.linalg.eigvalsh(inner)[0]), 1e-300))
-        step = priors.scale_step(int(scaled.sum()))
-        steps = int(np.log(max(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(step))
-        scales = np.append(step ** -np.arange(steps + 1.0), priors.RARE_SIZE)
-        share = np.append(np.full(steps + 1, (1.0 - priors.RARE) / (steps + 1)), priors.RARE)
+        usual = _scales(float(signal), int(scaled.sum()))
+        scales = np.append(usual, priors.RARE_SIZE)
+        share = np.append(np.full(len(usual), (1.0 - priors.RARE) / len(usual)), priors.RARE)
         logs, gains = [], []
         for scale, probability in zip(scales, share, strict=True):
             total = inner + np.diag(np.where(scaled, scale, 1.0) ** 2)
@@ -90,6 +89,13 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
     return mean, covariance
 
 
+def _scales(signal: float, coefficients: int) -> Array:
+    """(s,) scales down to where a signal of so many standard uncertainties at the largest shows no more."""
+    step = priors.scale_step(coefficients)
+    steps = int(np.log(max(signal / priors.SMALLEST_SIGNAL, 1.0)) / np.log(step))
+    return np.asarray(step ** -np.arange(steps + 1.0))
+
+
 def smallest_signal(values: Array, along: float, needed: float, power: float = priors.DETECTED) -> float:
     """Norm of a signal, in standard uncertainties, whose Bayes factor reaches a limit with a given power.
 
@@ -100,10 +106,8 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = p
         power: probability to reach it.
     """
     largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
-    between = priors.scale_step(len(values))
-    steps = max(int(np.floor(np.log(max(largest / priors.SMALLEST_SIGNAL, 1.0)) / np.log(between))) + 1, 1)
-    s2 = between ** (-2.0 * np.arange(steps))
-    cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(steps)
+    s2 = _scales(largest, len(values)) ** 2
+    cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(len(s2))
     share = s2 * along / (1.0 + s2 * along)
 
     if float(np.logaddexp.reduce(-cost)) >= needed:

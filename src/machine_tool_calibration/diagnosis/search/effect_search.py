@@ -152,7 +152,7 @@ def _to_some_percent(columns: _Columns, found: Posterior) -> list[Candidate]:
     for k in {*ranked[:_BEST], *(k for k in range(len(out)) if found.of(k) > priors.MAY_BE)}:
         effect = out[k].effect
         if effect is not None and effect.tolerance > 0.0:
-            point = found.best.get(k) or found.single.best[k]
+            point = found.point_of(k)
             out[k], changed = to_some_percent(columns.pool, out[k], _signal(columns, found, k), point.scale), True
     return out if changed else []
 
@@ -172,7 +172,7 @@ def _searched(columns: _Columns, side_by_side: bool) -> Posterior:
 
 def _signal(columns: _Columns, found: Posterior, k: int) -> Array:
     """(n,) what a candidate changes in the readings, m: beside the others of the most probable set, or else alone."""
-    point = found.best.get(k) or found.single.best[k]
+    point = found.point_of(k)
     block = columns.blocks[point.block]
     marginal = found.marginals_with([other for other in found.best if other != k] if k in found.best else [])[0]
     return np.asarray(posterior_of(marginal, block, point)[0] @ block.shaped.every)
@@ -356,13 +356,15 @@ def _head(columns: _Columns, group: Sequence[int], found: Posterior, accepted: S
     size = {k: len(columns.candidates[k].shapes[0].columns) for k in group}
     best = max(group, key=lambda k: probability[k])
     alike = [k for k in group if size[k] == size[best] and probability[k] >= priors.AS_LIKELY * probability[best]]
-    return min(alike, key=lambda k: (_is_seldom(columns, found, k), k))
+    return min(alike, key=lambda k: (_is_unusual(columns, found, k), k))
 
 
-def _is_seldom(columns: _Columns, found: Posterior, k: int) -> bool:
+def _is_unusual(columns: _Columns, found: Posterior, k: int) -> bool:
     """Whether a candidate is larger than usual."""
-    point = found.best.get(k) or found.single.best.get(k)
-    return point is not None and bool(columns.blocks[point.block].is_seldom(np.array(point.scale)))
+    if k not in found.single.best:
+        return False
+    point = found.point_of(k)
+    return bool(columns.blocks[point.block].is_unusual(np.array(point.scale)))
 
 
 def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:

@@ -58,7 +58,7 @@ class Block:
         """Where its columns are without those of the law."""
         return slice(self.place.start, self.place.start + len(self.shaped.columns))
 
-    def is_seldom(self, scale: Array) -> BoolArray:
+    def is_unusual(self, scale: Array) -> BoolArray:
         """Where scales of its coefficients are beyond what is usual."""
         return np.asarray(scale > self.usual * priors.SCALE_STEP**0.5)
 
@@ -164,8 +164,8 @@ def table(blocks: Sequence[Block], tried: Sequence[Marginal], candidates: int, o
             own = scales[rows, : count[rows].max()]
             logs, whole = _evidence([blocks[k] for k in mine], np.nan_to_num(own, nan=1.0), tried)
             share = np.array([blocks[k].log_share for k in mine]) - np.log(count[rows])
-            seldom = np.array([blocks[k].is_seldom(row) for k, row in zip(mine, own, strict=True)])
-            share = share[:, None] - np.where(seldom, np.log(priors.SELDOM), 0.0)
+            unusual = np.array([blocks[k].is_unusual(row) for k, row in zip(mine, own, strict=True)])
+            share = share[:, None] - np.where(unusual, np.log(priors.SELDOM), 0.0)
             logs = np.where(np.isnan(own), -np.inf, logs + share)
             total[mine] = _log_sum(logs.T)
             at = np.arange(len(mine)), np.argmax(logs, axis=1)

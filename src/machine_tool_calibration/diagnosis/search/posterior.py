@@ -65,8 +65,11 @@ class Posterior:
 
     def marginals_with(self, accepted: Collection[int]) -> list[Marginal]:
         """The marginals with candidates folded in, each at its point in the best set, or where it is best alone."""
-        members = {k: self.best.get(k) or self.single.best[k] for k in accepted}
-        return _with_members(self.blocks, self.marginals, members)
+        return _with_members(self.blocks, self.marginals, {k: self.point_of(k) for k in accepted})
+
+    def point_of(self, candidate: int) -> Point:
+        """Where a candidate that the model does not absorb is in the best set, or where it is best alone."""
+        return self.best.get(candidate) or self.single.best[candidate]
 
     @cached_property
     def _holds(self) -> BoolArray:
